@@ -1,0 +1,52 @@
+"""Numbers are written with the digits that their uncertainty warrants."""
+
+from __future__ import annotations
+
+from math import copysign, floor, inf, log10, nan
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiltcal.core.rounding import round_to, significant
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "rounded"),
+    [
+        (1024.6123456, 0.08, 1024.61235),  # the last digit at 10**(-2 - 3)
+        (818.2049, 1.0, 818.205),
+        (818.2049, 9.99, 818.205),
+        (123456.0, 2000.0, 123456.0),
+        (123456.0, 20000.0, 123460.0),
+        (0.1 + 0.2, 1e-3, 0.3),
+        (-0.00000001, 1.0, 0.0),
+        (2.5e-9, 1e-10, 2.5e-9),
+        (1.0 / 3.0, 0.0, 0.333333333333),
+        (2.0 / 3.0, nan, 0.666666666667),
+        (2.0 / 3.0, inf, 0.666666666667),
+    ],
+)
+def test_last_digit_is_the_fourth_of_the_uncertainty(value: float, uncertainty: float, rounded: float) -> None:
+    assert round_to(value, uncertainty) == rounded
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "rounded"), [(1234.5678, 6, 1234.57), (-0.0, 3, 0.0), (1e22 / 3, 3, 3.33e21), (9.996, 3, 10.0)]
+)
+def test_significant_digits(value: float, digits: int, rounded: float) -> None:
+    assert significant(value, digits) == rounded
+
+
+@given(st.floats(-1e12, 1e12), st.floats(1e-15, 1e12))
+def test_rounding_moves_by_less_than_a_thousandth_of_the_uncertainty(value: float, uncertainty: float) -> None:
+    rounded = round_to(value, uncertainty)
+    assert abs(rounded - value) <= 0.5001e-3 * 10 ** floor(log10(uncertainty) + 1e-12) + 1e-15 * abs(value)
+    assert round_to(rounded, uncertainty) == rounded
+    assert rounded != 0.0 or copysign(1.0, rounded) == 1.0
+
+
+@given(st.floats(-1e6, 1e6), st.integers(-6, 2))
+def test_shortest_form_has_no_tail(value: float, decade: int) -> None:
+    rounded = round_to(value, 10.0 ** (decade + 3))
+    assert float(f"{rounded:.{max(0, -decade)}f}") == rounded

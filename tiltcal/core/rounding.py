@@ -1,0 +1,58 @@
+"""Numbers with the digits that their uncertainty warrants, and no tail of binary dust."""
+
+from __future__ import annotations
+
+from decimal import Context, Decimal
+from math import isfinite
+
+_GUARD_DIGITS = 3
+"""Digits kept after the first one of the uncertainty: rounding adds less than a thousandth of it."""
+_DIGITS_WITHOUT_UNCERTAINTY = 12
+
+
+def round_to(value: float, uncertainty: float) -> float:
+    """Round a value so that its last digit is the fourth of its uncertainty.
+
+    Parameters
+    ----------
+    value : float
+    uncertainty : float
+        Standard uncertainty in the unit of the value. Zero, negative or not finite: 12 significant digits are kept.
+
+    Returns
+    -------
+    float
+        The float whose shortest decimal form has no digit beyond that place; never -0.0.
+    """
+    if not (isfinite(uncertainty) and uncertainty > 0.0):
+        return significant(value, _DIGITS_WITHOUT_UNCERTAINTY)
+    if not isfinite(value):
+        return float(value)
+    exact = Decimal(repr(float(value)))
+    place = Decimal(repr(float(uncertainty))).adjusted() - _GUARD_DIGITS
+    if _exponent(exact) >= place:
+        return _positive_zero(exact)
+    return _positive_zero(exact.quantize(Decimal((0, (1,), place))))
+
+
+def significant(value: float, digits: int) -> float:
+    """Round a value to a number of significant decimal digits; never -0.0.
+
+    Parameters
+    ----------
+    value : float
+    digits : int
+        At least 1; more than 17 changes nothing.
+    """
+    if not isfinite(value):
+        return float(value)
+    return _positive_zero(Context(prec=digits).create_decimal(repr(float(value))))
+
+
+def _exponent(number: Decimal) -> int:
+    exponent = number.as_tuple().exponent
+    return exponent if isinstance(exponent, int) else 0
+
+
+def _positive_zero(number: Decimal) -> float:
+    return float(number) + 0.0

@@ -1,0 +1,96 @@
+"""Mean and uncertainty of a run of samples.
+
+Sums are exactly rounded (:func:`math.fsum`), so a replayed session gives the same digits on every processor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import exp, fsum, pi, sqrt
+
+BLOCKS = 10
+"""Number of blocks whose means show correlation that std/sqrt(n) does not see."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a run of samples of one channel says.
+
+    Attributes
+    ----------
+    mean, std : float
+        Arithmetic mean and sample standard deviation, in the unit of the samples.
+    n : int
+        Number of samples.
+    u : float
+        Standard uncertainty of the mean (type A, and quantisation), same unit.
+    """
+
+    mean: float
+    std: float
+    n: int
+    u: float
+
+
+def summarise(samples: Sequence[float], resolution: float = 0.0) -> Summary:
+    """Mean, standard deviation and the mean's standard uncertainty.
+
+    The uncertainty is the larger of std/sqrt(n) and what the scatter of ten block means says, because samples of a
+    real record are correlated. Quantisation is added: noise of half a step or more averages it out, a reading that
+    never changes is uncertain by step/sqrt(12).
+
+    Parameters
+    ----------
+    samples : sequence of float
+        At least one.
+    resolution : float
+        The step of the reading; 0 where it is continuous.
+    """
+    n = len(samples)
+    mean = fsum(samples) / n
+    std = sqrt(fsum((sample - mean) ** 2 for sample in samples) / (n - 1)) if n > 1 else 0.0
+    return Summary(mean, std, n, sqrt(_type_a(samples, std) ** 2 + _quantisation(std, resolution) ** 2))
+
+
+def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:
+    """Change over the span of ``times`` along the least-squares line, and its standard uncertainty.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Seconds, increasing, at least three.
+    samples : sequence of float
+
+    Returns
+    -------
+    change, uncertainty : float
+        In the unit of the samples.
+    """
+    n = len(samples)
+    middle, mean = fsum(times) / n, fsum(samples) / n
+    spread = fsum((time - middle) ** 2 for time in times)
+    slope = fsum((time - middle) * (sample - mean) for time, sample in zip(times, samples, strict=True)) / spread
+    rest = fsum((sample - mean - slope * (time - middle)) ** 2 for time, sample in zip(times, samples, strict=True))
+    span = times[-1] - times[0]
+    return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
+
+
+def _type_a(samples: Sequence[float], std: float) -> float:
+    n = len(samples)
+    size = n // BLOCKS
+    white = std / sqrt(n)
+    if size < 2:
+        return white
+    means = [fsum(samples[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
+    centre = fsum(means) / BLOCKS
+    blocks = sqrt(fsum((mean - centre) ** 2 for mean in means) / (BLOCKS - 1) / BLOCKS)
+    return max(white, blocks)
+
+
+def _quantisation(std: float, resolution: float) -> float:
+    """Standard uncertainty that quantisation leaves in a mean of noisy samples (Widrow's first harmonic)."""
+    if resolution == 0.0:
+        return 0.0
+    noise = sqrt(max(std**2 - resolution**2 / 12, 0.0))
+    return resolution / sqrt(12) * exp(-2 * (pi * noise / resolution) ** 2)
