@@ -1,0 +1,254 @@
+"""The calibration file of SPEC 9: what is read, checked and written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import radians
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal
+from tiltcal.errors import InputError
+from tiltcal.files.calibration import (
+    Calibration,
+    SensorIdentity,
+    calibration_of,
+    dump_calibration,
+    read_calibration,
+    write_calibration,
+)
+from tiltcal.files.document import parse_document
+
+EXAMPLE = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: sca100t-d02, serial: 0042, unit: count, channels: [x, y]}
+calibration:
+  offset: {x: 1024.6, y: 1021.9}
+  sensitivity:
+    x: {x: 818.2, y: 9.1}
+    y: {x: -6.4, y: 820.7}
+  temperature:
+    reference: 24.0
+    range: [5.5, 24.0]
+    offset: {x: [0.21], y: [-0.05, 1e-4]}
+  mounting: {roll: 180, pitch: -2.5, yaw: 0.0}
+uncertainty:
+  offset: {x: 0.1, y: 0.1}
+  covariance: {parameters: [offset.x, offset.y], matrix: [[0.01, 1e-8], [1e-8, 0.01]]}
+limits: {tilt: [-60, 60], temperature: [0, 30], reading: {x: [101, 2047]}}
+fit: {chi_square: 3.1, note: [1, {a: null}]}
+positions: [{position: level, mean: {x: 1024.6}}]
+"""
+
+
+def read(text: str) -> Calibration:
+    return calibration_of(parse_document(text, "c.yaml"))
+
+
+def test_example_is_read() -> None:
+    calibration = read(EXAMPLE)
+    coefficients = calibration.coefficients
+    assert calibration.sensor == SensorIdentity("sca100t-d02", "0042", "count", ("x", "y"))
+    assert coefficients.axes == ("x", "y")
+    np.testing.assert_array_equal(coefficients.offset, [1024.6, 1021.9])
+    np.testing.assert_array_equal(coefficients.sensitivity, [[818.2, 9.1], [-6.4, 820.7]])
+    assert coefficients.thermal is not None
+    np.testing.assert_array_equal(coefficients.thermal.drift, [[0.21, 0.0], [-0.05, 1e-4]])
+    assert coefficients.thermal.gain.shape == (2, 0)
+    assert coefficients.thermal.range == (5.5, 24.0)
+    assert coefficients.mounting == Mounting(roll=radians(180), pitch=radians(-2.5))
+    assert calibration.limits.tilt == {"x": (radians(-60), radians(60)), "y": (radians(-60), radians(60))}
+    assert calibration.limits.temperature == (0.0, 30.0)
+    assert calibration.limits.reading == {"x": (101.0, 2047.0)}
+    assert calibration.uncertainty["covariance"]["matrix"] == [[0.01, 1e-8], [1e-8, 0.01]]
+    assert calibration.fit == {"chi_square": 3.1, "note": [1, {"a": None}]}
+    assert calibration.provenance == {}
+
+
+def test_two_channels_may_have_a_z_column() -> None:
+    text = EXAMPLE.replace("y: 9.1}", "z: 3.0, y: 9.1}").replace("y: 820.7}", "y: 820.7, z: 1.0}")
+    coefficients = read(text).coefficients
+    assert coefficients.axes == ("x", "y", "z")
+    np.testing.assert_array_equal(coefficients.sensitivity, [[818.2, 9.1, 3.0], [-6.4, 820.7, 1.0]])
+    assert sorted(read(text).limits.tilt) == ["x", "y"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "key", "about"),
+    [
+        ("serial: 0042, ", "", 3, "sensor", "'serial' is missing"),
+        ("serial: 0042", "serial: ", 3, "sensor.serial", "found nothing"),
+        ("serial", "serail", 3, "sensor.serail", "did you mean 'serial'"),
+        ("[x, y]}", "[x, x]}", 3, "sensor.channels", "different ones"),
+        ("[x, y]}", "[x, w]}", 3, "sensor.channels[1]", "unknown value 'w'"),
+        ("[x, y]}", "[]}", 3, "sensor.channels", "one to three"),
+        ("y: 1021.9", "y: .nan", 5, "calibration.offset.y", "must be finite"),
+        (", y: 1021.9", "", 5, "calibration.offset", "'y' is missing"),
+        ("1024.6, y", "'1024.6', y", 5, "calibration.offset.x", "take off the quotes"),
+        ("x: {x: 818.2, y: 9.1}", "x: {x: 818.2}", 8, "calibration.sensitivity.y", "same columns"),
+        ("x: {x: 818.2, y: 9.1}", "x: {x: 6.4, y: -820.7}", 6, "calibration.sensitivity", "singular"),
+        ("x: {x: 818.2, y: 9.1}", "x: {x: 0, y: 0}", 6, "calibration.sensitivity", "singular"),
+        ("reference: 24.0\n    ", "", 9, "calibration.temperature", "'reference' is missing"),
+        ("[5.5, 24.0]", "[24.0, 5.5]", 11, "calibration.temperature.range", "wrong way round"),
+        ("[-0.05, 1e-4]", "[1, 2, 3, 4, 5, 6, 7]", 12, "calibration.temperature.offset.y", "at most 6"),
+        ("roll: 180", "rol: 180", 13, "calibration.mounting.rol", "did you mean 'roll'"),
+        ("{x: 0.1, y: 0.1}", "{x: -0.1}", 15, "uncertainty.offset.x", "at least 0"),
+        ("[1e-8, 0.01]]", "[2e-8, 0.01]]", 16, "uncertainty.covariance.matrix[1]", "not symmetric"),
+        (", [1e-8, 0.01]]", "]", 16, "uncertainty.covariance.matrix", "2 rows of 2"),
+        ("offset.y], matrix", "offset.x], matrix", 16, "uncertainty.covariance.parameters", "twice"),
+        ("tilt: [-60, 60]", "tilt: {w: [0, 1]}", 17, "limits.tilt.w", "unknown key"),
+        ("chi_square: 3.1", "chi_square: .inf", 18, "fit.chi_square", "must be finite"),
+        ("[{position", "[1, {position", 19, "positions[0]", "a mapping is needed"),
+        ("fit:", "fitt:", 18, "fitt", "did you mean 'fit'"),
+    ],
+)
+def test_error_names_line_and_key(old: str, new: str, line: int, key: str, about: str) -> None:
+    assert old in EXAMPLE
+    with pytest.raises(InputError) as caught:
+        read(EXAMPLE.replace(old, new, 1))
+    assert (caught.value.file, caught.value.line, caught.value.key) == ("c.yaml", line, key)
+    assert about in caught.value.message
+
+
+@pytest.mark.parametrize(("channels", "columns"), [("xy", "x"), ("x", "xy"), ("xyz", "xy"), ("xy", "")])
+def test_columns_go_with_channels(channels: str, columns: str) -> None:
+    row = "{" + ", ".join(f"{axis}: {n + 1}" for n, axis in enumerate(columns)) + "}"
+    text = (
+        f"tiltcal: 1\nkind: tilt\nsensor: {{model: m, serial: s, unit: V, channels: [{', '.join(channels)}]}}\n"
+        f"calibration:\n  offset: {{{', '.join(f'{channel}: 0' for channel in channels)}}}\n  sensitivity:\n"
+    ) + "".join(f"    {channel}: {row}\n" for channel in channels)
+    with pytest.raises(InputError, match="columns") as caught:
+        read(text)
+    assert (caught.value.line, caught.value.key) == (6, "calibration.sensitivity")
+
+
+def test_pair_calibration_is_told_apart(tmp_path: Path) -> None:
+    path = tmp_path / "pair.yaml"
+    path.write_text("tiltcal: 1\nkind: pair\np: 0.1\n")
+    with pytest.raises(InputError, match=r"pair.yaml:2: kind: this file is a pair calibration"):
+        read_calibration(path)
+
+
+WRITTEN = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: sca100t-d02, serial: "0042", unit: count, channels: [x, y]}
+calibration:
+  offset: {x: 1024.6, y: 1021.9}                # count, at the reference temperature
+  sensitivity:                                  # count/g, row = channel, column = axis
+    x: {x: 818.2, y: 9.1}
+    y: {x: -6.4, y: 820.7}
+  temperature:
+    reference: 24.0                             # °C
+    range: [5.5, 24.0]                          # °C
+    offset: {x: [0.21, 0.0], y: [-0.05, 0.0001]}  # count/°C, count/°C², ...
+  mounting: {roll: 180.0, pitch: -2.5, yaw: 0.0}  # degrees
+uncertainty:                                    # standard uncertainty, k = 1
+  offset: {x: 0.1, y: 0.1}
+  covariance:
+    parameters: [offset.x, offset.y]
+    matrix:
+      - [0.01, 1.0e-08]
+      - [1.0e-08, 0.01]
+limits:                                         # the ranges that were covered, degrees and °C
+  tilt: {x: [-60.0, 60.0], y: [-60.0, 60.0]}
+  temperature: [0.0, 30.0]
+  reading: {x: [101.0, 2047.0]}
+derived: {}
+fit:
+  chi_square: 3.1
+  note:
+    - 1
+    - {a: null}
+procedure: {}
+positions:
+  - position: level
+    mean: {x: 1024.6}
+provenance: {}
+"""
+
+
+def test_file_is_written_as_the_specification_shows() -> None:
+    assert dump_calibration(read(EXAMPLE)) == WRITTEN
+
+
+def test_unit_cannot_break_the_file() -> None:
+    calibration = read(EXAMPLE)
+    strange = replace(calibration, sensor=replace(calibration.sensor, unit="a\nb: # c"))
+    assert read(dump_calibration(strange)).sensor.unit == "a\nb: # c"
+
+
+def test_file_written_twice_is_the_same(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "a.yaml", read(EXAMPLE))
+    write_calibration(tmp_path / "b.yaml", read_calibration(tmp_path / "a.yaml"))
+    assert (tmp_path / "a.yaml").read_bytes() == (tmp_path / "b.yaml").read_bytes()
+
+
+def test_nothing_is_written_where_a_record_is_not_finite(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"fit.chi: nan"):
+        write_calibration(tmp_path / "a.yaml", replace(read(EXAMPLE), fit={"chi": float("nan")}))
+    assert list(tmp_path.iterdir()) == []
+
+
+finite = st.floats(-1e9, 1e9)
+degrees = st.integers(-1800, 1800).map(lambda tenths: tenths / 10)
+ranges = st.tuples(finite, finite).map(lambda pair: (min(pair), max(pair)))
+serials = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20).filter(str.strip)
+
+
+@st.composite
+def calibrations(draw: st.DrawFn) -> Calibration:
+    channels = tuple(draw(st.permutations(AXES))[: draw(st.integers(1, 3))])
+    axes = AXES if len(channels) == 2 and draw(st.booleans()) else tuple(sorted(channels))
+    n = len(channels)
+    sensitivity = np.array(draw(st.lists(st.floats(-1, 1), min_size=n * len(axes), max_size=n * len(axes))))
+    sensitivity = sensitivity.reshape(n, len(axes))
+    square = [0, 1] if len(axes) > n else list(range(n))
+    sensitivity[np.arange(n), square] += 100.0
+    order = draw(st.integers(0, 6))
+    table = np.array(draw(st.lists(finite, min_size=n * order, max_size=n * order))).reshape(n, order)
+    thermal = Thermal(draw(finite), draw(st.none() | ranges), table, table[:, : order // 2])
+    mounting = Mounting(*(radians(draw(degrees)) for _ in range(3)))
+    tilt = {axis: (radians(-draw(degrees.map(abs))), radians(90.0)) for axis in axes[:n]}
+    return Calibration(
+        sensor=SensorIdentity(draw(serials), draw(serials), draw(serials), channels),
+        coefficients=Coefficients(
+            channels=channels,
+            axes=axes,
+            offset=np.array([draw(finite) for _ in channels]),
+            sensitivity=sensitivity,
+            thermal=draw(st.sampled_from([None, thermal])),
+            mounting=draw(st.sampled_from([None, mounting])),
+        ),
+        uncertainty={"offset": {channel: draw(finite.map(abs)) for channel in channels}},
+        limits=Limits(tilt, draw(st.none() | ranges), {channel: draw(ranges) for channel in channels}),
+        fit=draw(st.dictionaries(serials, finite | serials, max_size=3)),
+        positions=[{"name": draw(serials)}],
+    )
+
+
+def content(calibration: Calibration) -> dict[str, Any]:
+    """Everything in it, in terms that can be compared."""
+    coefficients = calibration.coefficients
+    thermal = coefficients.thermal
+    tables = (thermal.drift.tolist(), thermal.gain.tolist()) if thermal is not None else None
+    return {
+        **{name: value for name, value in vars(calibration).items() if name != "coefficients"},
+        "thermal": thermal and (thermal.reference, thermal.range, tables),
+        "mounting": coefficients.mounting,
+        "frame": (coefficients.channels, coefficients.axes),
+        "offset": coefficients.offset.tolist(),
+        "sensitivity": coefficients.sensitivity.tolist(),
+        "positions": list(calibration.positions),
+    }
+
+
+@given(calibrations())
+def test_what_is_written_reads_back_equal(calibration: Calibration) -> None:
+    assert content(read(dump_calibration(calibration))) == content(calibration)

@@ -1,0 +1,387 @@
+"""A file of ours is YAML 1.2, and whatever is wrong in it is told with file, line and key."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from tiltcal.errors import InputError
+from tiltcal.files import document as document_module
+from tiltcal.files.document import SIZE_LIMIT, parse_document, read_document, read_tiltcal_file
+from tiltcal.files.emitter import WIDTH, yaml_text
+from tiltcal.files.node import document_of
+
+
+def complaint(text: str, reading: Any = None) -> InputError:
+    """The error that reading a document raises."""
+
+    def read() -> None:
+        node = parse_document(text, "f.yaml")
+        if reading is not None:
+            reading(node)
+
+    with pytest.raises(InputError) as caught:
+        read()
+    return caught.value
+
+
+def value(text: str) -> Any:
+    return parse_document(f"v: {text}", "f.yaml").entries()["v"]
+
+
+# What PyYAML alone gets wrong in silence (SPEC 9).
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [("1e-8", 1e-8), ("0042", 42.0), ("-.5", -0.5), ("+12.", 12.0), ("1E3", 1000.0), ("0x1d", 29.0), ("0o17", 15.0)],
+)
+def test_number_is_read_by_the_core_schema_of_yaml_1_2(written: str, meant: float) -> None:
+    assert value(written).number() == meant
+    assert value(written).plain() == meant
+
+
+@pytest.mark.parametrize(
+    "written", ["12:30", "1_000", '"1.5"', "yes", "~", "", "1,5", "0b11", "[1]", "{a: 1}", "+0x1d", "१"]
+)
+def test_what_is_no_number_is_refused_and_shown(written: str) -> None:
+    error = complaint(f"v: {written}", lambda node: node.entries()["v"].number())
+    assert (error.file, error.line, error.key) == ("f.yaml", 1, "v")
+    assert "a number is needed here, found" in error.message
+
+
+@pytest.mark.parametrize("written", [".nan", ".NaN", ".inf", "-.Inf", "1e999", "-1e999", "9" * 500, "0x" + "f" * 300])
+def test_a_number_is_finite(written: str) -> None:
+    complaint(f"v: {written}", lambda node: node.entries()["v"].number())
+    complaint(f"v: {written}", lambda node: node.plain())
+
+
+def test_nan_without_a_dot_is_text_and_so_no_number() -> None:
+    assert value("nan").plain() == "nan"
+    complaint("v: nan", lambda node: node.entries()["v"].number())
+
+
+def test_serial_numbers_keep_their_zeros_and_words_stay_words() -> None:
+    assert value("0042").text() == "0042"
+    assert value("1e3").text() == "1e3"
+    assert [value(word).plain() for word in ("yes", "no", "on", "off", "y", "n")] == [
+        "yes",
+        "no",
+        "on",
+        "off",
+        "y",
+        "n",
+    ]
+    assert value("2026-01-02").plain() == "2026-01-02"
+
+
+@pytest.mark.parametrize("written", ["", "~", "null", '""', '"  "', "[a]"])
+def test_text_is_never_nothing(written: str) -> None:
+    complaint(f"v: {written}", lambda node: node.entries()["v"].text())
+
+
+@pytest.mark.parametrize("written", ["1.0", "1e3", '"1"', "true"])
+def test_integer_has_neither_point_nor_exponent_nor_quotes(written: str) -> None:
+    complaint(f"v: {written}", lambda node: node.entries()["v"].integer())
+
+
+def test_flag_is_true_or_false_and_nothing_else() -> None:
+    assert value("true").flag()
+    assert not value("False").flag()
+    for written in ("yes", "1", '"true"'):
+        complaint(f"v: {written}", lambda node: node.entries()["v"].flag())
+
+
+def test_bounds_are_held() -> None:
+    assert value("0").number(minimum=0) == 0
+    complaint("v: -0.1", lambda node: node.entries()["v"].number(minimum=0))
+    complaint("v: 0", lambda node: node.entries()["v"].number(above=0))
+    complaint("v: 1", lambda node: node.entries()["v"].integer(minimum=2))
+
+
+def test_interval_is_two_numbers_in_order() -> None:
+    assert value("[5.5, 24]").interval() == (5.5, 24.0)
+    for written in ("[1]", "[1, 2, 3]", "[2, 1]", "3"):
+        complaint(f"v: {written}", lambda node: node.entries()["v"].interval())
+
+
+# Places.
+
+
+def test_unknown_key_is_named_with_its_line_and_a_near_one() -> None:
+    text = "sensor:\n  model: a\n  adress: b\n"
+    error = complaint(text, lambda node: node.entries()["sensor"].mapping(required=["model"], optional=["address"]))
+    assert str(error).startswith("f.yaml:3: sensor.adress: unknown key 'adress' (did you mean 'address'?)")
+
+
+def test_missing_key_is_named_at_the_mapping_that_lacks_it() -> None:
+    error = complaint(
+        "a: 1\nsensor:\n  model: a\n", lambda node: node.entries()["sensor"].mapping(required=["serial", "model"])
+    )
+    assert (error.line, error.key) == (2, "sensor")
+    assert "'serial'" in error.message
+
+
+def test_key_counts_the_items_of_a_list() -> None:
+    error = complaint(
+        "list:\n- {a: 1}\n-\n  a: x\n", lambda node: [i.entries()["a"].number() for i in node.entries()["list"].items()]
+    )
+    assert (error.line, error.key) == (4, "list[1].a")
+
+
+def test_optional_key_that_holds_nothing_is_absent() -> None:
+    assert "b" not in parse_document("a: 1\nb:\n").mapping(required=["a"], optional=["b"])
+
+
+def test_duplicate_key_names_both_lines() -> None:
+    error = complaint("a:\n  x: 1\n  y: 2\n  x: 3\n")
+    assert (error.line, error.key) == (4, "a.x")
+    assert "lines 2 and 4" in error.message
+
+
+def test_duplicate_key_is_one_whatever_its_quotes() -> None:
+    complaint('a: 1\n"a": 2\n')
+
+
+# What is refused.
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "about"),
+    [
+        ("a: &x [1]\nb: *x\n", 1, "anchor"),
+        ("a: 1\nb: *x\n", 2, "alias"),
+        ("a: !!python/object/apply:os.system ['true']\n", 1, "tag"),
+        ("a: !!float 1\n", 1, "tag"),
+        ("a: ! 1\n", 1, "tag"),
+        ("a: 1\n---\nb: 2\n", 2, "second document"),
+        ("? [a, b]\n: 1\n", 1, "keys are text"),
+        ("12: 1\n", 1, "not text"),
+        ("true: 1\n", 1, "not text"),
+        ("a: 1\n~: 2\n", 2, "not text"),
+        ("a:\n\t- 1\n", 2, "not YAML"),
+        ("a: [1,\nb: 2]]", 2, "not YAML"),
+        ("a: 1\nb: \x07\n", 2, "not YAML"),
+        ("", None, "empty"),
+        ("# nothing\n", None, "empty"),
+    ],
+)
+def test_refused_with_its_line(text: str, line: int | None, about: str) -> None:
+    error = complaint(text)
+    assert error.line == line
+    assert about in str(error)
+
+
+def test_alias_bomb_is_refused_at_its_first_anchor() -> None:
+    bomb = "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]\n" for n in range(1, 30))
+    assert "write the value out" in str(complaint(bomb))
+
+
+def test_depth_has_an_end() -> None:
+    parse_document("[" * 32 + "]" * 32)
+    assert "deeper" in str(complaint("[" * 33 + "]" * 33))
+    assert "deeper" in str(complaint("- " * 100_000))
+
+
+def test_number_of_values_has_an_end() -> None:
+    assert "200,000 values" in str(complaint("[" + "1," * 200_001 + "]"))
+
+
+def test_large_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "large.yaml"
+    path.touch()
+    os.truncate(path, 1 << 30)
+    with pytest.raises(InputError, match=r"too large.*1,073,741,824"):
+        read_document(path)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="this system has no /dev/zero")
+def test_file_that_hides_its_size_is_refused_too() -> None:
+    with pytest.raises(InputError, match=f"at most {SIZE_LIMIT:,}"):
+        read_document("/dev/zero")
+
+
+def test_file_that_is_not_utf8_names_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "latin1.yaml"
+    path.write_bytes("a: 1\nb: 20 °C\n".encode("latin-1"))
+    with pytest.raises(InputError, match=r"latin1.yaml:2: not UTF-8 \(byte 0xb0\)"):
+        read_document(path)
+
+
+def test_byte_order_mark_is_no_part_of_the_first_key(tmp_path: Path) -> None:
+    path = tmp_path / "bom.yaml"
+    path.write_bytes(b"\xef\xbb\xbfa: 1\n")
+    assert read_document(path).plain() == {"a": 1}
+
+
+def test_absent_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_document(tmp_path / "absent.yaml")
+    with pytest.raises(InputError, match="folder"):
+        read_document(tmp_path)
+
+
+# Which file it is.
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "about"),
+    [
+        ("kind: tilt\n", None, "'tiltcal' is missing"),
+        ("tiltcal: 1\n", None, "'kind' is missing"),
+        ("kind: tilt\ntiltcal: 2\n", 2, "version 2"),
+        ("tiltcal: 1\nkind: pair\n", 2, "a pair calibration"),
+        ("tiltcal: 1\nkind: tlit\n", 2, "did you mean 'tilt'"),
+        ("- tiltcal: 1\n", 1, "a mapping is needed"),
+    ],
+)
+def test_version_and_kind_are_checked_first(tmp_path: Path, text: str, line: int | None, about: str) -> None:
+    path = tmp_path / "f.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=about) as caught:
+        read_tiltcal_file(path, "tilt")
+    assert caught.value.line in (line, 1)
+
+
+# Properties.
+
+scalars = st.none() | st.booleans() | st.integers(-(10**18), 10**18) | st.floats(allow_nan=False, allow_infinity=False)
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
+numbers_and_words = [
+    "yes",
+    "No",
+    "on",
+    "null",
+    "~",
+    "1e-8",
+    "0042",
+    "12:30",
+    "2026-01-02",
+    "=",
+    "<<",
+    ".5",
+    ".inf",
+    "0x1d",
+    "1_000",
+    "y",
+    "N",
+]
+indicators = [
+    "#",
+    "&a",
+    "*a",
+    "!a",
+    "|",
+    ">",
+    "%a",
+    "@a",
+    "`a",
+]
+awkward = ["- a", "a: b", "a #b", " a", "a ", "", "a\nb", "\t", "\x85", "\u2028"]
+tricky = st.sampled_from([*numbers_and_words, *indicators, *awkward])
+keys = st.text(st.characters(exclude_categories=["Cs"]), max_size=20) | tricky
+data = st.recursive(
+    scalars | texts | tricky,
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(keys, inner, max_size=5),
+    max_leaves=30,
+)
+documents = st.dictionaries(keys, data, max_size=5)
+
+
+@given(documents)
+@example({"words": ["yes", "12:30", "0042", "1e-8", "~", "y"], "tiny": 1e-8, "huge": 1e22, "minus": -0.0})
+@example({"prompt": "Tilt it: " + "slowly and then again, " * 20, "values": [0.125 * n for n in range(60)]})
+@example({"a": [{"b": [{"c": [[], {}, [[1]]]}]}]})
+def test_what_is_written_reads_back_equal(written: dict[str, Any]) -> None:
+    assert parse_document(yaml_text(written)).plain() == written
+
+
+@given(documents)
+@example({"tiny": 1e-8, "serial": "0042", "time": "12:30", "words": ["yes", "off", "null", "1_000", "2026-01-02"]})
+def test_what_is_written_reads_back_equal_under_yaml_1_1_too(written: dict[str, Any]) -> None:
+    assert yaml.safe_load(yaml_text(written)) == written
+
+
+@given(
+    st.dictionaries(
+        st.from_regex(r"[a-z]{1,10}", fullmatch=True),
+        st.lists(st.floats(-1e6, 1e6), max_size=30) | st.text("ab, ", max_size=400),
+    )
+)
+def test_lines_keep_to_the_width_unless_a_word_is_longer(written: dict[str, Any]) -> None:
+    for line in yaml_text(written).splitlines():
+        assert len(line) <= WIDTH or " " not in line.strip('" ').partition(": ")[2].strip('"')
+
+
+@given(
+    st.dictionaries(
+        st.from_regex(r"[a-z]{1,8}", fullmatch=True),
+        st.integers() | st.booleans() | st.none() | st.from_regex(r"[a-z ]{0,20}", fullmatch=True),
+        max_size=8,
+    )
+)
+def test_documents_of_another_writer_are_read(written: dict[str, Any]) -> None:
+    assert parse_document(yaml.safe_dump(written)).plain() == written
+
+
+@given(
+    st.recursive(
+        scalars | st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"])),
+        lambda inner: st.lists(inner) | st.dictionaries(st.text("abc"), inner),
+        max_leaves=20,
+    )
+)
+def test_json_is_read_as_the_yaml_that_it_is(written: Any) -> None:
+    assert parse_document(json.dumps(written)).plain() == written
+
+
+@given(documents)
+def test_plain_data_becomes_the_document_that_it_came_from(written: dict[str, Any]) -> None:
+    assert document_of(written).plain() == written
+
+
+@given(st.binary(max_size=200) | st.text("ab:-[]{}?&*!|>'\"%@#, \n\t0.~", max_size=60).map(str.encode))
+def test_bytes_of_any_kind_are_read_or_refused_and_nothing_else(
+    tmp_path_factory: pytest.TempPathFactory, raw: bytes
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.yaml"
+    path.write_bytes(raw)
+    with suppress(InputError):
+        read_document(path).plain()
+
+
+@given(st.text("ab:-[]{}?'\"#, \n0.~", max_size=40))
+def test_the_parser_in_python_agrees_with_the_one_in_c(text: str) -> None:
+    def outcome() -> Any:
+        try:
+            return parse_document(text).plain()
+        except InputError:
+            return InputError
+
+    fast = outcome()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delattr(document_module.yaml, "CSafeLoader", raising=False)
+        slow = outcome()
+    assert fast == slow or InputError in (fast, slow)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "\ud800", object(), b"bytes"])
+def test_what_cannot_be_read_back_is_not_written(value: Any) -> None:
+    with pytest.raises(InputError) as caught:
+        yaml_text({"fit": {"chi": [value]}})
+    assert caught.value.key == "fit.chi[0]"
+
+
+@pytest.mark.parametrize("name", [1, None, "k" * 101])
+def test_key_that_cannot_be_read_back_is_not_written(name: Any) -> None:
+    with pytest.raises(InputError, match="a key is a text"):
+        yaml_text({"fit": {name: 1}})

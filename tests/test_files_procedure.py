@@ -1,0 +1,166 @@
+"""Procedures are data (SPEC 6): the shipped ones, and a user's own."""
+
+from __future__ import annotations
+
+import json
+from math import cos, radians, sin
+from pathlib import Path
+
+import pytest
+
+from tiltcal.errors import InputError, UsageError
+from tiltcal.files.document import parse_document
+from tiltcal.files.procedure import (
+    Determines,
+    Procedure,
+    find_procedure,
+    procedure_from_record,
+    read_procedure,
+    shipped_procedures,
+)
+
+OWN = """\
+tiltcal: 1
+kind: procedure
+name: own
+title: My own
+determines: {axes: [y, x], drift: 1}
+angle: 20
+reference: 24
+positions:
+  - {name: level, tilt: {}, prompt: Level, temperature: 24}
+  - {name: up, tilt: {x: angle, y: -angle}, prompt: "Up {angle}° at {temperature} °C", temperature: 5.5, heading: 90}
+  - {name: side, gravity: [0, 3, 4], prompt: Side, stage: 45}
+"""
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    path = tmp_path / "own.yaml"
+    path.write_text(OWN)
+    return path
+
+
+SHIPPED = {
+    "plane": (Determines(("x", "y")), ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"]),
+    "cross-axis": (
+        Determines(("x", "y", "z")),
+        ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2", "z-tilt1", "z-tilt2"],
+    ),
+    "zero-45": (Determines(("x", "y")), ["level", "x-45", "y-45"]),
+    "two-temperature": (Determines((), drift=1), ["level-warm", "level-cold"]),
+    "mavs": (Determines(("x", "y"), drift=1), ["level-warm", "x-45", "y-45", "level-cold"]),
+    "six-face": (Determines(("x", "y", "z")), ["x-up", "x-down", "y-up", "y-down", "z-up", "z-down"]),
+}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_procedure_is_what_its_document_does(name: str) -> None:
+    determines, positions = SHIPPED[name]
+    procedure = find_procedure(name)
+    assert procedure.name == name
+    assert procedure.determines == determines
+    assert [position.name for position in procedure.positions] == positions
+
+
+def test_every_shipped_file_is_named_as_its_procedure_and_gives_its_source() -> None:
+    assert set(SHIPPED) <= set(shipped_procedures())
+    for name, path in shipped_procedures().items():
+        procedure = read_procedure(path)
+        assert procedure.name == name
+        assert procedure.source
+
+
+def test_signs_are_the_physical_ones() -> None:
+    position = {position.name: position for position in find_procedure("cross-axis").positions}
+    assert position["x-tilt1"].gravity == pytest.approx((0.5, 0.0, cos(radians(30))))
+    assert position["y-tilt2"].gravity == pytest.approx((0.0, -0.5, cos(radians(30))))
+    assert position["z-tilt2"].gravity == (0.0, 0.0, -1.0)
+    assert position["y-tilt2"].tilt == {"y": -30.0}
+    assert position["z-tilt1"].tilt is None
+
+
+def test_mavs_takes_its_temperatures_from_the_paper() -> None:
+    procedure = find_procedure("mavs")
+    assert procedure.reference == 24.0
+    assert [position.temperature for position in procedure.positions] == [24.0, 24.0, 24.0, 5.5]
+
+
+def test_free_angle_goes_into_positions_and_prompts() -> None:
+    procedure = find_procedure("plane", 12.5)
+    assert procedure.angle == 12.5
+    assert procedure.positions[1].tilt == {"x": -12.5}
+    assert procedure.positions[1].gravity[0] == pytest.approx(-sin(radians(12.5)))
+    assert "12.5°" in procedure.positions[1].prompt
+
+
+@pytest.mark.parametrize("angle", [0.0, -30.0, 90.5, float("nan")])
+def test_angle_out_of_range_is_refused(angle: float) -> None:
+    with pytest.raises(UsageError, match="at most 90"):
+        find_procedure("plane", angle)
+
+
+def test_angle_is_refused_where_none_is_free() -> None:
+    with pytest.raises(UsageError, match="'six-face' leaves no angle free"):
+        find_procedure("six-face", 30.0)
+
+
+def test_own_procedure_is_run_by_path(own: Path) -> None:
+    procedure = find_procedure(str(own))
+    level, up, side = procedure.positions
+    assert procedure.determines.axes == ("x", "y")
+    assert (procedure.samples, procedure.settle) == (Procedure.samples, Procedure.settle)
+    assert level.gravity == (0.0, 0.0, 1.0)
+    assert (up.tilt, up.prompt, up.heading) == ({"x": 20.0, "y": -20.0}, "Up 20° at 5.5 °C", 90.0)
+    assert (side.gravity, side.stage) == ((0.0, 0.6, 0.8), 45.0)
+
+
+def test_unknown_procedure_offers_near_names() -> None:
+    with pytest.raises(UsageError, match=r"unknown procedure 'cros-axis'.*'cross-axis'"):
+        find_procedure("cros-axis")
+    with pytest.raises(UsageError, match=r"there are .*plane"):
+        find_procedure("/absent/qqq.yaml")
+
+
+@pytest.mark.parametrize("angle", [None, 7.0])
+def test_record_gives_the_procedure_again_through_json(own: Path, angle: float | None) -> None:
+    procedure = read_procedure(own, angle)
+    assert procedure_from_record(json.loads(json.dumps(procedure.record)), angle) == procedure
+
+
+def test_damaged_record_names_the_journal_line() -> None:
+    record = parse_document(OWN.replace("tilt: {}", "tilt: {x: 91}")).plain()
+    with pytest.raises(InputError, match=r"j\.jsonl:1: positions\[0\]\.tilt: a tilt of 91"):
+        procedure_from_record(record, file="j.jsonl", line=1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "key", "about"),
+    [
+        ("angle: 20\n", "", 9, "positions[1].tilt.x", "gives no angle"),
+        ("angle: 20", "angle: 120", 6, "angle", "more than 90"),
+        ("reference: 24\n", "", 5, "determines", "'reference'"),
+        ("drift: 1", "drift: 7", 5, "determines.drift", "at most 6"),
+        ("[y, x]", "[x, x]", 5, "determines.axes", "twice"),
+        ("reference: 24", "samples: 1\nreference: 24", 7, "samples", "at least 2"),
+        ("reference: 24", "settle: 0\nreference: 24", 7, "settle", "more than 0"),
+        ("reference: 24", "soak: {seconds: 5}\nreference: 24", 7, "soak", "'drift' is missing"),
+        ("name: side", "name: up", 11, "positions[2]", "names are unique"),
+        ("name: side", "name: up side", 11, "positions[2].name", "not a letter"),
+        ("gravity: [0, 3, 4]", "gravity: [0, 0, 0]", 11, "positions[2].gravity", "no direction"),
+        ("gravity: [0, 3, 4]", "gravity: [0, 3]", 11, "positions[2].gravity", "three"),
+        ("gravity: [0, 3, 4]", "gravity: [0, 3, 4], tilt: {}", 11, "positions[2]", "either tilt"),
+        ("gravity: [0, 3, 4], ", "", 11, "positions[2]", "either tilt"),
+        ("tilt: {}", "tilt: {x: 60, y: 60}", 9, "positions[0].tilt", "at once"),
+        ("tilt: {}", "tilt: {z: 60}", 9, "positions[0].tilt.z", "unknown key"),
+        ("prompt: Level", 'prompt: "At {angel}"', 9, "positions[0].prompt", "{angle} or {temperature}"),
+        ("temperature: 5.5", "temperature: -300", 10, "positions[1].temperature", "at least -273.15"),
+    ],
+)
+def test_error_names_line_and_key(own: Path, old: str, new: str, line: int, key: str, about: str) -> None:
+    assert old in OWN
+    own.write_text(OWN.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        read_procedure(own)
+    assert (caught.value.file, caught.value.line, caught.value.key) == (str(own), line, key)
+    assert about in caught.value.message

@@ -1,0 +1,92 @@
+"""The twin file says what a virtual sensor really is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tiltcal.drivers.twin.truth import Fault, Truth
+from tiltcal.errors import InputError
+from tiltcal.files.twin import read_twin
+
+FILE = """\
+tiltcal: 1
+kind: twin
+model: sca100t-d02
+seed: 7
+truth:
+  offset: {y: 1021.9, x: 1024.6}
+  sensitivity:
+    x: {x: 818.2, y: 9.1, z: 2}
+    y: {x: -6.4, y: 820.7, z: -1.5}
+  temperature: {reference: 24, offset: {x: [0.21, 1e-3]}, sensitivity: {y: [1e-5]}}
+  nonlinearity: {x: [0.002, -0.004]}
+  noise: {x: 0.6}
+  thermometer_error: -0.5
+  jig: 0.01
+  ambient: 20
+  time_constant: 300
+  faults:
+    - {kind: parity, start: 12, end: 12.5}
+"""
+
+
+def read(tmp_path: Path, text: str, seed: int | None = None) -> tuple[str | None, Truth]:
+    path = tmp_path / "twin.yaml"
+    path.write_text(text)
+    return read_twin(path, seed)
+
+
+def test_everything_is_read(tmp_path: Path) -> None:
+    assert read(tmp_path, FILE) == (
+        "sca100t-d02",
+        Truth(
+            channels=("x", "y"),
+            offset={"x": 1024.6, "y": 1021.9},
+            sensitivity={"x": {"x": 818.2, "y": 9.1, "z": 2.0}, "y": {"x": -6.4, "y": 820.7, "z": -1.5}},
+            reference=24.0,
+            drift={"x": (0.21, 0.001)},
+            gain={"y": (1e-5,)},
+            nonlinearity={"x": (0.002, -0.004)},
+            noise={"x": 0.6},
+            thermometer_error=-0.5,
+            seed=7,
+            jig=0.01,
+            ambient=20.0,
+            time_constant=300.0,
+            faults=(Fault("parity", 12.0, 12.5),),
+        ),
+    )
+
+
+def test_the_least_that_a_truth_needs(tmp_path: Path) -> None:
+    text = "tiltcal: 1\nkind: twin\ntruth: {offset: {x: 2.5}, sensitivity: {x: {x: 2}}}\n"
+    assert read(tmp_path, text) == (None, Truth(("x",), {"x": 2.5}, {"x": {"x": 2.0}}))
+
+
+def test_seed_of_the_address_comes_before_that_of_the_file(tmp_path: Path) -> None:
+    assert read(tmp_path, FILE, seed=0)[1].seed == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "key", "about"),
+    [
+        ("offset: {y: 1021.9, x: 1024.6}", "offset: {}", 6, "truth.offset", "no channel"),
+        ("x: 1024.6", "w: 1", 6, "truth.offset.w", "unknown key"),
+        ("x: 818.2", "x: 0", 8, "truth.sensitivity.x", "own axis"),
+        (", z: -1.5", "", 9, "truth.sensitivity.y", "same columns"),
+        ("reference: 24, ", "", 10, "truth.temperature", "'reference' is missing"),
+        ("noise: {x: 0.6}", "noise: {x: -1}", 12, "truth.noise.x", "at least 0"),
+        ("jig: 0.01", "mounting: {}", 14, "truth.mounting", "unknown key"),
+        ("kind: parity", "kind: party", 18, "truth.faults[0].kind", "did you mean 'parity'"),
+        ("end: 12.5", "end: 12", 18, "truth.faults[0].end", "not after its start"),
+        ("seed: 7", "seed: -7", 4, "seed", "at least 0"),
+    ],
+)
+def test_error_names_line_and_key(tmp_path: Path, old: str, new: str, line: int, key: str, about: str) -> None:
+    assert old in FILE
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, FILE.replace(old, new, 1))
+    assert (caught.value.line, caught.value.key) == (line, key)
+    assert about in caught.value.message

@@ -1,0 +1,113 @@
+"""A file appears whole or not at all, and a place that takes none is told before anything is measured."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from tiltcal.errors import UsageError
+from tiltcal.files.whole import check_writable, whole_file, write_whole
+
+
+def interrupted_write(path: Path, failure: BaseException) -> None:
+    with whole_file(path) as stream:
+        stream.write(b"half")
+        stream.flush()
+        raise failure
+
+
+def test_file_is_there_only_after_the_block(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    with whole_file(path) as stream:
+        stream.write(b"a")
+        assert not path.exists()
+        stream.write(b"b")
+    assert path.read_bytes() == b"ab"
+    assert os.listdir(tmp_path) == ["out.csv"]
+
+
+@pytest.mark.parametrize("failure", [ValueError("bad row"), KeyboardInterrupt(), SystemExit(1)])
+def test_failure_leaves_what_was_there(tmp_path: Path, failure: BaseException) -> None:
+    path = tmp_path / "out.csv"
+    path.write_text("old")
+    with pytest.raises(type(failure)):
+        interrupted_write(path, failure)
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["out.csv"]
+
+
+def test_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="No space left"):
+        interrupted_write(tmp_path / "out.csv", OSError(errno.ENOSPC, "No space left on device"))
+    assert os.listdir(tmp_path) == []
+
+
+def test_failure_of_something_else_passes_as_it_is(tmp_path: Path) -> None:
+    with pytest.raises(ConnectionResetError):
+        interrupted_write(tmp_path / "out.csv", ConnectionResetError(errno.ECONNRESET, "input lost"))
+
+
+def test_permissions_are_those_of_a_new_file_or_of_the_one_replaced(tmp_path: Path) -> None:
+    plain, path = tmp_path / "plain", tmp_path / "out"
+    plain.touch()
+    write_whole(path, "x")
+    assert path.stat().st_mode == plain.stat().st_mode
+    path.chmod(0o640)
+    write_whole(path, "y")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_link_stays_and_its_target_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "real").write_text("old")
+    (tmp_path / "link").symlink_to("real")
+    write_whole(tmp_path / "link", "new")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "real").read_text() == "new"
+
+
+@pytest.mark.skipif(not Path("/dev/null").exists(), reason="this system has no /dev/null")
+def test_device_is_written_and_never_replaced() -> None:
+    write_whole("/dev/null", "x")
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+
+
+def test_text_is_written_as_it_is(tmp_path: Path) -> None:
+    write_whole(tmp_path / "t", "24 °C\n")
+    assert (tmp_path / "t").read_bytes() == b"24 \xc2\xb0C\n"
+
+
+def test_good_place_is_passed_without_a_trace(tmp_path: Path) -> None:
+    check_writable(tmp_path / "new.yaml")
+    assert os.listdir(tmp_path) == []
+
+
+def test_bad_places_are_named_with_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match="it is a folder"):
+        check_writable(tmp_path)
+    with pytest.raises(UsageError, match=r"there is no folder .*absent"):
+        check_writable(tmp_path / "absent" / "c.yaml")
+    with pytest.raises(UsageError, match="is a file, not a folder"):
+        check_writable(tmp_path / "file" / "c.yaml")
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="this system has no /proc")
+def test_read_only_place_is_refused() -> None:
+    with pytest.raises(UsageError, match="choose another folder"):
+        check_writable("/proc/self/c.yaml")
+    with pytest.raises(UsageError, match="cannot write"):
+        write_whole("/proc/self/c.yaml", "x")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="permission bits do not stop the superuser")
+def test_protected_folder_and_file_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch(mode=0o444)
+    with pytest.raises(UsageError, match="write-protected"):
+        check_writable(tmp_path / "file")
+    tmp_path.chmod(0o555)
+    with pytest.raises(UsageError, match="Permission denied"):
+        check_writable(tmp_path / "c.yaml")

@@ -1,0 +1,1 @@
+"""The formats: what is read, checked and written."""

@@ -1,0 +1,279 @@
+"""The calibration file of one sensor, ``kind: tilt``.
+
+The sections that a program computes with (sensor, calibration, uncertainty, limits) are strict in every key and value.
+The others (derived, fit, procedure, positions, provenance) are records for people and later questions: they are kept as
+they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import radians
+from pathlib import Path
+from typing import Any
+
+from tiltcal.core.model import AXES, Coefficients, Limits
+from tiltcal.files.coefficients import (
+    ANGLES,
+    in_degrees,
+    read_coefficients,
+    read_polynomials,
+    write_coefficients,
+)
+from tiltcal.files.document import FORMAT_VERSION, read_tiltcal_file
+from tiltcal.files.emitter import yaml_text
+from tiltcal.files.node import Node
+from tiltcal.files.whole import write_whole
+
+RECORDS = ("derived", "fit", "procedure", "positions", "provenance")
+
+_SYMMETRY = 1e-9
+
+
+@dataclass(frozen=True)
+class SensorIdentity:
+    """Which sensor a calibration belongs to.
+
+    Attributes
+    ----------
+    model : str
+        Such as ``sca100t-d02``.
+    serial : str
+    unit : str
+        Of its readings: ``count``, ``V``, ``duty``, ``m/s2``, ...
+    channels : tuple of str
+        Its readings, distinct ones of x, y, z.
+    """
+
+    model: str
+    serial: str
+    unit: str
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The content of a calibration file.
+
+    Attributes
+    ----------
+    sensor : SensorIdentity
+    coefficients : Coefficients
+        Angles in radians.
+    uncertainty : mapping
+        Standard uncertainties (k = 1) as plain data in the shape and units of the file's ``calibration`` section, and
+        optionally ``covariance``: the parameters' names and their matrix.
+    limits : Limits
+        Where the calibration holds; angles in radians.
+    derived, fit, procedure, provenance : mapping
+        Records, plain data.
+    positions : sequence of mapping
+        A record, plain data.
+    """
+
+    sensor: SensorIdentity
+    coefficients: Coefficients
+    uncertainty: Mapping[str, Any] = field(default_factory=dict)
+    limits: Limits = field(default_factory=Limits)
+    derived: Mapping[str, Any] = field(default_factory=dict)
+    fit: Mapping[str, Any] = field(default_factory=dict)
+    procedure: Mapping[str, Any] = field(default_factory=dict)
+    positions: Sequence[Mapping[str, Any]] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """Read and check a calibration file.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    InputError
+        Anything in it is wrong; the message names file, line and key.
+    """
+    return calibration_of(read_tiltcal_file(path, "tilt"))
+
+
+def write_calibration(path: str | Path, calibration: Calibration) -> None:
+    """Write a calibration file, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+    calibration : Calibration
+        Its numbers are written as they are; round them before.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be written there.
+    InputError
+        A record holds NaN, an infinity or data that is not plain.
+    """
+    write_whole(path, dump_calibration(calibration))
+
+
+def dump_calibration(calibration: Calibration) -> str:
+    """The text of a calibration file; the same calibration gives the same text."""
+    sensor, coefficients = calibration.sensor, calibration.coefficients
+    data: dict[str, Any] = {
+        "tiltcal": FORMAT_VERSION,
+        "kind": "tilt",
+        "sensor": {
+            "model": sensor.model,
+            "serial": sensor.serial,
+            "unit": sensor.unit,
+            "channels": list(sensor.channels),
+        },
+        "calibration": write_coefficients(coefficients),
+        "uncertainty": calibration.uncertainty,
+        "limits": _write_limits(calibration.limits),
+    }
+    data.update((name, getattr(calibration, name)) for name in RECORDS)
+    return yaml_text(data, _comments(sensor.unit))
+
+
+def calibration_of(document: Node) -> Calibration:
+    """The calibration that a checked document of ``kind: tilt`` holds.
+
+    Raises
+    ------
+    InputError
+        Anything in it is wrong; the message names file, line and key.
+    """
+    top = document.mapping(
+        required=("tiltcal", "kind", "sensor", "calibration"), optional=("uncertainty", "limits", *RECORDS)
+    )
+    sensor = _read_sensor(top["sensor"])
+    coefficients = read_coefficients(top["calibration"], sensor.channels)
+    records: dict[str, Any] = {name: _read_record(top[name], name) for name in RECORDS if name in top}
+    return Calibration(
+        sensor=sensor,
+        coefficients=coefficients,
+        uncertainty=_read_uncertainty(top["uncertainty"], coefficients) if "uncertainty" in top else {},
+        limits=_read_limits(top["limits"], coefficients) if "limits" in top else Limits(),
+        **records,
+    )
+
+
+def _read_sensor(node: Node) -> SensorIdentity:
+    section = node.mapping(required=("model", "serial", "unit", "channels"))
+    channels = tuple(item.choice(AXES) for item in section["channels"].items())
+    if not channels or len(set(channels)) < len(channels):
+        raise section["channels"].error("channels are one to three different ones of x, y, z")
+    return SensorIdentity(section["model"].text(), section["serial"].text(), section["unit"].text(), channels)
+
+
+def _read_record(node: Node, name: str) -> Any:
+    """A section of free form: a list of mappings for positions, a mapping for the others."""
+    if name == "positions":
+        for item in node.items():
+            item.entries()
+    else:
+        node.entries()
+    return node.plain()
+
+
+def _read_uncertainty(node: Node, coefficients: Coefficients) -> dict[str, Any]:
+    """Numbers that are not negative, in the shape of the ``calibration`` section; any of them may be absent."""
+    channels, axes = coefficients.channels, coefficients.axes
+    section = node.mapping(optional=("offset", "sensitivity", "temperature", "mounting", "covariance"))
+    uncertainty: dict[str, Any] = {}
+    for name, value in section.items():
+        if name == "offset":
+            uncertainty[name] = _not_negative(value, channels)
+        elif name == "sensitivity":
+            rows = value.mapping(optional=channels)
+            uncertainty[name] = {channel: _not_negative(row, axes) for channel, row in rows.items()}
+        elif name == "temperature":
+            uncertainty[name] = _read_thermal_uncertainty(value, channels)
+        elif name == "mounting":
+            uncertainty[name] = _not_negative(value, ANGLES)
+        else:
+            uncertainty[name] = _read_covariance(value)
+    return uncertainty
+
+
+def _not_negative(node: Node, names: Sequence[str]) -> dict[str, float]:
+    return {name: value.number(minimum=0.0) for name, value in node.mapping(optional=names).items()}
+
+
+def _read_thermal_uncertainty(node: Node, channels: Sequence[str]) -> dict[str, Any]:
+    section = node.mapping(optional=("reference", "offset", "sensitivity"))
+    return {
+        name: value.number(minimum=0.0) if name == "reference" else read_polynomials(value, channels, minimum=0.0)
+        for name, value in section.items()
+    }
+
+
+def _read_covariance(node: Node) -> dict[str, Any]:
+    section = node.mapping(required=("parameters", "matrix"))
+    parameters = [item.text() for item in section["parameters"].items()]
+    if len(set(parameters)) < len(parameters):
+        raise section["parameters"].error("a parameter is named twice")
+    rows = section["matrix"].items()
+    matrix = [row.numbers() for row in rows]
+    size = len(parameters)
+    if len(matrix) != size or any(len(row) != size for row in matrix):
+        raise section["matrix"].error(f"{size} parameters need a matrix of {size} rows of {size} numbers")
+    for i, node_of_row in enumerate(rows):
+        if matrix[i][i] < 0.0:
+            raise node_of_row.error(f"the variance {matrix[i][i]:g} of {parameters[i]} is negative")
+        for j in range(i):
+            scale = max(abs(matrix[i][j]), abs(matrix[j][i]))
+            if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * scale:
+                raise node_of_row.error(f"the matrix is not symmetric in {parameters[i]} and {parameters[j]}")
+    return {"parameters": parameters, "matrix": matrix}
+
+
+def _read_limits(node: Node, coefficients: Coefficients) -> Limits:
+    section = node.mapping(optional=("tilt", "temperature", "reading"))
+    # A third column of a two-channel sensor is no axis whose tilt is reported.
+    tilted = coefficients.axes[: len(coefficients.channels)]
+    tilt = _read_ranges(section["tilt"], tilted) if "tilt" in section else {}
+    return Limits(
+        tilt={axis: (radians(low), radians(high)) for axis, (low, high) in tilt.items()},
+        temperature=section["temperature"].interval() if "temperature" in section else None,
+        reading=_read_ranges(section["reading"], coefficients.channels) if "reading" in section else {},
+    )
+
+
+def _read_ranges(node: Node, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """A range for each of some names, or one for all of them."""
+    if node.is_mapping:
+        return {name: value.interval() for name, value in node.mapping(optional=names).items()}
+    return dict.fromkeys(names, node.interval())
+
+
+def _write_limits(limits: Limits) -> dict[str, Any]:
+    section: dict[str, Any] = {}
+    if limits.tilt:
+        section["tilt"] = {axis: [in_degrees(low), in_degrees(high)] for axis, (low, high) in limits.tilt.items()}
+    if limits.temperature is not None:
+        section["temperature"] = list(limits.temperature)
+    if limits.reading:
+        section["reading"] = {channel: list(bounds) for channel, bounds in limits.reading.items()}
+    return section
+
+
+def _comments(unit: str) -> dict[str, str]:
+    """The unit behind each key of the ``calibration`` section, and behind the sections that need a word."""
+    return {
+        "calibration.offset": f"{unit}, at the reference temperature",
+        "calibration.sensitivity": f"{unit}/g, row = channel, column = axis",
+        "calibration.temperature.reference": "°C",
+        "calibration.temperature.range": "°C",
+        "calibration.temperature.offset": f"{unit}/°C, {unit}/°C², ...",
+        "calibration.temperature.sensitivity": "1/°C, 1/°C², ...",
+        "calibration.mounting": "degrees",
+        "uncertainty": "standard uncertainty, k = 1",
+        "limits": "the ranges that were covered, degrees and °C",
+    }

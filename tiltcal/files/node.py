@@ -1,0 +1,296 @@
+"""One value of a document: what it is, and where it stands."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+from tiltcal.errors import InputError
+
+DEPTH_LIMIT = 32
+
+_DIGIT_LIMIT = 400
+_NULL = re.compile(r"null|Null|NULL|~|")
+_TRUE = re.compile(r"true|True|TRUE")
+_FALSE = re.compile(r"false|False|FALSE")
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+
+
+@dataclass(frozen=True, slots=True)
+class Scalar:
+    """A scalar as it stands in the file; only a plain one (without quotes) can be other than text."""
+
+    text: str
+    plain: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """One value of a document, and where it stands.
+
+    Every reading method raises :class:`InputError` with file, line and key where the value is not what is asked for.
+
+    Attributes
+    ----------
+    content : Scalar, list of Node or dict of str to Node
+    file : str or None
+        As the user named it.
+    line : int or None
+        Line of the value's key, or of the value where it has no key, counted from 1.
+    key : str or None
+        Dotted path, such as ``calibration.offset.x``; None for the whole document.
+    """
+
+    content: Scalar | list[Node] | dict[str, Node]
+    file: str | None
+    line: int | None
+    key: str | None
+
+    def error(self, message: str) -> InputError:
+        """An error that names this place, to be raised."""
+        return InputError(message, file=self.file, line=self.line, key=self.key)
+
+    @property
+    def is_null(self) -> bool:
+        """Whether nothing stands here: ``null``, ``~`` or a key without a value."""
+        return self._plain(_NULL) is not None
+
+    @property
+    def is_mapping(self) -> bool:
+        """Whether this is a mapping."""
+        return isinstance(self.content, dict)
+
+    def names(self, *words: str) -> bool:
+        """Whether one of these words stands here."""
+        return isinstance(self.content, Scalar) and self.content.text in words
+
+    def text(self) -> str:
+        """The characters of a scalar, with or without quotes: ``0042`` stays ``"0042"``."""
+        if not isinstance(self.content, Scalar) or self.is_null:
+            raise self._unexpected("text")
+        if not self.content.text.strip():
+            raise self.error("the text is empty; write what it should say")
+        return self.content.text
+
+    def number(self, *, minimum: float | None = None, above: float | None = None) -> float:
+        """A finite number written without quotes.
+
+        Parameters
+        ----------
+        minimum : float, optional
+            The smallest number that is allowed.
+        above : float, optional
+            A bound that the number must exceed.
+        """
+        literal = self._plain(_FLOAT)
+        value = float(self._based()) if literal is None else float(literal)
+        if not math.isfinite(value):
+            raise self.error(f"{self._shown()} is too large a number")
+        self._bounded(value, minimum, above)
+        return value
+
+    def integer(self, *, minimum: int | None = None) -> int:
+        """A whole number written without quotes, a decimal point or an exponent."""
+        literal = self._plain(_INTEGER)
+        value = self._based("a whole number") if literal is None else self._whole(literal)
+        self._bounded(value, minimum, None)
+        return value
+
+    def flag(self) -> bool:
+        """``true`` or ``false``."""
+        if self._plain(_TRUE) is not None:
+            return True
+        if self._plain(_FALSE) is not None:
+            return False
+        raise self._unexpected("true or false")
+
+    def choice(self, options: Sequence[str]) -> str:
+        """One of a few words."""
+        value = self.text()
+        if value not in options:
+            raise self.error(f"unknown value {value!r}{_hint(value, options)}; it is one of {', '.join(options)}")
+        return value
+
+    def items(self) -> list[Node]:
+        """The members of a list."""
+        if not isinstance(self.content, list):
+            raise self._unexpected("a list")
+        return self.content
+
+    def numbers(self) -> list[float]:
+        """The members of a list of finite numbers."""
+        return [item.number() for item in self.items()]
+
+    def interval(self) -> tuple[float, float]:
+        """Two numbers ``[low, high]`` in that order."""
+        bounds = self.numbers()
+        if len(bounds) != 2:
+            raise self.error(f"a range has two numbers [low, high], found {len(bounds)}")
+        low, high = bounds
+        if low > high:
+            raise self.error(f"the range [{low:g}, {high:g}] is the wrong way round; write [low, high]")
+        return low, high
+
+    def entries(self) -> dict[str, Node]:
+        """The members of a mapping whose keys are free."""
+        if not isinstance(self.content, dict):
+            raise self._unexpected("a mapping")
+        return self.content
+
+    def mapping(self, *, required: Sequence[str] = (), optional: Sequence[str] = ()) -> dict[str, Node]:
+        """The members of a mapping whose keys are fixed.
+
+        Parameters
+        ----------
+        required : sequence of str
+            Keys that must be there.
+        optional : sequence of str
+            Keys that may be there; one that holds null is taken as absent.
+
+        Returns
+        -------
+        dict of str to Node
+        """
+        entries = self.entries()
+        known = [*required, *optional]
+        for name, node in entries.items():
+            if name not in known:
+                raise node.error(f"unknown key {name!r}{_hint(name, known)}; known here: {', '.join(known) or 'none'}")
+        missing = [name for name in required if name not in entries]
+        if missing:
+            raise self.error(f"the key {missing[0]!r} is missing; it is required here")
+        return {name: node for name, node in entries.items() if name in required or not node.is_null}
+
+    def plain(self) -> Any:
+        """The value as plain Python data, for records of free form; scalars by the YAML 1.2 core schema.
+
+        Raises
+        ------
+        InputError
+            NaN or an infinity: a record with a number that is none is a mistake where it was written.
+        """
+        if isinstance(self.content, dict):
+            return {name: node.plain() for name, node in self.content.items()}
+        if isinstance(self.content, list):
+            return [node.plain() for node in self.content]
+        return self._resolved()
+
+    def _resolved(self) -> str | int | float | bool | None:
+        if self.is_null:
+            return None
+        if self._plain(_TRUE) is not None or self._plain(_FALSE) is not None:
+            return self.flag()
+        if self._plain(_INTEGER) is not None or self._plain(_BASED) is not None:
+            return self.integer()
+        if self._plain(_FLOAT) is not None or self._plain(_NOT_FINITE) is not None:
+            return self.number()
+        return self.content.text if isinstance(self.content, Scalar) else None
+
+    def _plain(self, grammar: re.Pattern[str]) -> str | None:
+        """The text of a plain scalar that the grammar describes as a whole, or None."""
+        content = self.content
+        fits = isinstance(content, Scalar) and content.plain and grammar.fullmatch(content.text) is not None
+        return content.text if isinstance(content, Scalar) and fits else None
+
+    def _based(self, expected: str = "a number") -> int:
+        """An octal or hexadecimal whole number."""
+        literal = self._plain(_BASED)
+        if literal is None:
+            raise self._unexpected(expected)
+        return self._whole(literal)
+
+    def _whole(self, literal: str) -> int:
+        if len(literal) > _DIGIT_LIMIT // 2:
+            raise self.error(f"a number of {len(literal)} digits is too large")
+        return int(literal, 0) if literal.startswith(("0o", "0x")) else int(literal)
+
+    def _bounded(self, value: float, minimum: float | None, above: float | None) -> None:
+        if minimum is not None and value < minimum:
+            raise self.error(f"{self._shown()} is too small; it must be at least {minimum:g}")
+        if above is not None and value <= above:
+            raise self.error(f"{self._shown()} is too small; it must be more than {above:g}")
+
+    def _unexpected(self, expected: str) -> InputError:
+        advice = ""
+        if isinstance(self.content, Scalar) and not self.content.plain and _FLOAT.fullmatch(self.content.text):
+            advice = "; take off the quotes"
+        elif self._plain(_NOT_FINITE) is not None:
+            advice = "; it must be finite"
+        return self.error(f"{expected} is needed here, found {self._shown()}{advice}")
+
+    def _shown(self) -> str:
+        if isinstance(self.content, dict):
+            return "a mapping"
+        if isinstance(self.content, list):
+            return "a list"
+        if self.is_null:
+            return "nothing"
+        text = self.content.text if len(self.content.text) <= 40 else self.content.text[:37] + "..."
+        if not self.content.plain:
+            return f"the text {text!r}"
+        return text if self._plain(_FLOAT) or self._plain(_NOT_FINITE) else repr(text)
+
+
+def document_of(data: Any, file: str | None = None, line: int | None = None) -> Node:
+    """Plain data as a document, so that a record is checked by the code that checks a file.
+
+    Parameters
+    ----------
+    data : dict, list, str, int, float, bool or None
+        As :meth:`Node.plain` gives it.
+    file : str, optional
+    line : int, optional
+        Where the record stands, for messages.
+
+    Raises
+    ------
+    InputError
+        Data of another type, or too deep.
+    """
+    return _node_of(data, file, line, None, 0)
+
+
+def _node_of(data: Any, file: str | None, line: int | None, key: str | None, depth: int) -> Node:
+    if depth > DEPTH_LIMIT:
+        raise InputError(f"nested deeper than {DEPTH_LIMIT}", file=file, line=line, key=key)
+    content: Scalar | list[Node] | dict[str, Node]
+    if isinstance(data, Mapping):
+        content = {
+            str(name): _node_of(value, file, line, member_key(key, str(name)), depth + 1)
+            for name, value in data.items()
+        }
+    elif isinstance(data, list | tuple):
+        content = [_node_of(value, file, line, item_key(key, index), depth + 1) for index, value in enumerate(data)]
+    elif isinstance(data, str):
+        content = Scalar(data, plain=False)
+    elif data is None or isinstance(data, bool):
+        content = Scalar({None: "null", True: "true", False: "false"}[data], plain=True)
+    elif isinstance(data, float) and not math.isfinite(data):
+        content = Scalar(".nan" if math.isnan(data) else ".inf", plain=True)
+    elif isinstance(data, int | float):
+        content = Scalar(repr(data), plain=True)
+    else:
+        raise InputError(f"a {type(data).__name__} has no place in a document", file=file, line=line, key=key)
+    return Node(content, file, line, key)
+
+
+def member_key(key: str | None, name: str) -> str:
+    """Dotted path of a mapping's member."""
+    return name if key is None else f"{key}.{name}"
+
+
+def item_key(key: str | None, index: int) -> str:
+    """Dotted path of a list's item, counted from 0."""
+    return f"{key or ''}[{index}]"
+
+
+def _hint(word: str, known: Sequence[str]) -> str:
+    near = get_close_matches(word, known, n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""

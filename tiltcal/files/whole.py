@@ -1,0 +1,147 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from secrets import token_hex
+from typing import BinaryIO
+
+from tiltcal.errors import UsageError
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+"""Failures of the output; any other that leaves the caller's block is about something else."""
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[BinaryIO]:
+    """A binary stream whose content becomes the file when the block ends well.
+
+    The stream writes to a temporary file in the same folder. At the end it is flushed to the disk and renamed; where
+    the block raises, it is removed and a file that stood at ``path`` is as it was. A device or pipe has no such end: it
+    is written as it comes.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Yields
+    ------
+    BinaryIO
+
+    Raises
+    ------
+    UsageError
+        The file cannot be written there, or the disk is full.
+    """
+    # A link is followed, so that its target is replaced and the link stays.
+    target = Path(os.path.realpath(path))
+    check_writable(path)
+    try:
+        if _is_special(target):
+            with open(target, "wb") as stream:
+                yield stream
+        else:
+            yield from _renamed_at_the_end(target)
+    except OSError as failure:
+        if failure.errno not in _NO_ROOM:
+            raise
+        raise _cannot_write(path, failure) from failure
+
+
+def write_whole(path: str | Path, text: str) -> None:
+    """Write a text as UTF-8, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+    text : str
+
+    Raises
+    ------
+    UsageError
+        The file cannot be written there, or the disk is full.
+    """
+    with whole_file(path) as stream:
+        stream.write(text.encode())
+
+
+def check_writable(path: str | Path) -> None:
+    """Check, before anything is measured, that a file can be written.
+
+    A temporary file is made in the folder and removed: permission bits alone do not tell of a read-only disk.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    UsageError
+        The folder is not there, is no folder or takes no file, or the target is a folder or may not be replaced.
+    """
+    target = Path(os.path.realpath(path))
+    folder = target.parent
+    if target.is_dir():
+        raise UsageError(f"cannot write {path}: it is a folder; name a file in it")
+    if not folder.exists():
+        raise UsageError(f"cannot write {path}: there is no folder {folder}; make it first")
+    if not folder.is_dir():
+        raise UsageError(f"cannot write {path}: {folder} is a file, not a folder")
+    if target.exists() and not os.access(target, os.W_OK):
+        raise UsageError(f"cannot write {path}: the file is write-protected; choose another name or unprotect it")
+    if _is_special(target):
+        return
+    try:
+        with tempfile.TemporaryFile(prefix=".tiltcal-", dir=folder):
+            pass
+    except OSError as failure:
+        raise _cannot_write(path, failure) from failure
+
+
+def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
+    part = target.with_name(f".tiltcal-{token_hex(6)}.part")
+    try:
+        stream = open(part, "xb")  # noqa: SIM115  (a failure to open is told apart from one to write)
+    except OSError as failure:
+        raise _cannot_write(target, failure) from failure
+    try:
+        with stream:
+            yield stream
+            stream.flush()
+            _keep_permissions(target, part)
+            os.fsync(stream.fileno())
+        os.replace(part, target)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    _sync_folder(target.parent)
+
+
+def _keep_permissions(target: Path, part: Path) -> None:
+    """Give the new file the permissions of the one that it replaces; some file systems have none to give."""
+    with suppress(OSError):
+        part.chmod(stat.S_IMODE(target.stat().st_mode))
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the rename itself last; some file systems cannot, and then the content is safe all the same."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _is_special(target: Path) -> bool:
+    return target.exists() and not target.is_file() and not target.is_dir()
+
+
+def _cannot_write(path: str | Path, failure: OSError) -> UsageError:
+    return UsageError(f"cannot write {path}: {failure.strerror or failure}; choose another folder")
