@@ -1,0 +1,128 @@
+"""Sensor drivers: bytes in, readings out. They know nothing of calibration, prompts or files.
+
+A model is found by the name the user types. The built-in ones stand in a table and are imported only when asked for;
+a third party adds its own by an entry point in the group ``tiltcal.devices``, named as the model is named, that loads
+to a :class:`~tiltcal.drivers.device.Model`. A plug-in never replaces a built-in model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from difflib import get_close_matches
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from tiltcal.errors import UsageError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+    from tiltcal.drivers.device import Model
+
+__all__ = ["find_model", "models"]
+
+PLUG_INS = "tiltcal.devices"
+
+_BUILT_IN = {
+    "sca100t-d01": "tiltcal.drivers.sca100t:D01",
+    "sca100t-d02": "tiltcal.drivers.sca100t:D02",
+}
+
+
+def find_model(name: str) -> Model:
+    """The sensor model of a name.
+
+    Parameters
+    ----------
+    name : str
+        As the user types it, such as ``sca100t-d02``.
+
+    Raises
+    ------
+    UsageError
+        No model has this name (near names are offered), a plug-in claims the name of another model, or a plug-in
+        cannot be loaded.
+    """
+    plug_ins = _plug_ins()
+    claims = plug_ins.get(name, [])
+    _refuse_rivals(name, claims)
+    if name in _BUILT_IN:
+        return _built_in(name)
+    if claims:
+        return _loaded(claims[0])
+    near = get_close_matches(name.lower(), [*_BUILT_IN, *plug_ins], n=3)
+    advice = f"did you mean {' or '.join(map(repr, near))}?" if near else "'tiltcal devices' lists them"
+    raise UsageError(f"no sensor model is called {name!r} ({advice})")
+
+
+def models() -> Iterator[Model]:
+    """Every sensor model: the built-in ones first, then those of plug-ins by name.
+
+    Raises
+    ------
+    UsageError
+        A plug-in claims the name of another model, or cannot be loaded.
+    """
+    plug_ins = _plug_ins()
+    for name, claims in plug_ins.items():
+        _refuse_rivals(name, claims)
+    for name in _BUILT_IN:
+        yield _built_in(name)
+    for _, (entry,) in sorted(plug_ins.items()):
+        yield _loaded(entry)
+
+
+def _built_in(name: str) -> Model:
+    module, _, attribute = _BUILT_IN[name].partition(":")
+    model: Model = getattr(import_module(module), attribute)
+    return model
+
+
+def _plug_ins() -> dict[str, list[EntryPoint]]:
+    """The entry points of each name; more than one is a quarrel that the caller reports."""
+    from importlib.metadata import entry_points
+
+    found: dict[str, list[EntryPoint]] = {}
+    for entry in entry_points(group=PLUG_INS):
+        found.setdefault(entry.name, []).append(entry)
+    return found
+
+
+def _refuse_rivals(name: str, claims: list[EntryPoint]) -> None:
+    """One name, one model: which of two would answer must not depend on the order of installation."""
+    if name in _BUILT_IN and claims:
+        raise UsageError(
+            f"package {_package(claims[0])!r} adds a sensor model called {name!r}, which tiltcal has built in: "
+            "uninstall the package or rename its model"
+        )
+    if len(claims) > 1:
+        packages = " and ".join(sorted(repr(_package(entry)) for entry in claims))
+        raise UsageError(f"packages {packages} both add a sensor model called {name!r}: uninstall one of them")
+
+
+def _loaded(entry: EntryPoint) -> Model:
+    """The model behind an entry point, whatever its module does when it is imported."""
+    from tiltcal.drivers.device import Model
+
+    try:
+        model = entry.load()
+    except Exception as cause:
+        raise UsageError(
+            f"sensor model {entry.name!r} of package {_package(entry)!r}: loading {entry.value!r} failed with "
+            f"{type(cause).__name__}: {cause}"
+        ) from cause
+    if not isinstance(model, Model):
+        raise UsageError(
+            f"sensor model {entry.name!r} of package {_package(entry)!r}: {entry.value!r} is a "
+            f"{type(model).__name__}, not a tiltcal.drivers.device.Model"
+        )
+    if model.name != entry.name:
+        raise UsageError(
+            f"sensor model {entry.name!r} of package {_package(entry)!r}: {entry.value!r} calls itself "
+            f"{model.name!r}; the entry point must carry the model's own name"
+        )
+    return model
+
+
+def _package(entry: EntryPoint) -> str:
+    return entry.dist.name if entry.dist is not None else entry.module

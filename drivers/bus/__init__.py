@@ -1,0 +1,53 @@
+"""Buses: addresses, and links that carry bytes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.device import Model
+
+__all__ = ["link_letter", "open_link"]
+
+_LETTERS = {"spi": "s", "i2c": "i", "serial": "r", "gpio": "e", "vcd": "e"}
+
+
+def link_letter(address: Address, model: Model) -> str:
+    """The letter that stands for a device's bus in a journal; a twin answers on the bus its model is first known by."""
+    scheme = model.schemes[0] if address.simulated else address.scheme
+    return _LETTERS[scheme.rpartition("+")[2]]
+
+
+def open_link(address: Address, model: Model) -> Link:
+    """Open the bus that an address names, for one device; only that bus's library is imported.
+
+    Parameters
+    ----------
+    address : Address
+        Of a real bus. A ``sim:`` address has no bus: its link is the twin, ``model.twin(truth, fixture, clock)``.
+    model : Model
+        What is connected there: its facts bound the options.
+
+    Returns
+    -------
+    Link
+
+    Raises
+    ------
+    UsageError
+        The model is not reached by this scheme, or an option is wrong.
+    HardwareError
+        The bus's library is not installed.
+    BusError
+        No such device, or no permission.
+    """
+    if address.scheme not in model.schemes:
+        ways = " or ".join(f"{scheme}:" for scheme in (*model.schemes, "sim"))
+        address.refuse(f"{model.name} is reached by {ways} (such as {model.address}), not by {address.scheme}:")
+    if address.scheme != "spi":
+        address.refuse(f"this version of tiltcal cannot open {address.scheme}: yet")
+    from tiltcal.drivers.bus.spi import open_spi
+
+    return open_spi(address, model)

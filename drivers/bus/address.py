@@ -1,0 +1,224 @@
+"""Addresses: where a sensor is connected, as one line of text.
+
+::
+
+    scheme ":" place [ "?" name "=" value { "&" name "=" value } ]
+
+    spi:///dev/spidev0.0?mode=0&speed=500000
+    i2c:///dev/i2c-1?address=0x1d
+    ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2
+    serial:socket://192.168.1.7:4000?columns=x,y
+    sim:?twin=truth.yaml&seed=7         or shorter  sim:twin=truth.yaml&seed=7
+
+A ``%`` with two hexadecimal digits stands for a byte, so a place or value may hold ``?`` (%3F), ``&`` (%26) and ``%``
+(%25) itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from math import isfinite
+from typing import NoReturn
+from urllib.parse import unquote
+
+from tiltcal.errors import UsageError
+
+_SCHEME = re.compile(r"[a-z][a-z0-9]*(\+[a-z][a-z0-9]*)*")
+_INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+SCHEMES = ("spi", "i2c", "serial", "gpio", "vcd", "sim")
+"""Last part of every scheme that is understood; a front end stands before it, as in ``ads1115+i2c``."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """One parsed address.
+
+    Attributes
+    ----------
+    written : str
+        As the user wrote it.
+    scheme : str
+        ``spi``, ``i2c``, ``ads1115+i2c``, ...
+    path : str
+        The device or file; for ``serial`` whatever pyserial opens; empty where the scheme needs none.
+    options : dict of str to str
+        In the order written, each at most once.
+    """
+
+    written: str
+    scheme: str
+    path: str
+    options: dict[str, str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return self.written
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a virtual twin stands in for the sensor."""
+        return self.scheme == "sim"
+
+    def allow(self, *names: str) -> None:
+        """Refuse every option that is not among ``names``.
+
+        Raises
+        ------
+        UsageError
+            With the nearest name that is allowed.
+        """
+        for name in self.options:
+            if name not in names:
+                known = f"{self.scheme}: takes {', '.join(names)}" if names else f"{self.scheme}: takes no options"
+                self.refuse(f"unknown option {name!r} ({_near(name, names) or known})")
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """The text of an option.
+
+        Parameters
+        ----------
+        name : str
+        default : str, optional
+            Where the option is left out; without it the option is required.
+
+        Raises
+        ------
+        UsageError
+            It is missing or empty.
+        """
+        value = self.options.get(name, default)
+        if value is None:
+            self.refuse(f"option {name!r} is missing (add {name}=...)")
+        if name in self.options and not value:
+            self.refuse(f"option {name!r} is empty")
+        return value
+
+    def integer(self, name: str, default: int | None = None, *, low: int | None = None, high: int | None = None) -> int:
+        """A whole number, decimal or hexadecimal (``0x1d``).
+
+        Parameters
+        ----------
+        name : str
+        default : int, optional
+            Where the option is left out; without it the option is required.
+        low, high : int, optional
+            Smallest and largest number that is accepted.
+
+        Raises
+        ------
+        UsageError
+            It is missing, not a whole number, or out of bounds.
+        """
+        if default is not None and name not in self.options:
+            return default
+        text = self.text(name)
+        if not _INTEGER.fullmatch(text) or len(text) > 20:
+            self.refuse(f"option {name}={text} is not a whole number")
+        value = int(text, 16 if "x" in text.lower() else 10)
+        self._bound(name, text, value, low, high)
+        return value
+
+    def number(
+        self, name: str, default: float | None = None, *, low: float | None = None, high: float | None = None
+    ) -> float:
+        """A finite number such as ``5``, ``4.98`` or ``5e-3``.
+
+        Parameters
+        ----------
+        name : str
+        default : float, optional
+            Where the option is left out; without it the option is required.
+        low, high : float, optional
+            Smallest and largest number that is accepted.
+
+        Raises
+        ------
+        UsageError
+            It is missing, not a finite number, or out of bounds.
+        """
+        if default is not None and name not in self.options:
+            return default
+        text = self.text(name)
+        if not _NUMBER.fullmatch(text) or not isfinite(float(text)):
+            self.refuse(f"option {name}={text} is not a finite number")
+        value = float(text)
+        self._bound(name, text, value, low, high)
+        return value
+
+    def refuse(self, why: str) -> NoReturn:
+        """Raise a UsageError that quotes the address."""
+        _refuse(self.written, why)
+
+    def _bound(self, name: str, text: str, value: float, low: float | None, high: float | None) -> None:
+        if low is not None and value < low:
+            self.refuse(f"option {name}={text} is too small (at least {low})")
+        if high is not None and value > high:
+            self.refuse(f"option {name}={text} is too large (at most {high})")
+
+
+def parse_address(text: str) -> Address:
+    """Take an address apart.
+
+    Parameters
+    ----------
+    text : str
+        As the user wrote it.
+
+    Raises
+    ------
+    UsageError
+        What is wrong, with the address quoted. Which options a scheme takes is checked by the bus that opens it.
+    """
+    scheme, colon, rest = text.partition(":")
+    if not colon:
+        advice = f"did you mean 'spi://{text}'?" if text.startswith("/dev/spi") else "such as spi:///dev/spidev0.0"
+        _refuse(text, f"no scheme before a colon ({advice})")
+    if not _SCHEME.fullmatch(scheme) or scheme.rpartition("+")[2] not in SCHEMES:
+        advice = _near(scheme, SCHEMES) or f"known: {', '.join(SCHEMES)}"
+        _refuse(text, f"unknown scheme {scheme!r} ({advice})")
+    if any(not character.isprintable() for character in text):
+        _refuse(text, "it contains a control character")
+    place, question, query = rest.partition("?")
+    if scheme == "sim" and not question and place:
+        place, query = "", place
+    return Address(text, scheme, _path(text, scheme, place), _options(text, query))
+
+
+def _path(text: str, scheme: str, place: str) -> str:
+    """The place without the empty authority of ``scheme:///path``."""
+    if place.startswith("//") and not place.startswith("///"):
+        host = place[2:].partition("/")[0]
+        advice = f"{scheme}:///{place[2:]}" if scheme != "serial" else f"serial:{place[2:]}"
+        _refuse(text, f"{host!r} after '//' names a host (did you mean {advice!r}?)")
+    path = unquote(place.removeprefix("//"))
+    if scheme == "sim" and path:
+        _refuse(text, f"a simulated sensor has no place, only options (found {path!r})")
+    if scheme != "sim" and not path:
+        _refuse(text, f"no device after '{scheme}:'")
+    return path
+
+
+def _options(text: str, query: str) -> dict[str, str]:
+    options: dict[str, str] = {}
+    for part in query.split("&") if query else ():
+        name, equals, value = part.partition("=")
+        name = unquote(name)
+        if not name or not equals:
+            _refuse(text, f"option {part!r} is not of the form name=value")
+        if name in options:
+            _refuse(text, f"option {name!r} is given twice")
+        options[name] = unquote(value)
+    return options
+
+
+def _near(name: str, names: Collection[str]) -> str | None:
+    near = get_close_matches(name, names, n=1)
+    return f"did you mean {near[0]!r}?" if near else None
+
+
+def _refuse(text: str, why: str) -> NoReturn:
+    raise UsageError(f"address {text!r}: {why}")

@@ -1,0 +1,71 @@
+"""Session time, passed in wherever something waits or is stamped."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Nanoseconds since the session began."""
+
+    @property
+    def real(self) -> bool:
+        """Whether waiting on it takes time."""
+        ...
+
+    def now_ns(self) -> int:
+        """Time since the session began, in nanoseconds."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Let at least ``seconds`` pass."""
+        ...
+
+    def seek(self, now_ns: int) -> None:
+        """Continue from ``now_ns`` (a replayed event's time) if this clock can be set."""
+        ...
+
+
+class SystemClock:
+    """The machine's clock.
+
+    Parameters
+    ----------
+    started_ns : int
+        The session's start in nanoseconds since 1970 UTC; a resumed session passes the start of the first run, so
+        that the pause shows in its times.
+    """
+
+    real = True
+
+    def __init__(self, started_ns: int) -> None:
+        self._since_start = time.time_ns() - started_ns
+        self._monotonic = time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        return self._since_start + time.monotonic_ns() - self._monotonic
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+    def seek(self, now_ns: int) -> None:
+        """The machine's clock goes its own way."""
+
+
+class VirtualClock:
+    """A clock that moves only when someone sleeps on it: a night in the chamber takes no time."""
+
+    real = False
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self._now_ns += round(seconds * 1e9)
+
+    def seek(self, now_ns: int) -> None:
+        self._now_ns = now_ns

@@ -1,0 +1,43 @@
+"""What every bus looks like to a driver: bytes out, bytes in."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Link(Protocol):
+    """One opened connection to one device.
+
+    Every bus fits one method, so recording and replaying a session takes one class and not one per bus.
+    """
+
+    letter: str
+    """The bus in a journal line: ``s`` SPI, ``i`` I2C, ``r`` serial, ``e`` edges."""
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Carry out one bus transaction.
+
+        Parameters
+        ----------
+        out : bytes
+            SPI: the frame shifted out while chip select is low. I2C: the bytes written, may be empty.
+            Serial: the bytes sent, may be empty.
+        count : int
+            I2C: bytes to read after a repeated start. Serial: the most bytes to wait for. SPI: unused, a frame reads
+            as many bytes as it writes.
+
+        Returns
+        -------
+        bytes
+            What the device answered.
+
+        Raises
+        ------
+        BusError
+            The transaction failed; the message says why and what to try.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release the bus; closing twice is allowed."""
+        ...

@@ -1,0 +1,145 @@
+"""SPI through the Linux spidev driver."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tiltcal.errors import BusError, HardwareError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.device import Model
+
+
+def open_spi(address: Address, model: Model) -> SpiLink:
+    """Open a ``spi:`` address for one device.
+
+    Parameters
+    ----------
+    address : Address
+        Options ``mode`` (0 to 3) and ``speed`` (Hz); the model's preferred ones where they are left out.
+    model : Model
+        Its :attr:`~tiltcal.drivers.device.Model.spi` bounds them.
+
+    Raises
+    ------
+    UsageError
+        An unknown option, or a mode or speed that the part does not take.
+    HardwareError
+        The spidev package is not installed.
+    BusError
+        No such device, or no permission.
+    """
+    address.allow("mode", "speed", *model.options)
+    port = model.spi
+    if port is None:
+        address.refuse(f"{model.name} has no SPI port")
+    mode = address.integer("mode", port.modes[0], low=0, high=3)
+    if mode not in port.modes:
+        works = " and ".join(map(str, port.modes))
+        address.refuse(f"{model.name} does not work in SPI mode {mode} (it works in {works})")
+    speed = address.integer("speed", port.fastest, low=1)
+    if speed > port.fastest:
+        address.refuse(f"{speed} Hz is too fast for {model.name} (at most speed={port.fastest})")
+    return SpiLink(address.path, mode, speed)
+
+
+class SpiLink:
+    """One chip select of one SPI bus.
+
+    Parameters
+    ----------
+    device : str
+        Device node, such as ``/dev/spidev0.0``.
+    mode : int
+        Clock mode, 0 to 3.
+    speed : int
+        Clock, Hz.
+
+    Raises
+    ------
+    HardwareError
+        The spidev package is not installed.
+    BusError
+        The device cannot be opened.
+    """
+
+    letter = "s"
+
+    def __init__(self, device: str, mode: int, speed: int) -> None:
+        self._device = device
+        self._bus: Any = _spidev().SpiDev()
+        try:
+            self._bus.open_path(device)
+            self._bus.mode = mode
+            self._bus.max_speed_hz = speed
+            self._bus.bits_per_word = 8
+        except OSError as cause:
+            self._bus.close()
+            raise BusError(_why(device, cause)) from cause
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Shift one frame out and in, chip select low throughout; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        try:
+            answer: Sequence[int] = self._bus.xfer2(list(out))
+        except OSError as cause:
+            raise BusError(_why(self._device, cause)) from cause
+        return bytes(answer)
+
+    def close(self) -> None:
+        """Release the device node; a new link may open it then, also after an error."""
+        self._bus.close()
+
+
+def _spidev() -> Any:
+    """The spidev package, which exists for Linux only."""
+    try:
+        import spidev
+    except ImportError as cause:
+        raise HardwareError(
+            "SPI needs the Python package spidev, for Linux only: install it with  pip install 'tiltcal[spi]'"
+        ) from cause
+    return spidev
+
+
+def _why(device: str, cause: OSError) -> str:
+    """What an error of the operating system means at a bench, and what to try."""
+    if cause.errno == errno.ENOENT:
+        present = ", ".join(sorted(map(str, Path("/dev").glob("spidev*"))))
+        advice = f"present: {present}" if present else "no SPI device is present; switch SPI on in the board's settings"
+        return f"{device} does not exist ({advice})"
+    if cause.errno in (errno.EACCES, errno.EPERM):
+        return _no_permission(device)
+    if cause.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
+        return f"{device} has gone: plug the SPI adapter in again, then resume"
+    if cause.errno in (errno.ENOTTY, errno.EINVAL):
+        return (
+            f"{device} refuses an SPI request ({os.strerror(cause.errno)}): is it an SPI device, as /dev/spidev0.0 is?"
+        )
+    if cause.errno == errno.EBUSY:
+        return f"{device} is in use by another program: stop that one first"
+    reason = cause.strerror or str(cause)
+    return f"transfer on {device} failed ({reason}): check the wiring and the adapter, then resume"
+
+
+def _no_permission(device: str) -> str:
+    """Who may use a device node, and how to become one of them."""
+    import grp
+
+    try:
+        group = grp.getgrgid(os.stat(device).st_gid).gr_name
+    except (KeyError, OSError):
+        return f"no permission to use {device}: ask the owner of this machine for it"
+    if group == "root":
+        return (
+            f"no permission to use {device}, which belongs to root alone: give it to a group with the udev rule  "
+            'SUBSYSTEM=="spidev", GROUP="spi", MODE="0660"  and join that group'
+        )
+    return (
+        f"no permission to use {device}, which belongs to group {group}: add yourself to group {group} with  "
+        f"sudo usermod -aG {group} $USER  and log in again"
+    )

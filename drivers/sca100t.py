@@ -1,0 +1,336 @@
+"""Murata (VTI) SCA100T dual-axis inclinometer on its SPI port.
+
+One command byte starts each frame, chip select low from the first bit to the last, most significant bit first::
+
+    RDAX 0x10, RDAY 0x11   command, then 11 bits left-aligned in two bytes; the low 5 bits mean nothing
+    RWTR 0x08              command, then 8 bits of temperature
+    STX 0x0E, STY 0x0F     start the self-test of one axis
+    MEAS 0x00              back to measuring
+
+Source: SCA100T Series data sheet, Murata doc. 8261800 Rev. B2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from math import radians, sin, sqrt
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.device import Model, Reading, SpiPort
+from tiltcal.errors import BusError, DeviceFault, UsageError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import Fixture
+    from tiltcal.drivers.twin.truth import Truth
+
+MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
+
+FULL_SCALE = 2047
+"""Largest 11-bit word; it stands for the supply voltage."""
+
+ZERO = 1024
+"""Nominal word at 0 g."""
+
+LOWEST_SANE_WORD = 102
+"""A part that has found a memory parity error or a broken interconnection sends words below this one."""
+
+
+@dataclass(frozen=True, slots=True)
+class SelfTest:
+    """What one axis did when its proof mass was pushed by the self-test electrode.
+
+    Attributes
+    ----------
+    channel : str
+        x or y.
+    before, deflected, after : int
+        Word at rest, during the push, and after the recovery, count.
+    """
+
+    channel: str
+    before: int
+    deflected: int
+    after: int
+
+    @property
+    def deflection_passed(self) -> bool:
+        """Whether the push drove the output to at least 95 % of the supply."""
+        return self.deflected >= 0.95 * FULL_SCALE
+
+    @property
+    def recovery_passed(self) -> bool:
+        """Whether the output came back to within 5 % of its first value."""
+        return abs(self.after - self.before) <= 0.05 * self.before
+
+    @property
+    def passed(self) -> bool:
+        """Whether the axis moves as it should."""
+        return self.deflection_passed and self.recovery_passed
+
+
+class Sca100t:
+    """The driver of an SCA100T, either variant.
+
+    Parameters
+    ----------
+    link : Link
+        SPI.
+    clock : Clock
+        Waited on between frames.
+    """
+
+    REFRESH = 150e-6
+    """Seconds of chip select high before a read: the output registers reload every 150 µs, and not while it is low."""
+    RECOVERY = 15e-6
+    """Seconds of chip select high before any other frame."""
+    PUSH = 80e-3
+    """Seconds of self-test: the datasheet allows 20 to 100 ms, saturation takes 25 ms typically."""
+    SETTLING = 150e-3
+    """Seconds after the self-test: stable after 55 ms typically, nearly three times of it allows for slow parts."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self._link = link
+        self._clock = clock
+
+    def probe(self) -> Mapping[str, str]:
+        """Check that the device answers sanely.
+
+        Returns
+        -------
+        mapping of str to str
+            The three words it sent, and the temperature.
+
+        Raises
+        ------
+        BusError
+            No answer, or a data line that never moves.
+        DeviceFault
+            The part reports its own fault, or a temperature at which it cannot be alive.
+        """
+        x, y, temperature = self._sample()
+        # The thermometer is not trimmed, so 10 °C are added to both ends of the part's operating range.
+        if not -50.0 <= temperature <= 135.0:
+            raise DeviceFault(
+                f"the device reports {temperature:.0f} °C, where an SCA100T works from -40 °C to 125 °C: "
+                "is another device on this chip select?"
+            )
+        return {"x": f"{x} count", "y": f"{y} count", "temperature": f"{temperature:.1f} °C (not trimmed)"}
+
+    def read(self) -> Reading:
+        """Take one sample: x and y in counts, 0 to 2047, and the temperature in °C.
+
+        Raises
+        ------
+        BusError
+            The transaction failed, or every bit of the sample is the same.
+        DeviceFault
+            A word below 102.
+        """
+        x, y, temperature = self._sample()
+        return Reading((float(x), float(y)), temperature)
+
+    def discard(self) -> None:
+        """Nothing queues up: every read is a new conversion."""
+
+    def self_test(self, channel: str) -> SelfTest:
+        """Push one axis with its electrode and see whether it moves and comes back.
+
+        The session clock advances by about a quarter of a second. The sensor must lie still all the while.
+
+        Parameters
+        ----------
+        channel : str
+            x or y. The datasheet forbids both at once.
+
+        Returns
+        -------
+        SelfTest
+
+        Raises
+        ------
+        UsageError
+            Another channel, or an axis that points down: from there the push may end short of the rail in a healthy
+            part.
+        BusError, DeviceFault
+            As :meth:`read`.
+        """
+        if channel not in ("x", "y"):
+            raise UsageError(f"an SCA100T has channels x and y, no {channel!r}")
+        start, read = (STX, RDAX) if channel == "x" else (STY, RDAY)
+        before = self._word(channel, read)
+        if before < 0.95 * ZERO:
+            raise UsageError(
+                f"{channel} reads {before} count, so this axis points down, where the self-test proves nothing: "
+                "lay the sensor level and repeat it"
+            )
+        try:
+            self._command(start)
+            self._clock.sleep(self.PUSH)
+            deflected = self._word(channel, read)
+        finally:
+            self._command(MEAS)
+        self._clock.sleep(self.SETTLING)
+        return SelfTest(channel, before, deflected, self._word(channel, read))
+
+    def _sample(self) -> tuple[int, int, float]:
+        """Both words in counts and the temperature in °C, once it is sure that a part has sent them."""
+        x = self._fresh(RDAX, 0, 0)
+        y = self._fresh(RDAY, 0, 0)
+        t = self._fresh(RWTR, 0)
+        _check_data_line(x + y + t)
+        return _checked_word("x", x), _checked_word("y", y), decode_temperature(t)
+
+    def _word(self, channel: str, command: int) -> int:
+        frame = self._fresh(command, 0, 0)
+        _check_data_line(frame)
+        return _checked_word(channel, frame)
+
+    def _fresh(self, *frame: int) -> bytes:
+        """Exchange a frame that reads a register, after the register has had the time to renew itself."""
+        self._clock.sleep(self.REFRESH)
+        answer = self._link.exchange(bytes(frame))
+        if len(answer) != len(frame):
+            raise BusError(
+                f"a frame of {len(frame)} bytes was answered with {len(answer)}: the SPI adapter is at fault"
+            )
+        return answer
+
+    def _command(self, command: int) -> None:
+        self._clock.sleep(self.RECOVERY)
+        self._link.exchange(bytes([command]))
+
+
+def decode_word(frame: bytes) -> int:
+    """The 11-bit word of an answer to RDAX or RDAY.
+
+    Parameters
+    ----------
+    frame : bytes
+        Three bytes; the first and the low 5 bits of the last mean nothing.
+
+    Returns
+    -------
+    int
+        0 to 2047, count; 1024 at 0 g.
+    """
+    return frame[1] << 3 | frame[2] >> 5
+
+
+def decode_temperature(frame: bytes) -> float:
+    """The temperature in an answer to RWTR, °C, by the datasheet's line (the part is not trimmed to it)."""
+    return (frame[1] - 197) / -1.083
+
+
+def _checked_word(channel: str, frame: bytes) -> int:
+    word = decode_word(frame)
+    if word < LOWEST_SANE_WORD:
+        raise DeviceFault(
+            f"{channel} reads {word} count, and words below {LOWEST_SANE_WORD} are the part's fault signal (memory "
+            "parity error or broken interconnection): switch its supply off and on; if it stays, replace the part"
+        )
+    return word
+
+
+def _check_data_line(answers: bytes) -> None:
+    """Tell a dead wire from a sensor: no sample of a living part has all its bits alike.
+
+    One word of 2047 is only a reading at the rail, so every byte of the sample is looked at.
+    """
+    if set(answers) == {0xFF}:
+        raise BusError(
+            "the data line is stuck high (every bit of the sample is 1): check MISO, chip select and the sensor's "
+            "supply"
+        )
+    if set(answers) == {0x00}:
+        raise BusError(
+            "the data line is stuck low (every bit of the sample is 0): check MISO, ground and the sensor's supply"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """What distinguishes the two parts, as delivered; each limit is the largest error of either sign.
+
+    Attributes
+    ----------
+    counts_per_g : float
+    range : float
+        Largest acceleration that is specified, g.
+    offset_limit : float
+        Degrees.
+    nonlinearity : float
+        Typical, over the range, degrees.
+    """
+
+    counts_per_g: float
+    range: float
+    offset_limit: float
+    nonlinearity: float
+
+
+SENSITIVITY_LIMIT = 0.005
+"""Largest relative error of the sensitivity as delivered."""
+CROSS_AXIS_LIMIT = 0.04
+"""Largest sum of the two cross-axis sensitivities, relative to the channel's own."""
+DRIFT_SPREAD = 0.008
+"""Typical deviation of the offset's slope from the population mean, °/°C."""
+GAIN_SPREAD = 0.014
+"""Typical deviation of the sensitivity's slope from the population mean, %/°C."""
+
+_D01 = Variant(counts_per_g=1638.0, range=0.5, offset_limit=0.11, nonlinearity=0.11)
+_D02 = Variant(counts_per_g=819.0, range=1.0, offset_limit=0.23, nonlinearity=0.57)
+
+
+def _twin(truth: Truth, fixture: Fixture, clock: Clock) -> Link:
+    from tiltcal.drivers.twin.sca100t import Sca100tTwin
+
+    return Sca100tTwin(truth, fixture, clock)
+
+
+def _default_truth(variant: Variant, seed: int) -> Truth:
+    from tiltcal.drivers.twin.sca100t import draw_truth
+
+    return draw_truth(variant, seed)
+
+
+def _model(name: str, title: str, variant: Variant) -> Model:
+    # A limit of either sign with nothing known inside it is a rectangular distribution (GUM 4.3.7): limit / sqrt(3).
+    return Model(
+        name=name,
+        title=title,
+        channels=("x", "y"),
+        unit="count",
+        schemes=("spi",),
+        address="spi:///dev/spidev0.0",
+        offset=float(ZERO),
+        sensitivity=variant.counts_per_g,
+        offset_spread=sin(radians(variant.offset_limit)) / sqrt(3.0),
+        sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
+        rails=(float(LOWEST_SANE_WORD - 1), float(FULL_SCALE)),
+        resolution=1.0,
+        # The part passes 8 to 28 Hz: a sample sooner than this repeats the noise of the one before.
+        interval=0.010,
+        thermometer=True,
+        driver=Sca100t,
+        twin=_twin,
+        not_modelled=(
+            "response time: a new position and a new temperature are there at once, without ringing",
+            "bandwidth: the noise of two samples 150 µs apart is independent",
+            "thermometer noise, and a lag between thermometer and sensing element",
+            "supply: start-up time, ratiometric error, brown-out",
+            "long-term drift, temperature hysteresis, shock",
+            "chip select released for less than 15 µs, clock above 500 kHz, bytes torn by noise",
+            "status register and reload command (RDSR, RLOAD): answered as invalid commands",
+            "self-test of both axes at once, which the datasheet forbids",
+        ),
+        default_truth=partial(_default_truth, variant),
+        spi=SpiPort(modes=(0, 3), fastest=500_000),
+    )
+
+
+D01 = _model("sca100t-d01", "Murata SCA100T-D01 inclinometer, ±30°, SPI", _D01)
+D02 = _model("sca100t-d02", "Murata SCA100T-D02 inclinometer, ±90°, SPI", _D02)

@@ -1,0 +1,1 @@
+"""Virtual sensors that answer bytes as the parts would."""

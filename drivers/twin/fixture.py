@@ -1,0 +1,90 @@
+"""The virtual jig and chamber: where the virtual sensors are held, and how warm it is there."""
+
+from __future__ import annotations
+
+from math import cos, exp, radians, sin
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.twin.noise import normal
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+
+Vector = tuple[float, float, float]
+
+
+class Fixture:
+    """A jig that takes positions with an angle error, inside a chamber that follows its set point.
+
+    All virtual sensors of one bench share one fixture. Everything drawn at random is a function of the seed and of how
+    many positions were taken before, so a resumed session finds the fixture as it was.
+
+    Parameters
+    ----------
+    clock : Clock
+        Session time; the chamber approaches its set point along it.
+    seed : int
+        Of the angle errors.
+    jig : float
+        Standard deviation of each angle error, degrees.
+    ambient : float
+        Temperature at the start, °C.
+    time_constant : float
+        Of the chamber's approach to its set point, seconds; 0 is at once.
+    """
+
+    def __init__(
+        self, clock: Clock, *, seed: int = 0, jig: float = 0.0, ambient: float = 24.0, time_constant: float = 0.0
+    ) -> None:
+        self._clock = clock
+        self._seed = seed
+        self._jig = radians(jig)
+        self._time_constant = time_constant
+        self._moves = 0
+        self._asked: Vector | None = None
+        self._start_ns, self._start_temperature, self._target = 0, ambient, ambient
+        self.gravity: Vector = (0.0, 0.0, 1.0)
+
+    def move(self, gravity: Vector, temperature: float | None = None) -> None:
+        """Take a position, a little wrong, and set the chamber.
+
+        A position that is held already is not set anew: its angle error stays as it is.
+
+        Parameters
+        ----------
+        gravity : tuple of float
+            Up in the fixture's frame, a unit vector.
+        temperature : float, optional
+            New set point, °C; the old one stays where it is left out.
+        """
+        if gravity != self._asked:
+            self._set(gravity)
+        if temperature is not None and temperature != self._target:
+            self._start_temperature = self.temperature()
+            self._start_ns = self._clock.now_ns()
+            self._target = temperature
+
+    def _set(self, gravity: Vector) -> None:
+        errors = [self._jig * normal(self._seed, f"jig {axis}", self._moves) for axis in "xyz"]
+        self._moves += 1
+        self._asked = gravity
+        self.gravity = _rotated(gravity, errors)
+
+    def temperature(self) -> float:
+        """Temperature of the chamber now, °C."""
+        if self._time_constant == 0.0:
+            return self._target
+        elapsed = (self._clock.now_ns() - self._start_ns) / 1e9
+        return self._target + (self._start_temperature - self._target) * exp(-elapsed / self._time_constant)
+
+
+def _rotated(vector: Vector, angles: list[float]) -> Vector:
+    """``vector`` turned about x, then y, then z by small angles in radians."""
+    x, y, z = vector
+    (c, s) = cos(angles[0]), sin(angles[0])
+    y, z = c * y - s * z, s * y + c * z
+    (c, s) = cos(angles[1]), sin(angles[1])
+    x, z = c * x + s * z, c * z - s * x
+    (c, s) = cos(angles[2]), sin(angles[2])
+    x, y = c * x - s * y, s * x + c * y
+    return x, y, z

@@ -1,0 +1,94 @@
+"""What a virtual sensor really is: the coefficients that a calibration should find."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+Polynomial = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something that goes wrong for a while.
+
+    Attributes
+    ----------
+    kind : str
+        ``parity`` (the part's own memory error), ``stuck`` (the reading holds), ``silent`` (the data line floats high),
+        ``unplugged`` (every transaction fails).
+    start, end : float
+        Seconds after the session began.
+    """
+
+    kind: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The true coefficients of one virtual sensor, in the terms of the measurement model.
+
+    Attributes
+    ----------
+    channels : tuple of str
+    offset : mapping of str to float
+        Per channel, unit, at the reference temperature.
+    sensitivity : mapping of str to mapping of str to float
+        Per channel and axis x, y, z, unit/g.
+    reference : float
+        Reference temperature, °C.
+    drift, gain : mapping of str to tuple of float
+        Per channel, coefficients of dT, dT², ..., in unit/°C**k and 1/°C**k.
+    nonlinearity : mapping of str to tuple of float
+        Per channel, coefficients of a², a³, ... where a is the signal in g, in g.
+    noise : mapping of str to float
+        Per channel, white, standard deviation of one sample, unit.
+    thermometer_error : float
+        What the sensor's own thermometer reads too high, °C.
+    seed : int
+    jig, ambient, time_constant : float
+        Of the fixture that holds it: see :class:`tiltcal.drivers.twin.fixture.Fixture`.
+    faults : tuple of Fault
+    """
+
+    channels: tuple[str, ...]
+    offset: Mapping[str, float]
+    sensitivity: Mapping[str, Mapping[str, float]]
+    reference: float = 25.0
+    drift: Mapping[str, Polynomial] = field(default_factory=dict)
+    gain: Mapping[str, Polynomial] = field(default_factory=dict)
+    nonlinearity: Mapping[str, Polynomial] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    thermometer_error: float = 0.0
+    seed: int = 0
+    jig: float = 0.0
+    ambient: float = 24.0
+    time_constant: float = 0.0
+    faults: tuple[Fault, ...] = ()
+
+    def reading(self, channel: str, gravity: tuple[float, float, float], temperature: float) -> float:
+        """What ``channel`` reads without noise, in its unit.
+
+        Parameters
+        ----------
+        channel : str
+        gravity : tuple of float
+            Up in the sensor frame, g.
+        temperature : float
+            Of the sensor, °C.
+        """
+        row = self.sensitivity[channel]
+        signal = sum(row.get(axis, 0.0) * g for axis, g in zip("xyz", gravity, strict=True))
+        own = row[channel]
+        a = signal / own
+        bend = own * sum(k * a ** (power + 2) for power, k in enumerate(self.nonlinearity.get(channel, ())))
+        dt = temperature - self.reference
+        drift = sum(k * dt ** (power + 1) for power, k in enumerate(self.drift.get(channel, ())))
+        gain = sum(k * dt ** (power + 1) for power, k in enumerate(self.gain.get(channel, ())))
+        return self.offset[channel] + drift + (1.0 + gain) * (signal + bend)
+
+    def fault(self, seconds: float) -> Fault | None:
+        """The fault that is present ``seconds`` after the session began, if any."""
+        return next((fault for fault in self.faults if fault.start <= seconds < fault.end), None)
