@@ -1,0 +1,1 @@
+"""Who carries out the positions: a person, a program, or the virtual jig."""

@@ -1,0 +1,102 @@
+"""What a person types: single keys on a terminal, whole lines elsewhere."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+from types import TracebackType
+from typing import Protocol, TextIO
+
+from tiltcal.errors import Stopped
+
+ENTER = "\n"
+
+
+class Keys(Protocol):
+    """Where the operator's choices come from."""
+
+    def choice(self, timeout: float | None) -> str | None:
+        """The next key (:data:`ENTER` for Enter), or None when ``timeout`` seconds pass without one.
+
+        Raises
+        ------
+        Stopped
+            The input has ended.
+        """
+        ...
+
+    def line(self) -> str:
+        """A typed line without its newline."""
+        ...
+
+
+class LineKeys:
+    """Reads whole lines and never returns by itself: for ``--plain``, pipes and screen readers.
+
+    Parameters
+    ----------
+    stream : text stream
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def choice(self, timeout: float | None) -> str | None:
+        return self.line()[:1].lower() or ENTER
+
+    def line(self) -> str:
+        typed = self._stream.readline()
+        if not typed:
+            raise Stopped("the input has ended")
+        return typed.strip()
+
+
+class TerminalKeys:
+    """Reads single keys from a terminal, which is given back as it was.
+
+    Use as a context manager.
+    """
+
+    def __init__(self) -> None:
+        self._descriptor = sys.stdin.fileno()
+        self._before: list[object] = []
+
+    def __enter__(self) -> TerminalKeys:
+        import termios
+        import tty
+
+        self._before = termios.tcgetattr(self._descriptor)
+        tty.setcbreak(self._descriptor)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._cooked()
+
+    def choice(self, timeout: float | None) -> str | None:
+        ready, _, _ = select.select([self._descriptor], [], [], timeout)
+        if not ready:
+            return None
+        key = os.read(self._descriptor, 1).decode(errors="replace")
+        if key in ("", "\x04"):
+            raise Stopped("the input has ended")
+        return ENTER if key in "\r\n" else key.lower()
+
+    def line(self) -> str:
+        import tty
+
+        self._cooked()
+        try:
+            typed = sys.stdin.readline()
+        finally:
+            tty.setcbreak(self._descriptor)
+        if not typed:
+            raise Stopped("the input has ended")
+        return typed.strip()
+
+    def _cooked(self) -> None:
+        import termios
+
+        termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)  # type: ignore[arg-type]

@@ -1,0 +1,162 @@
+"""A program that drives a tilt table or a chamber, over JSON Lines.
+
+One object a line. The bench asks, the program answers; the bench tells what became of it::
+
+    → {"ask": "position", "position": "y-tilt1", "tilt": {"y": 30.0}, "gravity": [0, 0.5, 0.866],
+       "heading": 0, "temperature": null, "prompt": "Tilt the +Y side up to 30°"}
+    ← {"answer": "ready"}            or {"answer": "ready", "tilt": {"y": 30.02}, "temperature": 5.4}
+       or {"answer": "redo" | "back" | "quit"}
+    → {"event": "accepted", "position": "y-tilt1", "mean": {...}, "std": {...}, "n": 100}
+    → {"event": "refused", "position": "y-tilt1", "why": "..."}      (followed by the same ask)
+    → {"event": "done", "calibrations": ["S-0042.yaml"], "journal": "..."}
+
+``redo`` asks for the same position again; ``back`` gives up the position before it and asks for that one.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from math import isfinite
+from pathlib import Path
+from typing import Any, TextIO
+
+from tiltcal.bench.operators.operator import Answer, Live, Measured
+from tiltcal.drivers.device import Reading
+from tiltcal.errors import InputError, Stopped
+from tiltcal.files.procedure import Position
+
+WORDS = ("ready", "redo", "back", "quit")
+KEYS = {"answer", "tilt", "gravity", "temperature"}
+
+
+class JsonOperator:
+    """Speaks JSON Lines on two text streams.
+
+    Parameters
+    ----------
+    answers : text stream
+        What the program says; its end is taken as ``quit``.
+    asks : text stream
+        What the program is told.
+    """
+
+    def __init__(self, answers: TextIO, asks: TextIO) -> None:
+        self._answers = answers
+        self._asks = asks
+
+    def begin(self, title: str, positions: int) -> None:
+        pass
+
+    def position(self, position: Position, number: int, live: Live) -> Answer:
+        """Ask until there is an answer that can be understood.
+
+        Raises
+        ------
+        Stopped
+            The program said ``quit``, or closed its stream.
+        """
+        while True:
+            self._tell(
+                ask="position",
+                position=position.name,
+                tilt=position.tilt,
+                gravity=[round(component, 9) + 0.0 for component in position.gravity],
+                heading=position.heading or 0,
+                temperature=position.temperature,
+                prompt=position.prompt,
+            )
+            line = self._answers.readline()
+            if not line:
+                raise Stopped("the program that leads the session closed its answers")
+            try:
+                answer = understood(line)
+            except InputError as error:
+                self.refused(position, str(error))
+                continue
+            if answer.word == "quit":
+                raise Stopped("the program that leads the session said quit")
+            return answer
+
+    def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
+        pass
+
+    def review(self, position: Position, measured: list[Measured]) -> Answer:
+        return Answer("accept")
+
+    def accepted(self, position: Position, measured: list[Measured]) -> None:
+        first = measured[0]
+        told = {"event": "accepted", "position": position.name, **_values(first)}
+        if len(measured) > 1:
+            told["sensors"] = {one.serial: _values(one) for one in measured}
+        self._tell(**told)
+
+    def refused(self, position: Position, why: str) -> None:
+        self._tell(event="refused", position=position.name, why=why)
+
+    def write(self, files: list[Path]) -> Answer:
+        return Answer("yes")
+
+    def done(self, files: list[Path], journal: Path) -> None:
+        self._tell(event="done", calibrations=[str(path) for path in files], journal=str(journal))
+
+    def _tell(self, **message: Any) -> None:
+        try:
+            self._asks.write(json.dumps(message, ensure_ascii=False, allow_nan=False) + "\n")
+            self._asks.flush()
+        except BrokenPipeError:
+            raise Stopped("the program that leads the session is gone") from None
+
+
+def understood(line: str) -> Answer:
+    """One line of the program as an answer.
+
+    Raises
+    ------
+    InputError
+        It is not an answer; the message says what is wrong with it.
+    """
+    try:
+        said = json.loads(line, parse_constant=_no_constant)
+    except (ValueError, RecursionError):
+        raise InputError(
+            f'not understood: {line.strip()[:80]!r}; an answer is one line such as {{"answer": "ready"}}'
+        ) from None
+    if not isinstance(said, dict):
+        raise InputError('an answer is an object such as {"answer": "ready"}')
+    strange = sorted(set(said) - KEYS)
+    if strange:
+        raise InputError(f"unknown key {strange[0]!r} in the answer; it may have {', '.join(sorted(KEYS))}")
+    word = said.get("answer")
+    if word not in WORDS:
+        raise InputError(f"answer {word!r} is none of {', '.join(WORDS)}")
+    tilt = said.get("tilt") or {}
+    if not isinstance(tilt, dict):
+        raise InputError('tilt is an object of degrees such as {"y": 30.02}')
+    gravity = said.get("gravity")
+    if gravity is not None and not (isinstance(gravity, list) and len(gravity) == 3):
+        raise InputError("gravity is a list of three numbers")
+    temperature = said.get("temperature")
+    return Answer(
+        word,
+        {axis: _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()},
+        tuple(_number(component, "gravity") for component in gravity) if gravity is not None else None,
+        None if temperature is None else _number(temperature, "temperature"),
+    )
+
+
+def _number(value: object, key: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise InputError(f"{key} in the answer is {value!r}, not a number")
+    return float(value)
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(name)
+
+
+def _values(measured: Measured) -> dict[str, Any]:
+    values: dict[str, Any] = {"mean": measured.mean, "std": measured.std, "n": measured.n}
+    if measured.temperature is not None:
+        values["temperature"] = measured.temperature
+    return values

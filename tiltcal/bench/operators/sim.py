@@ -1,0 +1,56 @@
+"""The operator of a virtual bench: the virtual jig has taken the position before it is asked, so it says yes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from tiltcal.bench.operators.operator import Answer, Live, Measured
+from tiltcal.drivers.device import Reading
+from tiltcal.files.procedure import Position
+
+
+class SimOperator:
+    """Answers every question with yes, and tells what happens in plain lines.
+
+    Parameters
+    ----------
+    say : callable
+        Takes one line of talk.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._positions = 0
+        self._number = 0
+
+    def begin(self, title: str, positions: int) -> None:
+        self._positions = positions
+        self._say(f"{title}: {positions} positions")
+
+    def position(self, position: Position, number: int, live: Live) -> Answer:
+        self._number = number
+        return Answer("ready")
+
+    def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
+        pass
+
+    def review(self, position: Position, measured: list[Measured]) -> Answer:
+        return Answer("accept")
+
+    def accepted(self, position: Position, measured: list[Measured]) -> None:
+        for one in measured:
+            values = "  ".join(f"{channel} {mean:.6g} ± {one.std[channel]:.2g}" for channel, mean in one.mean.items())
+            warmth = "" if one.temperature is None else f"  at {one.temperature:.1f} °C"
+            self._say(f"  {self._number}/{self._positions} {position.name:<12} {values} {one.unit}{warmth}")
+
+    def refused(self, position: Position, why: str) -> None:
+        self._say(f"  {position.name} refused: {why}")
+
+    def write(self, files: list[Path]) -> Answer:
+        return Answer("yes")
+
+    def done(self, files: list[Path], journal: Path) -> None:
+        for path in files:
+            self._say(f"wrote {path}")
+        self._say(f"journal {journal}")

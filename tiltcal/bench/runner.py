@@ -1,0 +1,321 @@
+"""The runner: takes the sensors through the positions of a procedure, one by one.
+
+Per position: instruct, wait until still, sample, compare with what is expected, accept or refuse. Whatever it learns
+comes from the tape, so a session that is replayed runs exactly as it ran.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tiltcal.bench.bay import Bay
+from tiltcal.bench.operators.operator import Answer, Measured, Operator
+from tiltcal.bench.settle import Sample, Unsettled, Window, movement, wait_until_still
+from tiltcal.bench.tape import Tape, TapedClock
+from tiltcal.core.expectation import Expectation
+from tiltcal.core.frames import gravity_from_tilt, normalised
+from tiltcal.core.statistics import Summary, summarise
+from tiltcal.drivers.device import Reading
+from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.errors import HardwareError, InputError
+from tiltcal.files.procedure import Position, Procedure
+
+ATTEMPTS = 5
+"""Refusals in a row that the hardware may cause before the session stops."""
+
+NUDGED = 0.002
+"""A change while sampling above this is a sensor that was touched, g (0.1° near level)."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the command line may change of a procedure.
+
+    Attributes
+    ----------
+    samples : int
+        Per position.
+    settle, soak : float
+        Windows over which reading, and temperature, must hold still, seconds.
+    """
+
+    samples: int
+    settle: float
+    soak: float
+
+
+@dataclass(frozen=True)
+class Taken:
+    """An accepted position.
+
+    Attributes
+    ----------
+    position : Position
+        As it was actually set.
+    time_ns : int
+        When its last sample was taken, since the session began.
+    summaries : tuple of dict of str to Summary
+        Per sensor and channel.
+    temperatures : tuple of float or None
+        Per sensor, °C.
+    """
+
+    position: Position
+    time_ns: int
+    summaries: tuple[dict[str, Summary], ...]
+    temperatures: tuple[float | None, ...]
+
+
+class Runner:
+    """One session's walk through a procedure.
+
+    Parameters
+    ----------
+    procedure : Procedure
+    bays : sequence of Bay
+    operator : Operator
+    tape : Tape
+    clock : TapedClock
+    settings : Settings
+    fixture : Fixture or None
+        The virtual jig, where the sensors are virtual.
+    """
+
+    def __init__(
+        self,
+        procedure: Procedure,
+        bays: Sequence[Bay],
+        operator: Operator,
+        tape: Tape,
+        clock: TapedClock,
+        settings: Settings,
+        fixture: Fixture | None = None,
+    ) -> None:
+        self._procedure = procedure
+        self._bays = tuple(bays)
+        self._models = tuple(bay.model for bay in bays)
+        self._operator = operator
+        self._tape = tape
+        self._clock = clock
+        self._settings = settings
+        self._fixture = fixture
+        self._failures = 0
+
+    def run(self) -> list[Taken]:
+        """Every position of the procedure, accepted, in its order.
+
+        Raises
+        ------
+        Stopped
+            The operator quit.
+        HardwareError
+            The hardware failed several times in a row.
+        JournalError
+            The journal does not fit, or a replay ends before the procedure does.
+        """
+        positions = self._procedure.positions
+        taken: list[Taken] = []
+        self._tell(lambda: self._operator.begin(self._procedure.title, len(positions)))
+        while len(taken) < len(positions):
+            position = positions[len(taken)]
+            try:
+                word, result = self._attempt(position, taken)
+            except (Unsettled, InputError, HardwareError) as error:
+                self._refuse(position, error)
+                continue
+            if result is not None:
+                taken.append(result)
+            elif word == "back" and taken:
+                taken.pop()
+        return taken
+
+    def confirm_write(self, ask: Callable[[], Answer]) -> None:
+        """Ask once more before calibration files are written."""
+        self._ask("write", ask)
+
+    def _attempt(self, position: Position, taken: list[Taken]) -> tuple[str, Taken | None]:
+        """Ask for a position, measure it, have it judged."""
+        self._hold(position)
+        answer = self._ask("position", lambda: self._operator.position(position, len(taken) + 1, self._live))
+        if answer.word != "ready":
+            return answer.word, None
+        as_set = _as_set(position, answer)
+        if as_set != position:
+            self._hold(as_set)
+        self._settle(position, self._procedure.positions[len(taken) - 1] if taken else None)
+        result = self._sample(as_set, answer.temperature)
+        self._failures = 0
+        expectations = self._expectations(taken)
+        self._require_plausible(result, expectations, taken)
+        measured = self._measured(result, expectations)
+        verdict = self._ask("review", lambda: self._operator.review(as_set, measured))
+        if verdict.word != "accept":
+            return verdict.word, None
+        self._tape.position(_record(result))
+        self._tell(lambda: self._operator.accepted(as_set, measured))
+        return verdict.word, result
+
+    def _refuse(self, position: Position, error: Exception) -> None:
+        if isinstance(error, HardwareError):
+            self._failures += 1
+            if self._failures >= ATTEMPTS:
+                raise error
+        self._tell(lambda: self._operator.refused(position, str(error)))
+
+    def _ask(self, question: str, live: Callable[[], Answer]) -> Answer:
+        """An answer from the tape or the operator; live readings that were shown meanwhile are played first."""
+        while self._tape.playing and not self._tape.next_is_answer():
+            with suppress(HardwareError):
+                self._live()
+        return Answer.from_record(self._tape.answer(question, lambda: live().record()))
+
+    def _tell(self, tell: Callable[[], None]) -> None:
+        """The operator is not told again what it was told before the session was interrupted."""
+        if not self._tape.playing:
+            tell()
+
+    def _hold(self, position: Position) -> None:
+        if self._fixture is not None:
+            self._fixture.move(position.gravity, position.temperature)
+
+    def _read(self) -> Sample:
+        return tuple(bay.sensor.read() for bay in self._bays)
+
+    def _live(self) -> Mapping[str, Reading]:
+        self._discard()
+        return {bay.serial: reading for bay, reading in zip(self._bays, self._read(), strict=True)}
+
+    def _discard(self) -> None:
+        """What sensors sent while nobody listened is not what they read now."""
+        for bay in self._bays:
+            bay.sensor.discard()
+
+    def _settle(self, position: Position, before: Position | None) -> None:
+        """Wait until still; until the temperature is, where this position changes it."""
+        window = Window(self._settings.settle)
+        if position.temperature is not None and (before is None or before.temperature != position.temperature):
+            window = Window(self._settings.soak, self._procedure.soak_drift)
+        self._discard()
+        wait_until_still(
+            self._read, self._models, self._clock, window, lambda sample, why: self._look(position, sample, why)
+        )
+
+    def _sample(self, position: Position, typed: float | None) -> Taken:
+        held: list[tuple[float, Sample]] = []
+        interval = max(model.interval for model in self._models)
+        for number in range(self._settings.samples):
+            sample = self._read()
+            held.append((self._clock.now_ns() / 1e9, sample))
+            self._look(position, sample, f"sample {number + 1} of {self._settings.samples}")
+            self._clock.sleep(interval)
+        moved = movement(held, self._models, still=NUDGED) if len(held) > 2 else None
+        if moved:
+            raise Unsettled(f"moved while it was sampled: {moved}")
+        summaries, temperatures = [], []
+        for index, model in enumerate(self._models):
+            readings = [sample[index] for _, sample in held]
+            summaries.append(
+                {
+                    channel: summarise([reading.values[place] for reading in readings], model.resolution)
+                    for place, channel in enumerate(model.channels)
+                }
+            )
+            temperatures.append(_temperature(readings, typed, position.temperature))
+            _require_off_rails(readings, model.channels, model.rails)
+        return Taken(position, self._tape.now_ns(), tuple(summaries), tuple(temperatures))
+
+    def _look(self, position: Position, sample: Sample, why: str) -> None:
+        readings = {bay.serial: reading for bay, reading in zip(self._bays, sample, strict=True)}
+        self._tell(lambda: self._operator.look(position, readings, why))
+
+    def _expectations(self, taken: Sequence[Taken]) -> list[Expectation]:
+        """What each sensor should read, from its model and the positions accepted so far."""
+        expectations = []
+        for index, model in enumerate(self._models):
+            expectation = Expectation(
+                model.channels, model.offset, model.sensitivity, model.offset_spread, model.sensitivity_spread
+            )
+            for one in taken:
+                expectation.learn(one.position.gravity, _means(one, index), one.temperatures[index])
+            expectations.append(expectation)
+        return expectations
+
+    def _require_plausible(self, result: Taken, expectations: Sequence[Expectation], taken: Sequence[Taken]) -> None:
+        positions = {position.name: position.gravity for position in self._procedure.positions}
+        positions |= {one.position.name: one.position.gravity for one in taken}
+        positions[result.position.name] = result.position.gravity
+        for index, expectation in enumerate(expectations):
+            why = expectation.objection(
+                result.position.name, positions, _means(result, index), result.temperatures[index]
+            )
+            if why:
+                raise Unsettled(why if len(self._bays) == 1 else f"{self._bays[index].serial}: {why}")
+
+    def _measured(self, result: Taken, expectations: Sequence[Expectation]) -> list[Measured]:
+        return [
+            Measured(
+                serial=bay.serial,
+                unit=bay.model.unit,
+                mean={channel: summary.mean for channel, summary in result.summaries[index].items()},
+                std={channel: summary.std for channel, summary in result.summaries[index].items()},
+                expected=expectations[index].expected(result.position.gravity),
+                n=self._settings.samples,
+                temperature=result.temperatures[index],
+            )
+            for index, bay in enumerate(self._bays)
+        ]
+
+
+def _as_set(position: Position, answer: Answer) -> Position:
+    """The position with the angles and the temperature that the operator actually set."""
+    if answer.temperature is not None:
+        position = replace(position, temperature=answer.temperature if position.temperature is not None else None)
+    if answer.gravity is not None:
+        return replace(position, gravity=normalised(answer.gravity), tilt=None)
+    if answer.tilt:
+        tilt = {**(position.tilt or {}), **answer.tilt}
+        return replace(position, gravity=gravity_from_tilt(tilt), tilt=tilt)
+    return position
+
+
+def _temperature(readings: Sequence[Reading], typed: float | None, asked: float | None) -> float | None:
+    """What the operator typed; else what the sensor's own thermometer says; else what was asked for."""
+    own = [reading.temperature for reading in readings if reading.temperature is not None]
+    if typed is not None:
+        return typed
+    return summarise(own).mean if own else asked
+
+
+def _require_off_rails(readings: Sequence[Reading], channels: Sequence[str], rails: tuple[float, float]) -> None:
+    low, high = rails
+    for place, channel in enumerate(channels):
+        for reading in readings:
+            if not low < reading.values[place] < high:
+                raise Unsettled(
+                    f"{channel} reads {reading.values[place]:.6g}, at its rail: is the angle within the sensor's "
+                    "range, and is it wired right?"
+                )
+
+
+def _means(taken: Taken, index: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return np.array([summary.mean for summary in taken.summaries[index].values()])
+
+
+def _record(taken: Taken) -> dict[str, object]:
+    """An accepted position as the journal notes it."""
+    return {
+        "position": taken.position.name,
+        "sensors": [
+            {
+                "mean": {channel: summary.mean for channel, summary in summaries.items()},
+                "std": {channel: summary.std for channel, summary in summaries.items()},
+                "n": next(iter(summaries.values())).n,
+                "temperature": temperature,
+            }
+            for summaries, temperature in zip(taken.summaries, taken.temperatures, strict=True)
+        ],
+    }

@@ -1,0 +1,74 @@
+"""The virtual bench: twins behind ``sim:`` addresses, held by one jig in one chamber."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+
+from tiltcal.drivers.bus.address import Address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
+from tiltcal.drivers.device import Model
+from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.drivers.twin.truth import Truth
+from tiltcal.files.twin import read_twin
+
+
+class VirtualBench:
+    """Makes the twins of a session and the fixture that holds them.
+
+    Parameters
+    ----------
+    clock : Clock
+        Session time.
+    addresses : sequence of Address
+        Of all sensors; ``sim:`` takes ``twin=FILE`` and ``seed=N``.
+    models : iterable of Model
+        Of the same sensors.
+    """
+
+    def __init__(self, clock: Clock, addresses: Sequence[Address], models: Iterable[Model]) -> None:
+        self._clock = clock
+        self._first = next(
+            ((address, model) for address, model in zip(addresses, models, strict=True) if address.simulated), None
+        )
+
+    @cached_property
+    def fixture(self) -> Fixture:
+        """The jig and the chamber; the first virtual sensor's truth says how good they are."""
+        truth = truth_of(*self._first) if self._first else None
+        if truth is None:
+            return Fixture(self._clock)
+        return Fixture(
+            self._clock,
+            seed=truth.seed,
+            jig=truth.jig,
+            ambient=truth.ambient,
+            time_constant=truth.time_constant,
+        )
+
+    def twin(self, address: Address, model: Model) -> Link:
+        """The virtual sensor behind a ``sim:`` address."""
+        return model.twin(truth_of(address, model), self.fixture, self._clock)
+
+
+def truth_of(address: Address, model: Model) -> Truth:
+    """What the virtual sensor behind a ``sim:`` address really is.
+
+    Raises
+    ------
+    UsageError
+        An unknown option, or a twin file of another model.
+    InputError
+        The twin file is wrong.
+    """
+    address.allow("twin", "seed", *model.options)
+    seed = address.integer("seed", 0)
+    if "twin" not in address.options:
+        if model.default_truth is None:
+            address.refuse(f"{model.name} has no default twin; name one with twin=FILE")
+        return model.default_truth(seed)
+    named, truth = read_twin(address.text("twin"), seed if "seed" in address.options else None)
+    if named is not None and named != model.name:
+        address.refuse(f"the twin file is of a {named}, not of a {model.name}")
+    return truth
