@@ -1,0 +1,103 @@
+"""``tiltcal check``"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.document import read_document
+from tiltcal.files.journal import read_journal
+from tiltcal.files.procedure import read_procedure
+from tiltcal.files.twin import read_twin
+
+JUDGED_FAILING = 1
+
+
+@click.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
+@click.argument("paths", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print a list of objects for a program.")
+def command(paths: tuple[Path, ...], as_json: bool) -> int:
+    """Check calibration files, procedures, twins and journals.
+
+    A file that cannot be used ends the check with exit code 2, and the message names file, line and key. Exit code 1
+    where a file can be read and is judged failing: a journal that was interrupted, a calibration whose journal lies
+    beside it and does not give it, a fit whose chi-square is not credible.
+    """
+    results = []
+    for path in paths:
+        kind, findings = _checked(path)
+        results.append({"file": str(path), "kind": kind, "findings": findings})
+        if not as_json:
+            click.echo(f"{path}: {kind}, " + ("; ".join(findings) if findings else "good"))
+    if as_json:
+        click.echo(json.dumps(results, indent=2, ensure_ascii=False))
+    return JUDGED_FAILING if any(result["findings"] for result in results) else 0
+
+
+def _checked(path: Path) -> tuple[str, list[str]]:
+    """What a file is, and what is to be said against it."""
+    if _is_journal(path):
+        return "journal", _of_journal(path)
+    document = read_document(path)
+    named = document.entries().get("kind")
+    if named is None:
+        raise document.error("the key 'kind' is missing: this is no tiltcal file")
+    kind = named.choice(("tilt", "procedure", "twin"))
+    if kind == "procedure":
+        read_procedure(path)
+        return "procedure", []
+    if kind == "twin":
+        read_twin(path)
+        return "twin", []
+    return "calibration", _of_calibration(path)
+
+
+def _is_journal(path: Path) -> bool:
+    try:
+        with open(path, "rb") as stream:
+            return stream.read(18) == b'{"tiltcal-journal"'
+    except OSError:
+        return False
+
+
+def _of_journal(path: Path) -> list[str]:
+    journal = read_journal(path)
+    findings = []
+    if journal.torn:
+        findings.append("its last line is torn off")
+    if journal.end is None:
+        findings.append(f"the session was interrupted; go on with it: tiltcal measure --resume {path}")
+    return findings
+
+
+def _of_calibration(path: Path) -> list[str]:
+    calibration = read_calibration(path)
+    findings = []
+    fit = calibration.fit
+    if "chi_square" in fit:
+        from scipy.stats import chi2
+
+        p = float(chi2.sf(fit["chi_square"], fit["degrees_of_freedom"]))
+        if p < 1e-3:
+            findings.append(
+                f"chi-square {fit['chi_square']:g} with {fit['degrees_of_freedom']} degrees of freedom: the positions "
+                "scatter more than the stated noise and jig allow"
+            )
+    captured = calibration.provenance.get("journal", {})
+    journal = path.parent / str(captured.get("name", ""))
+    if captured and journal.is_file():
+        findings += _against_journal(path, journal)
+    return findings
+
+
+def _against_journal(path: Path, journal: Path) -> list[str]:
+    """Replay the journal that lies beside a calibration file."""
+    from tiltcal.bench.operators.sim import SimOperator
+    from tiltcal.bench.session import Plan, Session
+
+    captured = read_journal(journal)
+    texts = Session(Plan.from_journal(captured), journal, captured).replay(SimOperator(lambda line: None))
+    return [] if path.read_text(encoding="utf-8") in texts else [f"{journal} does not give this file"]

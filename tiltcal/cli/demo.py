@@ -1,0 +1,120 @@
+"""``tiltcal demo``"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import asin, degrees
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from tiltcal.bench.operators.sim import SimOperator
+from tiltcal.bench.session import Session, plan_session
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.device import Model
+from tiltcal.errors import UsageError
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.procedure import find_procedure
+from tiltcal.files.whole import write_whole
+from tiltcal.report.summary import summary
+
+if TYPE_CHECKING:
+    from tiltcal.core.model import Array
+
+MODEL, PROCEDURE, SERIAL = "sca100t-d02", "complete", "SIM-1"
+ROWS, REACH, TEMPERATURES = 1500, 50.0, (28.0, 5.0)
+
+
+@click.command(epilog="Example: tiltcal demo demo")
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False), default=Path("demo"))
+@click.option("--seed", default=7, show_default=True, help="Which virtual part to take.")
+def command(folder: Path, seed: int) -> None:
+    """Do the main job on the virtual bench: measure, calibrate, apply to a recorded log, report.
+
+    A virtual SCA100T-D02 is taken through six positions and two temperatures; its calibration file is then
+    applied to a log of the same part with known true tilt. Everything is written into FOLDER.
+    """
+    model, address = find_model(MODEL), parse_address(f"sim:?seed={seed}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot make the folder {folder}: {error.strerror}") from None
+    calibration, journal = folder / f"{SERIAL}.yaml", folder / f"{SERIAL}.journal.jsonl"
+    log, compensated, picture = folder / "log.csv", folder / "log-tilt.csv", folder / "tilt-error.svg"
+
+    click.echo("1. measure, on the virtual bench (no real sensor)")
+    journal.unlink(missing_ok=True)
+    plan = plan_session(
+        find_procedure(PROCEDURE), [(MODEL, SERIAL, str(address), calibration)], journal, operator="sim"
+    )
+    Session(plan, journal).measure(SimOperator(lambda line: click.echo(f"   {line}")))
+    click.echo("\n2. the calibration file")
+    click.echo(summary(read_calibration(calibration)))
+    click.echo(
+        f"\n3. apply it to a recorded log: {ROWS} rows, tilts within ±{REACH:g}°, "
+        f"{TEMPERATURES[0]:g} to {TEMPERATURES[1]:g} °C"
+    )
+    _record(log, address, model)
+    _apply(calibration, log, compensated)
+    click.echo(f"   wrote {compensated}")
+    click.echo("\n4. tilt error against the log's true tilt")
+    _report(model, compensated, picture)
+
+
+def _record(path: Path, address: Address, model: Model) -> None:
+    """Write the log that the calibration is applied to, with its true tilt beside the readings."""
+    from tiltcal.bench.walk import walk
+
+    lines = ["time,x,y,temperature,true_tilt_x,true_tilt_y"]
+    for row in walk(address, model, rows=ROWS, reach=REACH, temperatures=TEMPERATURES):
+        x, y = row.values
+        lines.append(f"{row.time:.4f},{x:.0f},{y:.0f},{row.temperature:.2f},{row.tilt['x']:.5f},{row.tilt['y']:.5f}")
+    write_whole(path, "\n".join(lines) + "\n")
+
+
+def _apply(calibration: Path, log: Path, compensated: Path) -> None:
+    from tiltcal.cli.apply import command as apply
+
+    apply.main([str(calibration), str(log), "-o", str(compensated)], standalone_mode=False)
+
+
+def _report(model: Model, compensated: Path, picture: Path) -> None:
+    """Print and draw the errors before and after."""
+    import polars as pl
+
+    rows = pl.read_csv(compensated)
+    column = {name: rows[name].to_numpy() for name in rows.columns}
+    before = {axis: _nominal_tilt(model, column[axis]) - column[f"true_tilt_{axis}"] for axis in ("x", "y")}
+    after = {axis: column[f"tilt_{axis}"] - column[f"true_tilt_{axis}"] for axis in ("x", "y")}
+    _print_errors(before, after)
+    try:
+        from tiltcal.report.tilt_error import draw_tilt_error
+
+        title = f"{MODEL} on the virtual bench, tilts within ±{REACH:g}°"
+        draw_tilt_error(picture, column["time"], column["temperature"], before, after, ("x", "y"), title)
+    except ModuleNotFoundError:
+        click.echo("   no picture: pip install 'tiltcal[report]'")
+    else:
+        click.echo(f"   wrote {picture}")
+
+
+def _nominal_tilt(model: Model, readings: Array) -> Array:
+    """Tilt by the data sheet's offset and sensitivity, degrees."""
+    import numpy as np
+
+    sines = np.clip((readings - model.offset) / model.sensitivity, -1.0, 1.0)
+    return np.array([degrees(asin(sine)) for sine in sines])
+
+
+def _print_errors(before: Mapping[str, Array], after: Mapping[str, Array]) -> None:
+    import numpy as np
+
+    click.echo("            before                     after")
+    click.echo("            rms       largest          rms       largest")
+    for axis in before:
+        click.echo(
+            f"   tilt {axis}   {np.sqrt(np.mean(before[axis] ** 2)):.3f}°    {np.max(np.abs(before[axis])):.3f}°"
+            f"           {np.sqrt(np.mean(after[axis] ** 2)):.3f}°    {np.max(np.abs(after[axis])):.3f}°"
+        )

@@ -1,0 +1,48 @@
+"""``tiltcal devices``"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from tiltcal.drivers import models
+from tiltcal.drivers.device import Model
+
+
+@click.command(epilog="Example: tiltcal devices --json")
+@click.option("--json", "as_json", is_flag=True, help="Print a list of objects for a program.")
+def command(as_json: bool) -> None:
+    """List the sensor models, with their addresses, units, and what their virtual twins do not model."""
+    known = list(models())
+    if as_json:
+        click.echo(json.dumps([_facts(model) for model in known], indent=2, ensure_ascii=False))
+        return
+    for model in known:
+        click.echo(f"{model.name}  {model.title}")
+        click.echo(f"  reads      {', '.join(model.channels)} in {model.unit}{_thermometer(model)}")
+        click.echo(f"  nominal    {model.offset:g} {model.unit} at 0 g, {model.sensitivity:g} {model.unit}/g")
+        click.echo(f"  address    {model.address}   or sim: (twin=FILE, seed=N) for the virtual twin")
+        click.echo("  the twin does not model")
+        for one in model.not_modelled:
+            click.echo(f"    - {one}")
+        click.echo()
+
+
+def _thermometer(model: Model) -> str:
+    return ", and its temperature" if model.thermometer else ""
+
+
+def _facts(model: Model) -> dict[str, Any]:
+    return {
+        "name": model.name,
+        "title": model.title,
+        "channels": list(model.channels),
+        "unit": model.unit,
+        "offset": model.offset,
+        "sensitivity": model.sensitivity,
+        "thermometer": model.thermometer,
+        "addresses": [model.address, "sim:"],
+        "twin_does_not_model": list(model.not_modelled),
+    }

@@ -1,0 +1,93 @@
+"""The ``tiltcal`` command. Each subcommand is a module that is imported only when it is called."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+import click
+
+from tiltcal import __version__
+from tiltcal.errors import TiltcalError
+
+COMMANDS = {
+    "devices": "list the sensor models, their addresses and what their twins leave out",
+    "procedures": "list the procedures, or show one",
+    "probe": "see whether a sensor answers, and test it",
+    "measure": "walk a sensor through a procedure and write its calibration file",
+    "replay": "run a captured session again, without hardware",
+    "fit": "calibrate from a recorded log",
+    "apply": "turn a recorded log of readings into compensated tilt",
+    "check": "check any tiltcal file",
+    "demo": "measure, calibrate and apply on the virtual bench",
+}
+"""Every command with its one line of help, so that ``tiltcal --help`` imports none of them."""
+
+INTERRUPTED = 130
+
+
+class Commands(click.Group):
+    """A group that knows its commands by name and imports the one that is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = import_module(f"tiltcal.cli.{cmd_name}").command
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if name not in COMMANDS and not name.startswith("-"):
+            from difflib import get_close_matches
+
+            near = get_close_matches(name, COMMANDS, n=1)
+            ctx.fail(f"no such command {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Example: tiltcal measure plane --sensor sca100t-d02 --address spi:///dev/spidev0.0 --serial S-0042 "
+    "-o S-0042.yaml",
+)
+@click.version_option(__version__, prog_name="tiltcal")
+def group() -> None:
+    """Calibrate tilt sensors at the bench, and remove their errors from recorded logs."""
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the command line and leave with the documented exit code."""
+    sys.exit(run(args))
+
+
+def run(args: list[str] | None = None) -> int:
+    """Run the command line; the exit code.
+
+    0 done; 1 done and judged failing; 2 wrong usage or bad input; 3 hardware or bus error; 130 interrupted.
+    """
+    try:
+        result = group.main(args=args, prog_name="tiltcal", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except TiltcalError as error:
+        click.echo(f"tiltcal: {error}", err=True)
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("tiltcal: interrupted", err=True)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output is gone, as with `| head`; what Python would still flush has nowhere to go.
+        sys.stdout = None
+        return 0
+    return result if isinstance(result, int) else 0

@@ -1,0 +1,148 @@
+"""``tiltcal measure``"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import click
+
+from tiltcal.bench.operators.operator import Operator
+from tiltcal.bench.session import Plan, Session, plan_session
+from tiltcal.errors import HardwareError, JournalError, Stopped, TiltcalError, UsageError
+from tiltcal.files.journal import read_journal
+from tiltcal.files.procedure import find_procedure
+
+
+@click.command(
+    epilog="Example: tiltcal measure zero-45 --sensor sca100t-d02 --address spi:///dev/spidev0.0 --serial S-0042 "
+    "-o S-0042.yaml"
+)
+@click.argument("procedure", required=False)
+@click.option("--sensor", metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
+@click.option("--address", help="Where it is connected, such as spi:///dev/spidev0.0, or sim: for its virtual twin.")
+@click.option("--serial", help="Its serial number, for the calibration file.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="The calibration file to write.")
+@click.option(
+    "--operator",
+    type=click.Choice(["terminal", "json", "sim"]),
+    default="terminal",
+    show_default=True,
+    help="Who brings the sensor into position: a person, a program over JSON Lines, or the virtual jig.",
+)
+@click.option("--samples", type=click.IntRange(2), help="Samples per position, in place of the procedure's.")
+@click.option(
+    "--settle",
+    type=click.FloatRange(0.0, min_open=True),
+    metavar="SECONDS",
+    help="How long a reading must hold still before it is sampled, in place of the procedure's.",
+)
+@click.option(
+    "--jig",
+    type=click.FloatRange(0.0),
+    metavar="DEGREES",
+    help="Standard uncertainty of a set angle; where it is not stated, the positions' scatter says it.",
+)
+@click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
+@click.option("--journal", type=click.Path(path_type=Path), help="Where the session is captured [beside the output].")
+@click.option("--resume", type=click.Path(path_type=Path), metavar="JOURNAL", help="Go on with an interrupted session.")
+@click.option("--plain", is_flag=True, help="Lines only: no live reading, no single keys.")
+def command(
+    procedure: str | None,
+    sensor: str | None,
+    address: str | None,
+    serial: str | None,
+    output: Path | None,
+    operator: str,
+    samples: int | None,
+    settle: float | None,
+    jig: float | None,
+    tilt: float | None,
+    journal: Path | None,
+    resume: Path | None,
+    plain: bool,
+) -> None:
+    """Walk a sensor through the positions of PROCEDURE and write its calibration file.
+
+    PROCEDURE is one of `tiltcal procedures`, or the path of your own. Everything is captured in a journal as it
+    happens: after a crash, a power cut or Ctrl-C, `--resume JOURNAL` goes on from the last byte.
+    """
+    if resume is not None and resume.exists():
+        captured = read_journal(resume)
+        if captured.torn:
+            click.echo(f"{resume}: the last line was torn off and is dropped", err=True)
+        session = Session(Plan.from_journal(captured), resume, captured)
+        operator = session.plan.operator if _left_at_default("operator") else operator
+    else:
+        wanted = {"PROCEDURE": procedure, "--sensor": sensor, "--address": address, "--serial": serial, "-o": output}
+        missing = [name for name, value in wanted.items() if value is None]
+        if resume is not None and missing:
+            raise JournalError("no such journal; nothing was captured there", file=resume)
+        if missing:
+            raise UsageError(f"measure needs {', '.join(missing)} (or --resume JOURNAL); see tiltcal measure --help")
+        place = (str(sensor), str(serial), str(address), Path(str(output)))
+        path = resume or journal or _free_journal(Path(str(output)))
+        plan = plan_session(
+            find_procedure(str(procedure), tilt),
+            [place],
+            path,
+            operator=operator,
+            samples=samples,
+            settle=settle,
+            jig=jig,
+        )
+        session = Session(plan, path)
+    session.preflight()
+    with ExitStack() as stack:
+        try:
+            session.measure(_operator(operator, session, plain, stack))
+        except KeyboardInterrupt:
+            raise Stopped(f"interrupted; {_how_to_go_on(session)}") from None
+        except (Stopped, HardwareError) as error:
+            raise type(error)(f"{error}; {_how_to_go_on(session)}") from None
+        except TiltcalError:
+            click.echo(_how_to_go_on(session), err=True)
+            raise
+
+
+def _left_at_default(option: str) -> bool:
+    context = click.get_current_context()
+    return context.get_parameter_source(option) is click.core.ParameterSource.DEFAULT
+
+
+def _free_journal(output: Path) -> Path:
+    """A journal's name beside the calibration file; an earlier session's journal is never touched."""
+    path = output.with_name(f"{output.stem}.journal.jsonl")
+    number = 2
+    while path.exists():
+        path = output.with_name(f"{output.stem}.{number}.journal.jsonl")
+        number += 1
+    if number > 2:
+        click.echo(f"an earlier journal is kept; this session is captured in {path}", err=True)
+    return path
+
+
+def _how_to_go_on(session: Session) -> str:
+    return f"what was measured is kept; go on with: tiltcal measure --resume {session.path}"
+
+
+def _operator(kind: str, session: Session, plain: bool, stack: ExitStack) -> Operator:
+    if kind == "json":
+        from tiltcal.bench.operators.program import JsonOperator
+
+        return JsonOperator(sys.stdin, sys.stdout)
+    if kind == "sim":
+        from tiltcal.bench.operators.sim import SimOperator
+
+        if not session.plan.virtual:
+            raise UsageError("--operator sim moves virtual sensors only; give --address sim:")
+        return SimOperator(lambda line: click.echo(line, err=True))
+    from rich.console import Console
+
+    from tiltcal.bench.operators.keys import Keys, LineKeys, TerminalKeys
+    from tiltcal.bench.operators.terminal import TerminalOperator
+
+    live = sys.stdin.isatty() and sys.stderr.isatty() and not plain
+    keys: Keys = stack.enter_context(TerminalKeys()) if live else LineKeys(sys.stdin)
+    return TerminalOperator(Console(stderr=True, no_color=plain or None), keys, session.models, live=live)

@@ -1,0 +1,58 @@
+"""``tiltcal probe``"""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from tiltcal.bench.virtual import VirtualBench
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus import open_link
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
+from tiltcal.drivers.device import SelfTesting
+from tiltcal.errors import UsageError
+
+JUDGED_FAILING = 1
+
+
+@click.command(epilog="Example: tiltcal probe --sensor sca100t-d02 --address spi:///dev/spidev0.0 --self-test")
+@click.option("--sensor", required=True, metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
+@click.option(
+    "--address", required=True, help="Where it is connected, such as spi:///dev/spidev0.0, or sim: for its twin."
+)
+@click.option("--self-test", "self_test", is_flag=True, help="Let the part test itself; lay it level and still.")
+@click.option("--json", "as_json", is_flag=True, help="Print an object for a program.")
+def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
+    """See whether a sensor answers, and what it says.
+
+    Exit code 3 where it does not answer, 1 where its self-test fails.
+    """
+    import time
+
+    where = parse_address(address)
+    model = find_model(sensor).at(where)
+    clock: Clock = VirtualClock() if where.simulated else SystemClock(time.time_ns())
+    link = VirtualBench(clock, [where], [model]).twin(where, model) if where.simulated else open_link(where, model)
+    try:
+        driver = model.driver(link, clock)
+        said = dict(driver.probe())
+        tests = {}
+        if self_test:
+            if not isinstance(driver, SelfTesting):
+                raise UsageError(f"{model.name} has no self-test that tiltcal can start")
+            tests = {channel: driver.self_test(channel) for channel in model.channels}
+    finally:
+        link.close()
+    passed = all(test.passed for test in tests.values())
+    if as_json:
+        results = {channel: {"passed": test.passed, "said": str(test)} for channel, test in tests.items()}
+        click.echo(json.dumps({"model": model.name, "address": address, "answers": said, "self_test": results}))
+    else:
+        click.echo(f"{model.name} answers at {address}")
+        for name, value in said.items():
+            click.echo(f"  {name:<12} {value}")
+        for channel, test in tests.items():
+            click.echo(f"  self-test {channel}  {'passed' if test.passed else 'FAILED'}: {test}")
+    return 0 if passed else JUDGED_FAILING

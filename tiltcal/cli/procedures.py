@@ -1,0 +1,50 @@
+"""``tiltcal procedures``"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from tiltcal.files.procedure import Procedure, find_procedure, shipped_procedures
+
+
+@click.command(
+    epilog="Example: tiltcal procedures plane --source > mine.yaml; edit it; run it: tiltcal measure ./mine.yaml ..."
+)
+@click.argument("procedure", required=False)
+@click.option("--source", is_flag=True, help="Print the file itself, to copy and edit.")
+@click.option("--json", "as_json", is_flag=True, help="Print objects for a program.")
+def command(procedure: str | None, source: bool, as_json: bool) -> None:
+    """List the procedures, or show the positions of one (a name, or the path of your own)."""
+    if procedure is None:
+        shown = [find_procedure(name) for name in shipped_procedures()]
+    else:
+        shown = [find_procedure(procedure)]
+    if source and procedure is not None:
+        click.echo(Path(shipped_procedures().get(procedure, Path(procedure))).read_text(), nl=False)
+    elif as_json:
+        click.echo(json.dumps([dict(one.record) for one in shown], indent=2, ensure_ascii=False))
+    elif procedure is None:
+        for one in shown:
+            click.echo(f"{one.name:<16} {one.title} ({len(one.positions)} positions)")
+    else:
+        _show(shown[0])
+
+
+def _show(procedure: Procedure) -> None:
+    determines = procedure.determines
+    click.echo(f"{procedure.name}: {procedure.title}")
+    if procedure.source:
+        click.echo(f"  source      {procedure.source}")
+    axes = f"sensitivity to {', '.join(determines.axes)}" if determines.axes else "no sensitivity"
+    orders = "".join(
+        f", {name} of order {order} over temperature"
+        for name, order in (("offset", determines.drift), ("sensitivity", determines.gain))
+        if order
+    )
+    click.echo(f"  determines  offset, {axes}{orders}")
+    click.echo(f"  samples     {procedure.samples} per position, still for {procedure.settle:g} s")
+    for number, position in enumerate(procedure.positions, start=1):
+        click.echo(f"  {number:>2}. {position.name:<12} {position.prompt}")

@@ -1,0 +1,61 @@
+"""Cells of a number column: our own rule on what is a number, in front of the engine that parses it.
+
+A number is ``[+-]digits[.digits][e[+-]digits]``; the digits before the point may be left out, those behind it may not
+(``2.`` is what is left of a row that was cut). An empty cell and NaN, NA, N/A, null, None in any case are a missing
+value, and so is an infinity. Blanks around a cell do not count. Everything else is an error.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiltcal.core.model import Array
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from tiltcal.core.compensate import Bits
+
+MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
+
+_CUT_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)[eE][+-]?|\d*\.)?")
+
+
+def numbers(cells: pl.Series) -> tuple[Array, Bits | None]:
+    """Parse the cells of one column.
+
+    Parameters
+    ----------
+    cells : polars.Series of String, length n
+
+    Returns
+    -------
+    values : ndarray, shape (n,)
+        The nearest double to each number; NaN where the value is missing or the cell is no number.
+    wrong : ndarray of bool, shape (n,), or None
+        The cells that are no number; None where there are none.
+    """
+    import polars as pl
+
+    texts = cells.fill_null("").str.strip_chars(" \t")
+    parsed = texts.cast(pl.Float64, strict=False)
+    values = parsed.fill_null(np.nan).to_numpy(writable=True)
+    doubtful = parsed.is_null() | texts.str.ends_with(".")
+    distinct = texts.filter(doubtful).unique().to_list()
+    no_numbers = [text for text in distinct if text.casefold() not in MISSING]
+    if not no_numbers:
+        return values, None
+    wrong = (doubtful & texts.is_in(no_numbers)).to_numpy(writable=True)
+    values[wrong] = np.nan
+    return values, wrong
+
+
+def is_cut(cell: str) -> bool:
+    """Whether the last cell of a file that does not end its last line looks like the beginning of a number.
+
+    ``2.``, ``1e``, ``-`` and the empty cell do; ``2``, ``2.5`` and ``done`` do not: nobody can tell that they are.
+    """
+    return _CUT_NUMBER.fullmatch(cell.strip()) is not None

@@ -1,0 +1,113 @@
+"""Which column of a log holds which reading."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+
+from tiltcal.errors import InputError, UsageError
+
+TEMPERATURE = "temperature"
+TIME = "time"
+
+
+def parse_columns(text: str, channels: Sequence[str]) -> dict[str, str]:
+    """What ``--columns x=VoutX,y=VoutY,temperature=T`` says.
+
+    Parameters
+    ----------
+    text : str
+        Pairs of role and column name, parted by commas; empty for none.
+    channels : sequence of str
+        The roles that a log may have besides temperature and time.
+
+    Returns
+    -------
+    dict of str to str
+        Column name by role, for the roles that the text names.
+
+    Raises
+    ------
+    UsageError
+        A pair without ``=``, a role that there is not, or one that is named twice.
+    """
+    roles = (*channels, TEMPERATURE, TIME)
+    named: dict[str, str] = {}
+    for pair in filter(None, (part.strip() for part in text.split(","))):
+        role, equals, column = (part.strip() for part in pair.partition("="))
+        if not equals or not column:
+            raise UsageError(f"--columns: {pair!r} is no pair; write role=column, such as {roles[0]}=VoutX")
+        if role not in roles:
+            raise UsageError(f"--columns: there is no role {role!r}{_suggestion(role, roles)}")
+        if role in named:
+            raise UsageError(f"--columns: {role} is named twice")
+        named[role] = column
+    return named
+
+
+def locate_columns(
+    names: Sequence[str], channels: Sequence[str], named: Mapping[str, str], *, file: str, line: int = 1
+) -> dict[str, int]:
+    """Where the readings stand in a log.
+
+    A role that was not named has the column of its own name. Temperature may be absent where it was not named.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The header of the log.
+    channels : sequence of str
+        The readings that are needed.
+    named : mapping of str to str
+        Column name by role, from :func:`parse_columns`.
+    file : str
+        The log as the user named it, for the message.
+    line : int
+        Where its header stands.
+
+    Returns
+    -------
+    dict of str to int
+        Index by role, for every channel and, where there is one, the temperature.
+
+    Raises
+    ------
+    InputError
+        A column is not there; the message lists those that are.
+    """
+    where = {name: index for index, name in enumerate(names)}
+    located: dict[str, int] = {}
+    for role in (*channels, TEMPERATURE, TIME):
+        column = named.get(role, role)
+        if column in where:
+            located[role] = where[column]
+        elif role in named or role in channels:
+            raise InputError(_absent(role, column, names), file=file, line=line)
+    located.pop(TIME, None)
+    return located
+
+
+def _absent(role: str, column: str, names: Sequence[str]) -> str:
+    if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
+        return f"the header {names[0]!r} is one single column: part the columns with commas"
+    if all(_is_number(name) for name in names if name):
+        return "the first line holds numbers: it must name the columns, such as time,x,y,temperature"
+    listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+    return (
+        f"there is no column {column!r}{_suggestion(column, names)}; the log has {listed}. "
+        f"Name it with --columns {role}=NAME"
+    )
+
+
+def _suggestion(wanted: str, present: Sequence[str]) -> str:
+    folded = {name.casefold(): name for name in present}
+    near = get_close_matches(wanted.casefold(), folded, n=1)
+    return f" (did you mean {folded[near[0]]!r}?)" if near else ""
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

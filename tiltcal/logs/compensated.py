@@ -1,0 +1,147 @@
+"""A log on its way through the compensation: read rows, compensate, write rows."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+
+from tiltcal.core.compensate import FLAGS, REASONS, Compensation
+from tiltcal.errors import UsageError
+from tiltcal.logs.columns import TEMPERATURE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tiltcal.logs.csv_log import CsvLog
+    from tiltcal.logs.csv_rows import Rows
+
+
+@dataclass
+class Summary:
+    """What came out of a log.
+
+    Attributes
+    ----------
+    rows : int
+        Written, every one that was read.
+    flags : Counter
+        Rows by flag.
+    reasons : Counter
+        Rows by bit of the reason; a row may have several.
+    bad_rows : int
+        Rows that could not be parsed and were kept as missing.
+    """
+
+    rows: int = 0
+    flags: Counter[int] = field(default_factory=Counter)
+    reasons: Counter[int] = field(default_factory=Counter)
+    bad_rows: int = 0
+
+    def add(self, flag: NDArray[np.uint8], reason: NDArray[np.uint8], bad_rows: int) -> None:
+        """Count some rows."""
+        self.rows += len(flag)
+        self.bad_rows += bad_rows
+        for value, count in enumerate(np.bincount(flag).tolist()):
+            if count:
+                self.flags[value] += count
+        for mask, count in enumerate(np.bincount(reason).tolist()):
+            for bit in REASONS:
+                if count and mask & bit:
+                    self.reasons[bit] += count
+
+    def as_data(self) -> dict[str, object]:
+        """The counts as plain data, every flag and reason that occurred."""
+        return {
+            "rows": self.rows,
+            "flags": {str(flag): self.flags[flag] for flag in FLAGS if self.flags[flag]},
+            "reasons": {str(bit): self.reasons[bit] for bit in REASONS if self.reasons[bit]},
+            "bad_rows": self.bad_rows,
+        }
+
+    def as_text(self) -> str:
+        """The counts in words, one line for each."""
+        lines = [_counted(self.rows, "row")]
+        lines += [f"  flag {flag} {name}: {self.flags[flag]}" for flag, name in FLAGS.items() if self.flags[flag]]
+        lines += [f"  reason {bit} {why}: {self.reasons[bit]}" for bit, why in REASONS.items() if self.reasons[bit]]
+        if self.bad_rows:
+            lines.append(f"  {_counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
+        return "\n".join(lines)
+
+
+def compensate_log(
+    log: CsvLog,
+    sink: BinaryIO,
+    compensation: Compensation,
+    channels: Sequence[str],
+    columns: Mapping[str, int],
+    progress: Callable[[int], None] | None = None,
+) -> Summary:
+    """Write a log's rows with the compensated columns behind their own.
+
+    Parameters
+    ----------
+    log : CsvLog
+        Its columns pass through byte for byte.
+    sink : BinaryIO
+        Takes the header and one row for each row of the log, in order.
+    compensation : Compensation
+    channels : sequence of str
+        The readings, in the order of the calibration.
+    columns : mapping of str to int
+        Where each channel and, if there is one, the temperature stands in the log.
+    progress : callable, optional
+        Told how many bytes of the log have been read.
+
+    Returns
+    -------
+    Summary
+
+    Raises
+    ------
+    UsageError
+        The log has a column of a name that the result needs.
+    InputError
+        See :class:`CsvLog`.
+    """
+    taken = [name for name in compensation.columns if name in log.names]
+    if taken:
+        raise UsageError(
+            f"the log has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
+        )
+    summary = Summary()
+    added = ",".join(compensation.columns)
+    header_written = False
+    for rows in log.rows(sorted(set(columns.values()))):
+        readings = np.stack([rows.values[columns[channel]] for channel in channels]).T
+        readings[list(rows.faults)] = np.nan
+        temperature = rows.values[columns[TEMPERATURE]] if TEMPERATURE in columns else None
+        result = compensation(readings, temperature)
+        if not header_written:
+            sink.write(log.header + f",{added}{log.line_end}".encode())
+            header_written = True
+        _write(sink, rows, compensation.table(result), log.line_end)
+        summary.add(result.flag, result.reason, len(rows.faults))
+        if progress is not None:
+            progress(log.bytes_read)
+    return summary
+
+
+def _write(
+    sink: BinaryIO, rows: Rows, table: Mapping[str, NDArray[np.float64] | NDArray[np.uint8]], line_end: str
+) -> None:
+    """The rows' own text and the columns behind it."""
+    import polars as pl
+
+    text = BytesIO()
+    frame = pl.DataFrame({"": rows.lines, **table})
+    frame.write_csv(text, include_header=False, quote_style="never", line_terminator=line_end)
+    sink.write(text.getbuffer() if rows.encoding == "utf-8" else text.getvalue().decode().encode(rows.encoding))
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"

@@ -1,0 +1,171 @@
+"""The CSV door: a recorded log, read block by block so that its size does not matter.
+
+The first line names the columns, every other line is a row (:mod:`tiltcal.logs.csv_rows` says what that is). Empty
+lines at the very end of the file are nothing.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from typing import BinaryIO
+
+from tiltcal.errors import InputError
+from tiltcal.logs.csv_rows import Rows, parse_rows
+
+_BLOCK = 4 << 20
+_LONGEST_ROW = 64 << 20
+_UTF8_BOM = b"\xef\xbb\xbf"
+_UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
+
+
+class CsvLog:
+    """A log in CSV, read once from its beginning to its end.
+
+    Parameters
+    ----------
+    stream : BinaryIO
+        A file or standard input.
+    name : str
+        The log as the user named it, for messages.
+    skip_bad_rows : bool
+        Keep rows that cannot be parsed, named in :attr:`Rows.faults`, instead of raising.
+    block : int
+        How much to read at a time, bytes.
+
+    Attributes
+    ----------
+    header : bytes
+        The first line as it stands, byte-order mark and all, without its line end.
+    names : tuple of str
+        The columns.
+    line_end : str
+        LF or CRLF, as the first line has it.
+    bytes_read : int
+        So far.
+
+    Raises
+    ------
+    InputError
+        The file is empty or no text, or its header names a column twice.
+    """
+
+    def __init__(self, stream: BinaryIO, *, name: str, skip_bad_rows: bool = False, block: int = _BLOCK) -> None:
+        self._stream = stream
+        self._name = name
+        self._skip_bad_rows = skip_bad_rows
+        self._block = block
+        self._line = 1
+        self.bytes_read = 0
+        first, self._pending = self._first_line()
+        self._line = 2
+        self.line_end = "\r\n" if first.endswith(b"\r\n") else "\n"
+        self.header = first.removesuffix(b"\n").removesuffix(b"\r")
+        self.names = self._column_names()
+
+    def rows(self, columns: Sequence[int]) -> Iterator[Rows]:
+        """The rows, block after block.
+
+        Parameters
+        ----------
+        columns : sequence of int
+            Indices of the columns that hold needed numbers.
+
+        Yields
+        ------
+        Rows
+
+        Raises
+        ------
+        InputError
+            There is no row, or a row cannot be parsed; the message names file and line, and what was found there.
+        """
+        empty = True
+        for data, ended, unended in self._blocks():
+            rows = parse_rows(data, self.names, columns, unended=unended)
+            if rows.faults and not self._skip_bad_rows:
+                row = min(rows.faults)
+                raise self._error(rows.faults[row], self._line + rows.starts[row])
+            self._line += rows.line_count
+            if rows.rest and ended:
+                raise self._error("a quoted field opens here and does not end as it should", self._line)
+            self._pending = rows.rest + self._pending
+            if len(rows.lines):
+                empty = False
+                yield rows
+        if empty:
+            raise self._error("the log has a header and no rows", self._line)
+
+    def _blocks(self) -> Iterator[tuple[bytes, bool, bool]]:
+        """Whole lines; whether they are the last; whether the very last had no end."""
+        ended = False
+        while not ended:
+            more = self._read()
+            ended = not more
+            self._pending += more
+            unended = ended and not self._pending.endswith(b"\n")
+            if unended and self._pending:
+                data, self._pending = self._pending + b"\n", b""
+            else:
+                cut = _end_of_content(self._pending)
+                data, self._pending = self._pending[:cut], self._pending[cut:]
+            self._refuse_endless(self._pending, data)
+            if data:
+                yield data, ended, unended
+
+    def _read(self) -> bytes:
+        data = self._stream.read(self._block)
+        self.bytes_read += len(data)
+        return data
+
+    def _first_line(self) -> tuple[bytes, bytes]:
+        """The first line, and what was read behind it."""
+        data = b""
+        while b"\n" not in data and (more := self._read()):
+            data += more
+            self._refuse_endless(data)
+        first, end, rest = data.partition(b"\n")
+        if not data.removeprefix(_UTF8_BOM).strip():
+            raise InputError("the log is empty", file=self._name)
+        return first + end, rest
+
+    def _column_names(self) -> tuple[str, ...]:
+        if self.header.startswith(_UTF16_BOMS) or b"\0" in self.header:
+            raise self._error("this is no CSV text: save the log as CSV in UTF-8", 1)
+        if b"\r" in self.header:
+            raise self._error("the lines end in CR alone: save the log with LF or CRLF", 1)
+        text = self.header.removeprefix(_UTF8_BOM)
+        try:
+            names = tuple(name.strip() for name in next(csv.reader([_text(text)], strict=True), []))
+        except csv.Error as failure:
+            raise self._error(f"the header cannot be parsed: {failure}", 1) from None
+        if not any(names):
+            raise self._error("the first line is empty: it must name the columns", 1)
+        seen: set[str] = set()
+        for name in filter(None, names):
+            if name in seen:
+                raise self._error(f"the header names column {name!r} twice: rename one of them", 1)
+            seen.add(name)
+        return names
+
+    def _refuse_endless(self, pending: bytes, before: bytes = b"") -> None:
+        """Stop at what is no log, before it fills the memory; ``before`` are the lines in front of it."""
+        if len(pending) > _LONGEST_ROW:
+            line = self._line + before.count(b"\n")
+            raise self._error(f"the row does not end within {_LONGEST_ROW >> 20} MB: is this a CSV log?", line)
+
+    def _error(self, message: str, line: int) -> InputError:
+        return InputError(message, file=self._name, line=line)
+
+
+def _end_of_content(data: bytes) -> int:
+    """Where the last whole line ends that is not empty: empty ones behind it may be the end of the file."""
+    content = len(data[: data.rfind(b"\n") + 1].rstrip(b"\r\n"))
+    return data.find(b"\n", content) + 1 if content else 0
+
+
+def _text(data: bytes) -> str:
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1")

@@ -1,0 +1,49 @@
+"""A calibration in a few lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import asin, degrees
+
+import numpy as np
+
+from tiltcal.files.calibration import Calibration
+
+
+def summary(calibration: Calibration) -> str:
+    """The coefficients with their standard uncertainties, and how well the positions fit."""
+    return "\n".join(_lines(calibration))
+
+
+def _lines(calibration: Calibration) -> Iterator[str]:
+    sensor, coefficients, u = calibration.sensor, calibration.coefficients, calibration.uncertainty
+    yield f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)"
+    for row, channel in enumerate(coefficients.channels):
+        yield f"  offset {channel}          {_pair(coefficients.offset[row], u['offset'][channel])} {sensor.unit}"
+    for row, channel in enumerate(coefficients.channels):
+        for column, axis in enumerate(coefficients.axes):
+            value = _pair(coefficients.sensitivity[row, column], u["sensitivity"][channel][axis])
+            yield f"  sensitivity {channel}{axis}    {value} {sensor.unit}/g"
+    thermal = coefficients.thermal
+    if thermal is not None:
+        for name, table, units in (("offset", thermal.drift, sensor.unit + "/"), ("sensitivity", thermal.gain, "1/")):
+            for row, channel in enumerate(coefficients.channels):
+                for power, value in enumerate(table[row], start=1):
+                    told = _pair(value, u["temperature"][name][channel][power - 1])
+                    yield f"  {name} {channel} over T   {told} {units}°C{'' if power == 1 else f'^{power}'}"
+    fit = calibration.fit
+    if "worst" in fit:
+        worst = fit["worst"]
+        own = float(np.max(np.abs(coefficients.sensitivity)))
+        angle = degrees(asin(min(abs(worst["residual"]) / own, 1.0)))
+        yield (
+            f"  worst residual  {worst['position']}, channel {worst['channel']}: {worst['residual']:g} {sensor.unit} "
+            f"({angle:.3f}° near level)"
+        )
+    yield f"  degrees of freedom {fit['degrees_of_freedom']}, uncertainty from {fit['uncertainty_from']}" + (
+        f", chi-square {fit['chi_square']:g}" if "chi_square" in fit else ""
+    )
+
+
+def _pair(value: float, u: float) -> str:
+    return f"{value:>12.6g} ± {u:.2g}"
