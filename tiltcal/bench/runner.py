@@ -30,6 +30,9 @@ ATTEMPTS = 5
 NUDGED = 0.002
 """A change while sampling above this is a sensor that was touched, g (0.1° near level)."""
 
+NUDGED_SIGMAS = 6.0
+"""And it must be this many standard uncertainties: a refusal costs the operator time, a look while settling does not."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -212,7 +215,7 @@ class Runner:
             held.append((self._clock.now_ns() / 1e9, sample))
             self._look(position, sample, f"sample {number + 1} of {self._settings.samples}")
             self._clock.sleep(interval)
-        moved = movement(held, self._models, still=NUDGED) if len(held) > 2 else None
+        moved = movement(held, self._models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(held) > 2 else None
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
         summaries, temperatures = [], []

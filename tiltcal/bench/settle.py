@@ -115,6 +115,7 @@ def movement(
     models: Sequence[Model],
     temperature_drift: float | None = None,
     still: float = STILL,
+    sigmas: float = SIGMAS,
 ) -> str | None:
     """What changes over a run of samples, in words, or None.
 
@@ -128,6 +129,8 @@ def movement(
         The largest change of temperature that is still steady, °C.
     still : float
         The largest change of a reading that is still steady, g.
+    sigmas : float
+        A change below this many of its own standard uncertainties is noise.
     """
     times = [time for time, _ in held]
     span = times[-1] - times[0]
@@ -136,7 +139,7 @@ def movement(
         for place, channel in enumerate(model.channels):
             values = [reading.values[place] for reading in readings]
             change, uncertainty = drift(times, values)
-            if abs(change) > max(still * model.sensitivity, SIGMAS * uncertainty):
+            if abs(change) > max(still * model.sensitivity, sigmas * uncertainty):
                 return f"{channel} drifts by {change:+.4g} {model.unit} in {span:.3g} s"
             mean = sum(values) / len(values)
             scatter = (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5
@@ -145,6 +148,6 @@ def movement(
         temperatures = [reading.temperature for reading in readings if reading.temperature is not None]
         if temperature_drift is not None and len(temperatures) == len(readings):
             change, uncertainty = drift(times, temperatures)
-            if abs(change) > max(temperature_drift, SIGMAS * uncertainty):
+            if abs(change) > max(temperature_drift, sigmas * uncertainty):
                 return f"the temperature drifts by {change:+.2f} °C in {span:.3g} s"
     return None

@@ -1,0 +1,74 @@
+"""Mean, noise and uncertainty of a run of samples."""
+
+from __future__ import annotations
+
+import statistics
+from math import sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tiltcal.core.statistics import drift, summarise
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=50))
+def test_mean_and_std_are_the_standard_librarys(samples: list[float]) -> None:
+    summary = summarise(samples)
+    assert summary.mean == pytest.approx(statistics.fmean(samples), rel=1e-12, abs=1e-9)
+    assert summary.std == pytest.approx(statistics.stdev(samples), rel=1e-6, abs=1e-6)
+
+
+def test_white_noise_averages_down() -> None:
+    """The stated uncertainty is what means of white noise scatter by, over many runs."""
+    rng = np.random.default_rng(1)
+    runs = [summarise(rng.normal(0.0, 2.0, 100).tolist()) for _ in range(400)]
+    scatter = np.std([run.mean for run in runs])
+    assert scatter == pytest.approx(0.2, rel=0.1)
+    assert 0.9 * scatter < np.sqrt(np.mean([run.u**2 for run in runs])) < 1.35 * scatter
+
+
+def test_correlated_noise_does_not() -> None:
+    """An autoregressive record: std/sqrt(n) would claim far too little, the block means do not."""
+    rng = np.random.default_rng(2)
+    runs = []
+    for _ in range(200):
+        noise = rng.normal(size=400)
+        for i in range(1, 400):
+            noise[i] += 0.9 * noise[i - 1]
+        runs.append(summarise(noise.tolist()))
+    scatter = np.std([run.mean for run in runs])
+    claimed = np.sqrt(np.mean([run.u**2 for run in runs]))
+    naive = np.mean([run.std for run in runs]) / sqrt(400)
+    assert naive < 0.4 * scatter
+    assert 0.7 * scatter < claimed < 1.3 * scatter
+
+
+def test_a_reading_that_never_changes_is_uncertain_by_its_step() -> None:
+    assert summarise([1024.0] * 100, resolution=1.0).u == pytest.approx(1 / sqrt(12))
+
+
+def test_dithered_quantisation_averages_out() -> None:
+    """Noise of 0.6 step: means of rounded samples scatter about the truth as the stated uncertainty says."""
+    rng = np.random.default_rng(3)
+    errors, claimed = [], []
+    for _ in range(400):
+        truth = rng.uniform(0.0, 1.0)
+        summary = summarise(np.round(rng.normal(truth, 0.6, 200)).tolist(), resolution=1.0)
+        errors.append(summary.mean - truth)
+        claimed.append(summary.u)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.sqrt(np.mean(np.square(claimed))), rel=0.25)
+
+
+def test_drift_is_the_lines_change() -> None:
+    times = [0.1 * k for k in range(50)]
+    change, uncertainty = drift(times, [3.0 + 0.5 * time for time in times])
+    assert change == pytest.approx(0.5 * 4.9)
+    assert uncertainty == pytest.approx(0.0, abs=1e-9)
+
+
+def test_drift_uncertainty_covers_noise() -> None:
+    rng = np.random.default_rng(4)
+    times = [0.1 * k for k in range(40)]
+    ratios = [change / u for change, u in (drift(times, rng.normal(size=40).tolist()) for _ in range(500))]
+    assert np.std(ratios) == pytest.approx(1.0, abs=0.12)

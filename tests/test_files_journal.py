@@ -1,0 +1,131 @@
+"""The journal survives any truncation, and shows any change."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from tiltcal.errors import JournalError, UsageError
+from tiltcal.files.journal import Event, JournalWriter, read_journal
+
+EVENTS = [
+    (48000, "s", "100000", "008f20"),
+    (198000, "s", "110000", "008020"),
+    (0, "!", "0800", "the sensor is unplugged"),
+    (5_000_000_000, "a", {"to": "position", "answer": "ready"}),
+    (7, "p", {"position": "x-tilt1", "mean": {"x": 1433.25}}),
+]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "S-1.journal.jsonl"
+
+
+def captured(path: Path, *, finished: bool = True) -> bytes:
+    writer = JournalWriter.create(path, {"software": "tiltcal", "serial": "Ä-1"})
+    for event in EVENTS:
+        writer.append(*event)
+    if finished:
+        writer.finish(3)
+    writer.close()
+    return path.read_bytes()
+
+
+def test_what_was_written_is_read(path: Path) -> None:
+    captured(path)
+    journal = read_journal(path)
+    assert journal.header["serial"] == "Ä-1"
+    assert [(event.dt_ns, event.kind, *event.payload) for event in journal.events] == EVENTS
+    assert journal.events[0] == Event(2, 48000, "s", ("100000", "008f20"))
+    assert journal.end is not None
+    assert not journal.torn
+
+
+def test_the_check_is_a_running_crc32_of_the_lines_without_it(path: Path) -> None:
+    """Computed here with the standard library from the documented format."""
+    data = captured(path, finished=False)
+    running = 0
+    for line in data.decode().splitlines():
+        value = json.loads(line)
+        check = value.pop("check") if isinstance(value, dict) else value.pop()
+        running = zlib.crc32(json.dumps(value, ensure_ascii=False, separators=(",", ":")).encode(), running)
+        assert check == f"{running:08x}"
+
+
+def test_every_truncation_gives_the_whole_lines_before_it(path: Path) -> None:
+    data = captured(path)
+    ends = [index + 1 for index, byte in enumerate(data) if byte == ord("\n")]
+    for size in range(ends[0], len(data)):
+        path.write_bytes(data[:size])
+        journal = read_journal(path)
+        whole = sum(1 for end in ends if end <= size)
+        assert len(journal.events) == whole - 1
+        assert journal.torn == (size not in ends)
+        assert journal.end is None
+
+
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(data=st.data())
+def test_a_changed_byte_is_an_error_that_names_its_line(data, tmp_path_factory) -> None:
+    path = tmp_path_factory.mktemp("journal") / "j.jsonl"
+    whole = captured(path)
+    place = data.draw(st.integers(0, len(whole) - 2))
+    byte = data.draw(st.integers(0, 255).filter(lambda byte: byte != whole[place]))
+    path.write_bytes(whole[:place] + bytes([byte]) + whole[place + 1 :])
+    with pytest.raises(JournalError) as failure:
+        read_journal(path)
+    assert failure.value.line == whole[:place].count(b"\n") + 1
+
+
+def test_a_lost_line_is_an_error(path: Path) -> None:
+    lines = captured(path).splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:2] + lines[3:]))
+    with pytest.raises(JournalError, match=r"jsonl:3: .*damaged"):
+        read_journal(path)
+
+
+def test_nothing_may_follow_the_end(path: Path) -> None:
+    whole = captured(path)
+    path.write_bytes(whole + whole.splitlines(keepends=True)[1])
+    with pytest.raises(JournalError, match=r"jsonl:8: "):
+        read_journal(path)
+
+
+def test_resumed_it_is_the_journal_of_a_session_that_was_never_stopped(path: Path, tmp_path: Path) -> None:
+    never_stopped = captured(tmp_path / "other" / path.name if (tmp_path / "other").mkdir() is None else path)
+    data = captured(path, finished=False)
+    lines = data.splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:3]) + lines[3][:10])
+    writer = JournalWriter.resume(read_journal(path))
+    for event in EVENTS[2:]:
+        writer.append(*event)
+    writer.finish(3)
+    writer.close()
+    assert path.read_bytes() == never_stopped
+
+
+def test_an_existing_journal_is_never_overwritten(path: Path) -> None:
+    whole = captured(path)
+    with pytest.raises(UsageError, match="--resume"):
+        JournalWriter.create(path, {})
+    assert path.read_bytes() == whole
+
+
+def test_two_programs_cannot_write_one_journal(path: Path) -> None:
+    writer = JournalWriter.create(path, {})
+    with pytest.raises(JournalError, match="another tiltcal"):
+        JournalWriter.resume(read_journal(path))
+    writer.close()
+    JournalWriter.resume(read_journal(path)).close()
+
+
+@pytest.mark.parametrize("content", [b"", b'{"tiltcal-journal"', b"time,x\n1,2\n", b"\x00" * 100 + b"\n", b"{}\n"])
+def test_what_is_no_journal_is_said_so(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    with pytest.raises(JournalError, match=str(path)):
+        read_journal(path)
