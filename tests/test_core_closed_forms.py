@@ -79,7 +79,7 @@ class TestSignOfEquations5And6:
     U_X, U_Y = OFFSET + S @ (G_X, G_Y)
 
     def error(self, reading_x: float) -> float:
-        return abs((reading_x - self.OFFSET[0]) / self.S[0, 0] - self.G_X)
+        return abs((reading_x - 2.5) / 2.0 - self.G_X)
 
     def test_the_three_errors(self) -> None:
         minus = first_order_compensation(self.U_X, self.U_Y, 2.5, 0.04, 2.0)

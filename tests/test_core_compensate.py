@@ -40,7 +40,8 @@ def second_order(channels: int) -> Thermal:
 
 def directions(count: int, seed: int) -> Array:
     vectors = np.random.default_rng(seed).normal(size=(count, 3))
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit: Array = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return unit
 
 
 def signals(row: Array, temperature: float, known: Coefficients) -> list[float]:
@@ -314,6 +315,18 @@ class TestShape:
         Compensation(known)(readings, temperature)
         assert (readings == 1100.0).all()
         assert temperature.tolist() == pytest.approx([20.0, nan, 30.0], nan_ok=True)
+
+    def test_memory_can_be_used_again(self) -> None:
+        known = coefficients(THREE)
+        kernel = Compensation(known)
+        room = Compensated.empty(5, 3)
+        kernel(np.full((5, 3), nan), out=room)
+        readings = known.predict(directions(5, 6))
+        assert kernel(readings, out=room) is room
+        for name, column in kernel.table(kernel(readings)).items():
+            np.testing.assert_array_equal(kernel.table(room)[name], column)
+        with pytest.raises(ValueError, match="out has shape"):
+            kernel(readings[:4], out=room)
 
     def test_no_rows_give_no_rows(self) -> None:
         assert Compensation(coefficients(THREE))(np.empty((0, 3))).tilt.shape == (0, 3)

@@ -27,6 +27,9 @@ from tiltcal.files.procedure import Position, Procedure
 ATTEMPTS = 5
 """Refusals in a row that the hardware may cause before the session stops."""
 
+RECOVERY = 1.0
+"""Seconds that a bus is left alone after an error."""
+
 NUDGED = 0.002
 """A change while sampling above this is a sensor that was touched, g (0.1° near level)."""
 
@@ -149,7 +152,7 @@ class Runner:
         as_set = _as_set(position, answer)
         if as_set != position:
             self._hold(as_set)
-        self._settle(position, self._procedure.positions[len(taken) - 1] if taken else None)
+        self._settle(position, self._procedure.positions[len(taken) - 1] if taken else None, answer.temperature)
         result = self._sample(as_set, answer.temperature)
         self._failures = 0
         expectations = self._expectations(taken)
@@ -168,6 +171,8 @@ class Runner:
             if self._failures >= ATTEMPTS:
                 raise error
         self._tell(lambda: self._operator.refused(position, str(error)))
+        if isinstance(error, HardwareError):
+            self._clock.sleep(RECOVERY)
 
     def _ask(self, question: str, live: Callable[[], Answer]) -> Answer:
         """An answer from the tape or the operator; live readings that were shown meanwhile are played first."""
@@ -197,11 +202,13 @@ class Runner:
         for bay in self._bays:
             bay.sensor.discard()
 
-    def _settle(self, position: Position, before: Position | None) -> None:
+    def _settle(self, position: Position, before: Position | None, typed: float | None) -> None:
         """Wait until still; until the temperature is, where this position changes it."""
         window = Window(self._settings.settle)
         if position.temperature is not None and (before is None or before.temperature != position.temperature):
-            window = Window(self._settings.soak, self._procedure.soak_drift)
+            # A temperature that the operator types is vouched for; the thermometer may be far off.
+            target = position.temperature if typed is None else None
+            window = Window(self._settings.soak, self._procedure.soak_drift, target)
         self._discard()
         wait_until_still(
             self._read, self._models, self._clock, window, lambda sample, why: self._look(position, sample, why)

@@ -180,7 +180,7 @@ def plan_session(
         settings=Settings(samples or procedure.samples, settle or procedure.settle, procedure.soak_seconds * scale),
         jig=jig,
         operator=operator,
-        started=VIRTUAL_START if virtual else datetime.now(UTC),
+        started=VIRTUAL_START if virtual else _to_the_millisecond(datetime.now(UTC)),
         software=f"tiltcal {tiltcal.__version__}",
         journal=journal.name,
     )
@@ -352,6 +352,11 @@ def _require_in_range(procedure: Procedure, model: Model) -> None:
                     f"position {position.name} is outside the range of {model.name}: {channel} would read about "
                     f"{expected:.5g} {model.unit}, between {model.rails[0]:g} and {model.rails[1]:g} it can{hint}"
                 )
+
+
+def _to_the_millisecond(moment: datetime) -> datetime:
+    """What a stamp can hold, so that a replay counts from the same instant."""
+    return moment.replace(microsecond=moment.microsecond // 1000 * 1000)
 
 
 def _stamp(moment: datetime) -> str:

@@ -16,6 +16,12 @@ LOOKS = 40
 FEWEST = 5
 """Readings without which nothing can be said of a window."""
 
+NEAR = 2.0
+"""How far a sensor's own thermometer may be from the temperature that was asked for, °C."""
+
+FAR_WINDOWS = 10
+"""Windows for which a temperature must hold where it is farther: a chamber on its way is not a chamber at rest."""
+
 SIGMAS = 4.0
 """A drift below this many of its own standard uncertainties is noise."""
 
@@ -52,15 +58,25 @@ class Window:
         Its length.
     temperature_drift : float or None
         The largest change of temperature in it, °C; None where temperature does not matter.
+    target : float or None
+        The temperature that was asked for, °C; None where the thermometer's word does not matter.
     """
 
     seconds: float
     temperature_drift: float | None = None
+    target: float | None = None
 
     @property
     def patience(self) -> float:
         """Seconds after which waiting ends."""
         return max(PATIENCE if self.temperature_drift is None else OVERNIGHT, 10 * self.seconds)
+
+    def needed(self, sample: Sample) -> float:
+        """Seconds over which readings must hold, given what the thermometers say now."""
+        if self.target is None:
+            return self.seconds
+        off = [abs(r.temperature - self.target) for r in sample if r.temperature is not None]
+        return self.seconds * (FAR_WINDOWS if off and max(off) > NEAR else 1)
 
 
 def wait_until_still(
@@ -97,10 +113,12 @@ def wait_until_still(
         now = clock.now_ns() / 1e9
         began = now if began is None else began
         held.append((now, sample))
-        while len(held) > FEWEST and now - held[1][0] >= window.seconds:
+        while len(held) > FEWEST and now - held[1][0] >= window.seconds * FAR_WINDOWS:
             held.popleft()
-        if len(held) >= FEWEST and now - held[0][0] >= window.seconds:
-            moving = movement(held, models, window.temperature_drift)
+        needed = window.needed(sample)
+        within = [one for one in held if now - one[0] <= needed + pause]
+        if len(within) >= FEWEST and now - within[0][0] >= needed:
+            moving = movement(within, models, window.temperature_drift)
             if moving is None:
                 return
             why = moving
@@ -111,7 +129,7 @@ def wait_until_still(
 
 
 def movement(
-    held: Sequence[Timed] | deque[Timed],
+    held: Sequence[Timed],
     models: Sequence[Model],
     temperature_drift: float | None = None,
     still: float = STILL,

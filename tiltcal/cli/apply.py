@@ -105,14 +105,14 @@ def _with_rails(calibration: Calibration) -> Limits:
 def _source(log: str) -> Iterator[tuple[BinaryIO, str, int | None]]:
     """The log's bytes, what to call it in messages, and its size where it has one."""
     if log == _STANDARD:
-        yield click.get_binary_stream("stdin"), "standard input", None
+        yield sys.stdin.buffer, "standard input", None
         return
     try:
         stream = open(log, "rb")  # noqa: SIM115 (only what opening raises is about opening)
     except OSError as failure:
         raise UsageError(f"cannot read {log}: {failure.strerror}") from failure
     with stream:
-        yield stream, log, os.fstat(stream.fileno()).st_size
+        yield stream, log, os.fstat(stream.fileno()).st_size or None
 
 
 @contextmanager
@@ -127,7 +127,7 @@ def _sink(output: str) -> Iterator[BinaryIO]:
     with SpooledTemporaryFile(_SPOOL) as spool:
         yield cast("BinaryIO", spool)
         spool.seek(0)
-        stdout = click.get_binary_stream("stdout")
+        stdout = sys.stdout.buffer
         shutil.copyfileobj(spool, stdout)
         stdout.flush()
 

@@ -194,7 +194,9 @@ class Compensation:
             )
         )
 
-    def __call__(self, readings: ArrayLike, temperature: ArrayLike | None = None) -> Compensated:
+    def __call__(
+        self, readings: ArrayLike, temperature: ArrayLike | None = None, *, out: Compensated | None = None
+    ) -> Compensated:
         """Compensate rows.
 
         Parameters
@@ -204,10 +206,13 @@ class Compensation:
             column is contiguous.
         temperature : array_like, shape (n,), optional
             °C; NaN where it is missing.
+        out : Compensated, optional
+            Room for n rows, from :meth:`Compensated.empty`, that an earlier call has filled: its memory is used again.
 
         Returns
         -------
         Compensated
+            ``out`` where it was given.
 
         Raises
         ------
@@ -220,7 +225,9 @@ class Compensation:
         t = None if temperature is None else np.asarray(temperature, dtype=float)
         if t is not None and t.shape != u.shape[:1]:
             raise ValueError(f"temperature has shape {t.shape}; the readings need ({len(u)},)")
-        result = Compensated.empty(len(u), len(self.axes))
+        result = Compensated.empty(len(u), len(self.axes)) if out is None else out
+        if result.gravity.shape != (len(u), len(self.axes)):
+            raise ValueError(f"out has shape {result.gravity.shape}; the result has ({len(u)}, {len(self.axes)})")
         with np.errstate(all="ignore"):
             for rows, part in result.chunks():
                 self._compensate(u[rows].T, None if t is None else t[rows], part)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import TYPE_CHECKING, BinaryIO
@@ -114,20 +115,25 @@ def compensate_log(
             f"the log has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
         )
     summary = Summary()
-    added = ",".join(compensation.columns)
-    header_written = False
-    for rows in log.rows(sorted(set(columns.values()))):
-        readings = np.stack([rows.values[columns[channel]] for channel in channels]).T
-        readings[list(rows.faults)] = np.nan
-        temperature = rows.values[columns[TEMPERATURE]] if TEMPERATURE in columns else None
-        result = compensation(readings, temperature)
-        if not header_written:
-            sink.write(log.header + f",{added}{log.line_end}".encode())
-            header_written = True
-        _write(sink, rows, compensation.table(result), log.line_end)
-        summary.add(result.flag, result.reason, len(rows.faults))
-        if progress is not None:
-            progress(log.bytes_read)
+    # One block is written while the next is read and compensated; a single writer keeps the order.
+    with ThreadPoolExecutor(max_workers=1) as writer:
+        added = f",{','.join(compensation.columns)}{log.line_end}".encode()
+        written: Future[object] | None = None
+        for rows in log.rows(sorted(set(columns.values()))):
+            readings = np.stack([rows.values[columns[channel]] for channel in channels]).T
+            readings[list(rows.faults)] = np.nan
+            temperature = rows.values[columns[TEMPERATURE]] if TEMPERATURE in columns else None
+            result = compensation(readings, temperature)
+            if written is None:
+                sink.write(log.header + added)
+            else:
+                written.result()
+            written = writer.submit(_write, sink, rows, compensation.table(result), log.line_end)
+            summary.add(result.flag, result.reason, len(rows.faults))
+            if progress is not None:
+                progress(log.bytes_read)
+        if written is not None:
+            written.result()
     return summary
 
 

@@ -14,7 +14,7 @@ from tiltcal.errors import InputError
 from tiltcal.logs.csv_rows import Rows, parse_rows
 
 _BLOCK = 4 << 20
-_LONGEST_ROW = 64 << 20
+_LONGEST_ROW = 16 << 20
 _UTF8_BOM = b"\xef\xbb\xbf"
 _UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
 
@@ -87,7 +87,7 @@ class CsvLog:
                 row = min(rows.faults)
                 raise self._error(rows.faults[row], self._line + rows.starts[row])
             self._line += rows.line_count
-            if rows.rest and ended:
+            if rows.rest and (ended or len(rows.rest) > _LONGEST_ROW):
                 raise self._error("a quoted field opens here and does not end as it should", self._line)
             self._pending = rows.rest + self._pending
             if len(rows.lines):

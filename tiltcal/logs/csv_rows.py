@@ -98,9 +98,10 @@ def parse_rows(data: bytes, names: Sequence[str], columns: Sequence[int], *, une
         if b"\r" in data:
             data = data.replace(b"\r\n", b"\n")
         faults = _plain_faults(data, len(names), unended)
+        numeric = data
         if faults:
-            data = _repaired(data, faults, len(names))
-        series, values = _plain_lines(data), _plain_values(data, names, columns, faults)
+            data, numeric = _repaired(data, faults, len(names))
+        series, values = _plain_lines(data), _plain_values(numeric, names, columns, faults)
         line_count, rest = len(series), ""
         starts = range(line_count)
     for column in values.values():
@@ -156,11 +157,14 @@ def _field_counts(commas: Positions, ends: Positions, fields: int) -> Positions 
     return np.diff(np.searchsorted(commas, ends), prepend=0) + 1
 
 
-def _repaired(data: bytes, faults: Mapping[int, str], fields: int) -> bytes:
+def _repaired(data: bytes, faults: Mapping[int, str], fields: int) -> tuple[bytes, bytes]:
+    """The rows with bad ones refitted, and once more with bad ones blank, for the engine that parses the numbers."""
     lines = data.decode().split("\n")
+    numeric = lines.copy()
     for row in faults:
         lines[row] = _refitted(lines[row].split(","), lines[row], fields)
-    return "\n".join(lines).encode()
+        numeric[row] = ",".join(["NaN"] * fields)
+    return "\n".join(lines).encode(), "\n".join(numeric).encode()
 
 
 def _plain_lines(data: bytes) -> pl.Series:
@@ -182,11 +186,9 @@ def _plain_values(
     def read(kind: type[pl.Float64] | type[pl.String]) -> pl.DataFrame:
         schema = {str(index): kind if index in columns else pl.String for index in range(len(names))}
         wanted = sorted(set(columns))
-        return pl.read_csv(
-            data, has_header=False, quote_char=None, schema=schema, columns=wanted, truncate_ragged_lines=True
-        )
+        return pl.read_csv(data, has_header=False, quote_char=None, schema=schema, columns=wanted)
 
-    if not faults and not _has_open_points(data):
+    if not _has_open_points(data):
         try:
             frame = read(pl.Float64)
         except pl.exceptions.ComputeError:
