@@ -34,7 +34,7 @@ NUDGED = 0.002
 """A change while sampling above this is a sensor that was touched, g (0.1° near level)."""
 
 NUDGED_SIGMAS = 6.0
-"""And it must be this many standard uncertainties: a refusal costs the operator time, a look while settling does not."""
+"""And it must be this many standard uncertainties: a refusal costs the operator time, a look while settling none."""
 
 
 @dataclass(frozen=True)
@@ -194,13 +194,13 @@ class Runner:
         return tuple(bay.sensor.read() for bay in self._bays)
 
     def _live(self) -> Mapping[str, Reading]:
-        self._discard()
-        return {bay.serial: reading for bay, reading in zip(self._bays, self._read(), strict=True)}
+        return {bay.serial: reading for bay, reading in zip(self._bays, self._fresh(), strict=True)}
 
-    def _discard(self) -> None:
-        """What sensors sent while nobody listened is not what they read now."""
+    def _fresh(self) -> Sample:
+        """A sample of now: what sensors sent while nobody listened is dropped."""
         for bay in self._bays:
             bay.sensor.discard()
+        return self._read()
 
     def _settle(self, position: Position, before: Position | None, typed: float | None) -> None:
         """Wait until still; until the temperature is, where this position changes it."""
@@ -209,9 +209,8 @@ class Runner:
             # A temperature that the operator types is vouched for; the thermometer may be far off.
             target = position.temperature if typed is None else None
             window = Window(self._settings.soak, self._procedure.soak_drift, target)
-        self._discard()
         wait_until_still(
-            self._read, self._models, self._clock, window, lambda sample, why: self._look(position, sample, why)
+            self._fresh, self._models, self._clock, window, lambda sample, why: self._look(position, sample, why)
         )
 
     def _sample(self, position: Position, typed: float | None) -> Taken:

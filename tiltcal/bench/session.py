@@ -27,7 +27,7 @@ from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.bus.link import Link
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.device import Model, Talking
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.calibration import Calibration, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter
@@ -294,8 +294,8 @@ class Session:
             for link in links:
                 link.close()
         return [
-            dump_calibration(replace(calibration, provenance=self._provenance(place, ended, sha256)))
-            for calibration, place in zip(calibrations, self.plan.places, strict=True)
+            dump_calibration(replace(calibration, provenance=self._provenance(place, ended, sha256) | _reception(bay)))
+            for calibration, place, bay in zip(calibrations, self.plan.places, bays, strict=True)
         ]
 
     def _open(self, number: int) -> Link:
@@ -339,6 +339,11 @@ class Session:
             "ended": _stamp(ended),
             "journal": {"name": self.plan.journal, "sha256": sha256},
         }
+
+
+def _reception(bay: Bay) -> dict[str, Any]:
+    """What became of what a sensor said that talks by itself; nothing for others."""
+    return {"reception": dict(bay.sensor.reception())} if isinstance(bay.sensor, Talking) else {}
 
 
 def _require_in_range(procedure: Procedure, model: Model) -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 from tiltcal.core.statistics import drift
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Model, Reading
 
-LOOKS = 40
-"""Readings in one window."""
+LOOKS, SOAK_LOOKS = 40, 200
+"""Readings in one window: to see a movement, and to show that a slow drift is not there."""
 
 FEWEST = 5
 """Readings without which nothing can be said of a window."""
@@ -19,14 +20,24 @@ FEWEST = 5
 NEAR = 2.0
 """How far a sensor's own thermometer may be from the temperature that was asked for, °C."""
 
-FAR_WINDOWS = 10
-"""Windows for which a temperature must hold where it is farther: a chamber on its way is not a chamber at rest."""
+LONG = 10
+"""Windows that count as a long one. Over it a temperature must hold where the thermometer is not near the one asked
+for, and a reading whose noise hides a slow drift over one window."""
+
+JUDGEMENTS = 20
+"""How often in one window the readings are judged."""
 
 SIGMAS = 4.0
 """A drift below this many of its own standard uncertainties is noise."""
 
+COVERAGE = 2.0
+"""Standard uncertainties within which a slow drift must be shown to be small."""
+
 STILL = 0.0005
 """A drift below this in one window is stillness whatever the noise, g (0.03° near level)."""
+
+STEADY = 0.002
+"""A drift below this in one window is a sensor at its temperature, g (0.11° near level)."""
 
 SHAKING = 0.1
 """Scatter above this is a sensor in someone's hand, g."""
@@ -67,16 +78,20 @@ class Window:
     target: float | None = None
 
     @property
+    def soaking(self) -> bool:
+        """Whether temperature matters."""
+        return self.temperature_drift is not None
+
+    @property
     def patience(self) -> float:
         """Seconds after which waiting ends."""
-        return max(PATIENCE if self.temperature_drift is None else OVERNIGHT, 10 * self.seconds)
+        return max(OVERNIGHT if self.soaking else PATIENCE, 10 * self.seconds)
 
-    def needed(self, sample: Sample) -> float:
-        """Seconds over which readings must hold, given what the thermometers say now."""
-        if self.target is None:
-            return self.seconds
-        off = [abs(r.temperature - self.target) for r in sample if r.temperature is not None]
-        return self.seconds * (FAR_WINDOWS if off and max(off) > NEAR else 1)
+    def near(self, sample: Sample) -> bool:
+        """Whether the thermometers are near the temperature that was asked for, where that matters."""
+        return self.target is None or all(
+            abs(reading.temperature - self.target) <= NEAR for reading in sample if reading.temperature is not None
+        )
 
 
 def wait_until_still(
@@ -104,28 +119,50 @@ def wait_until_still(
     Unsettled
         They did not come to rest within the window's patience.
     """
-    pause = max(window.seconds / LOOKS, *(model.interval for model in models))
+    looks = SOAK_LOOKS if window.soaking else LOOKS
+    pause = max(window.seconds / looks, *(model.interval for model in models))
     held: deque[Timed] = deque()
     began: float | None = None
+    judged = 0.0
     why = "waiting until it is still"
     while True:
         sample = read()
         now = clock.now_ns() / 1e9
-        began = now if began is None else began
+        if began is None:
+            began = judged = now
         held.append((now, sample))
-        while len(held) > FEWEST and now - held[1][0] >= window.seconds * FAR_WINDOWS:
+        while len(held) > FEWEST and now - held[1][0] >= window.seconds * LONG:
             held.popleft()
-        needed = window.needed(sample)
-        within = [one for one in held if now - one[0] <= needed + pause]
-        if len(within) >= FEWEST and now - within[0][0] >= needed:
-            moving = movement(within, models, window.temperature_drift)
+        if now >= judged + window.seconds / JUDGEMENTS:
+            judged = now
+            moving = _still_moving(held, models, window)
             if moving is None:
                 return
-            why = moving
+            why = moving or why
         if now - began > window.patience:
             raise Unsettled(f"not still after {window.patience:.0f} s: {why}")
         look(sample, why)
         clock.sleep(pause)
+
+
+def _still_moving(held: deque[Timed], models: Sequence[Model], window: Window) -> str | None:
+    """What still changes, empty where it is too early to say, None where all is at rest."""
+    now, sample = held[-1]
+    why = ""
+    if len(held) >= FEWEST and now - held[0][0] >= window.seconds and window.near(sample):
+        start = next(index for index in range(len(held) - 1, -1, -1) if now - held[index][0] >= window.seconds)
+        recent = list(islice(held, min(start, len(held) - FEWEST), None))
+        still = STEADY if window.soaking else STILL
+        moving = movement(recent, models, window.temperature_drift, still=still, shown=window.soaking)
+        if moving is None:
+            return None
+        why = moving
+    if window.soaking and now - held[0][0] >= window.seconds * LONG:
+        moving = movement(list(held), models, window.temperature_drift, still=STEADY)
+        if moving is None:
+            return None
+        why = moving
+    return why
 
 
 def movement(
@@ -134,6 +171,7 @@ def movement(
     temperature_drift: float | None = None,
     still: float = STILL,
     sigmas: float = SIGMAS,
+    shown: bool = False,
 ) -> str | None:
     """What changes over a run of samples, in words, or None.
 
@@ -149,6 +187,8 @@ def movement(
         The largest change of a reading that is still steady, g.
     sigmas : float
         A change below this many of its own standard uncertainties is noise.
+    shown : bool
+        Whether a change that noise might hide counts as one: the reading must be shown to be steady.
     """
     times = [time for time, _ in held]
     span = times[-1] - times[0]
@@ -157,7 +197,9 @@ def movement(
         for place, channel in enumerate(model.channels):
             values = [reading.values[place] for reading in readings]
             change, uncertainty = drift(times, values)
-            if abs(change) > max(still * model.sensitivity, sigmas * uncertainty):
+            limit = still * model.sensitivity
+            bound = limit - COVERAGE * uncertainty if shown else max(limit, sigmas * uncertainty)
+            if abs(change) > bound:
                 return f"{channel} drifts by {change:+.4g} {model.unit} in {span:.3g} s"
             mean = sum(values) / len(values)
             scatter = (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5

@@ -7,15 +7,19 @@ the live thing happen and appends it. So recording, replaying and resuming are o
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
+from tiltcal.drivers.bus.link import Link, Recalling
 from tiltcal.errors import BusError, JournalError
 from tiltcal.files.journal import ANSWER, HARDWARE_ERROR, POSITION, Event, Journal, JournalWriter
 
 Answer = dict[str, Any]
+
+REMEMBERED = 32
+"""Transactions that a part's registers may depend on: none polls a conversion more often."""
 
 
 class Tape:
@@ -157,11 +161,20 @@ class TapedLink:
         self._open = live
         self._live: Link | None = None
         self._number = number
+        self._played: deque[tuple[bytes, int]] = deque(maxlen=REMEMBERED)
         self.letter = letter
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """One transaction; after an error the next one opens the bus anew, so a re-plugged sensor goes on."""
-        return self._tape.exchange(self.letter, self._number, out, lambda: self._exchange(out, count))
+        playing = self._tape.playing
+        try:
+            answer = self._tape.exchange(self.letter, self._number, out, lambda: self._exchange(out, count))
+        except BusError:
+            self._played.clear()
+            raise
+        if playing:
+            self._played.append((out, self._tape.now_ns()))
+        return answer
 
     def close(self) -> None:
         if self._live is not None:
@@ -172,10 +185,18 @@ class TapedLink:
         try:
             if self._live is None:
                 self._live = self._open()
+                self._remind(self._live)
             return self._live.exchange(out, count)
         except BusError:
             self.close()
             raise
+
+    def _remind(self, live: Link) -> None:
+        """A new twin hears what was sent to the one before it; a real part has heard it."""
+        if isinstance(live, Recalling):
+            for out, now_ns in self._played:
+                live.recall(out, now_ns)
+        self._played.clear()
 
 
 class TapedClock:

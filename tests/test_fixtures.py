@@ -1,0 +1,53 @@
+"""Every captured session gives its golden calibration file, to the byte, and its golden file finds the twin's truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from command import tiltcal
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.procedure import shipped_procedures
+from tiltcal.files.twin import read_twin
+
+FIXTURES = Path(__file__).parents[1] / "fixtures"
+JOURNALS = sorted(FIXTURES.glob("*.journal.jsonl"))
+
+
+def golden(journal: Path) -> Path:
+    return journal.with_name(journal.name.replace(".journal.jsonl", ".yaml"))
+
+
+def test_every_shipped_procedure_has_a_fixture() -> None:
+    assert {golden(journal).stem for journal in JOURNALS} >= set(shipped_procedures())
+
+
+@pytest.mark.parametrize("journal", JOURNALS, ids=lambda path: path.name)
+def test_replay_gives_the_golden_file(journal: Path, tmp_path: Path) -> None:
+    result = tiltcal("replay", journal, "-o", "again.yaml", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "again.yaml").read_bytes() == golden(journal).read_bytes()
+
+
+@pytest.mark.parametrize("journal", JOURNALS, ids=lambda path: path.name)
+def test_it_says_that_the_virtual_bench_made_it(journal: Path) -> None:
+    assert '"virtual":true' in journal.read_text(encoding="utf-8").splitlines()[0]
+    assert "virtual bench" in read_calibration(golden(journal)).provenance["made_by"]
+
+
+def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
+    changed = tmp_path / "plane.yaml"
+    changed.write_text(golden(JOURNALS[0]).read_text(encoding="utf-8").replace("SIM-42", "SIM-43"), encoding="utf-8")
+    assert tiltcal("replay", JOURNALS[0], "--golden", changed).returncode == 1
+    assert tiltcal("replay", JOURNALS[0], "--golden", golden(JOURNALS[0])).returncode == 0
+
+
+@pytest.mark.parametrize("procedure", ["cross-axis", "complete"])
+def test_the_golden_file_finds_the_truth(procedure: str) -> None:
+    """Within five of its stated uncertainties, or what non-linearity and jig can do to a coefficient (1.5 count)."""
+    found = read_calibration(FIXTURES / f"{procedure}.yaml").coefficients
+    _, truth = read_twin(FIXTURES / "twins" / "sca100t-d02.yaml")
+    for row, channel in enumerate(found.channels):
+        assert found.offset[row] == pytest.approx(truth.offset[channel], abs=1.5)
+        for column, axis in enumerate(found.axes):
+            assert found.sensitivity[row, column] == pytest.approx(truth.sensitivity[channel][axis], abs=1.5)
