@@ -125,7 +125,7 @@ class Runner:
         """
         positions = self._procedure.positions
         taken: list[Taken] = []
-        self._tell(lambda: self._operator.begin(self._procedure.title, len(positions)))
+        self._operator.begin(self._procedure.title, len(positions))
         while len(taken) < len(positions):
             position = positions[len(taken)]
             try:
@@ -258,6 +258,8 @@ class Runner:
         positions |= {one.position.name: one.position.gravity for one in taken}
         positions[result.position.name] = result.position.gravity
         for index, expectation in enumerate(expectations):
+            if not self._models[index].scaled:
+                continue
             why = expectation.objection(
                 result.position.name, positions, _means(result, index), result.temperatures[index]
             )
@@ -271,7 +273,7 @@ class Runner:
                 unit=bay.model.unit,
                 mean={channel: summary.mean for channel, summary in result.summaries[index].items()},
                 std={channel: summary.std for channel, summary in result.summaries[index].items()},
-                expected=expectations[index].expected(result.position.gravity),
+                expected=expectations[index].expected(result.position.gravity) if bay.model.scaled else {},
                 n=self._settings.samples,
                 temperature=result.temperatures[index],
             )

@@ -7,7 +7,7 @@ is enough to resume the session or to make its calibration files again.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -196,9 +196,15 @@ class Session:
         The journal.
     journal : Journal, optional
         What was captured before.
+
+    Attributes
+    ----------
+    receptions : dict of str to mapping of str to int
+        By serial number, once the session is through: what became of what a sensor said that talks by itself.
     """
 
     def __init__(self, plan: Plan, path: Path, journal: Journal | None = None) -> None:
+        self.receptions: dict[str, Mapping[str, int]] = {}
         self.plan = plan
         self.path = path
         self._journal = journal
@@ -290,12 +296,13 @@ class Session:
             runner.confirm_write(lambda: operator.write(self.outputs))
             ended = self.plan.started + timedelta(microseconds=tape.now_ns() / 1000)
             sha256 = tape.finish()
+            self.receptions = {b.serial: b.sensor.reception() for b in bays if isinstance(b.sensor, Talking)}
         finally:
             for link in links:
                 link.close()
         return [
-            dump_calibration(replace(calibration, provenance=self._provenance(place, ended, sha256) | _reception(bay)))
-            for calibration, place, bay in zip(calibrations, self.plan.places, bays, strict=True)
+            dump_calibration(replace(calibration, provenance=self._provenance(place, ended, sha256)))
+            for calibration, place in zip(calibrations, self.plan.places, strict=True)
         ]
 
     def _open(self, number: int) -> Link:
@@ -338,16 +345,17 @@ class Session:
             "started": _stamp(self.plan.started),
             "ended": _stamp(ended),
             "journal": {"name": self.plan.journal, "sha256": sha256},
+            **({"reception": dict(self.receptions[place.serial])} if place.serial in self.receptions else {}),
         }
 
 
-def _reception(bay: Bay) -> dict[str, Any]:
-    """What became of what a sensor said that talks by itself; nothing for others."""
-    return {"reception": dict(bay.sensor.reception())} if isinstance(bay.sensor, Talking) else {}
-
-
 def _require_in_range(procedure: Procedure, model: Model) -> None:
-    """Refuse positions that the model can only answer with its rail."""
+    """Refuse positions that the model can only answer with its rail, and a scale that nobody has stated."""
+    if not model.scaled and not procedure.determines.axes:
+        raise UsageError(
+            f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
+            "address (sensitivity=..., unit per g)"
+        )
     for position in procedure.positions:
         for channel in model.channels:
             expected = model.offset + model.sensitivity * position.gravity["xyz".index(channel)]

@@ -58,7 +58,7 @@ def truth_of(address: Address, model: Model) -> Truth:
     Raises
     ------
     UsageError
-        An unknown option, or a twin file of another model.
+        An unknown option, or a twin file of another model or with too few channels.
     InputError
         The twin file is wrong.
     """
@@ -71,4 +71,7 @@ def truth_of(address: Address, model: Model) -> Truth:
     named, truth = read_twin(address.text("twin"), seed if "seed" in address.options else None)
     if named is not None and named != model.name:
         address.refuse(f"the twin file is of a {named}, not of a {model.name}")
+    missing = [channel for channel in model.channels if channel not in truth.channels]
+    if missing:
+        address.refuse(f"the twin file has no offset of {' and '.join(missing)}, which a {model.name} reads")
     return truth

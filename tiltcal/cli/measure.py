@@ -10,6 +10,7 @@ import click
 
 from tiltcal.bench.operators.operator import Operator
 from tiltcal.bench.session import Plan, Session, plan_session
+from tiltcal.drivers.device import in_words
 from tiltcal.errors import HardwareError, JournalError, Stopped, TiltcalError, UsageError
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import find_procedure
@@ -97,6 +98,8 @@ def command(
     with ExitStack() as stack:
         try:
             session.measure(_operator(operator, session, plain, stack))
+            for name, reception in session.receptions.items():
+                click.echo(f"{name}: {in_words(reception)}", err=True)
         except KeyboardInterrupt:
             raise Stopped(f"interrupted; {_how_to_go_on(session)}") from None
         except (Stopped, HardwareError) as error:
@@ -145,4 +148,6 @@ def _operator(kind: str, session: Session, plain: bool, stack: ExitStack) -> Ope
 
     live = sys.stdin.isatty() and sys.stderr.isatty() and not plain
     keys: Keys = stack.enter_context(TerminalKeys()) if live else LineKeys(sys.stdin)
-    return TerminalOperator(Console(stderr=True, no_color=plain or None), keys, session.models, live=live)
+    return TerminalOperator(
+        Console(stderr=True, highlight=False, no_color=plain or None), keys, session.models, live=live
+    )

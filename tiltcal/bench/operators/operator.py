@@ -22,7 +22,8 @@ class Measured:
     ----------
     serial, unit : str
     mean, std, expected : dict of str to float
-        Per channel, in ``unit``; ``expected`` is what the positions so far let one expect.
+        Per channel, in ``unit``; ``expected`` is what the positions so far let one expect, empty where nobody
+        can say.
     n : int
         Number of samples.
     temperature : float or None

@@ -53,9 +53,9 @@ class TerminalOperator:
     def position(self, position: Position, number: int, live: Live) -> Answer:
         """Show the operator what to set, and a live reading, until a key is pressed."""
         self._console.print(f"\n[bold cyan]{number}/{self._positions or '?'}  {position.name}[/bold cyan]")
-        self._console.print(f"  {position.prompt}", highlight=False, markup=False)
+        self._console.print(f"  {position.prompt}", markup=False)
         if position.temperature is not None:
-            self._console.print(f"  at {position.temperature:g} °C", highlight=False)
+            self._console.print(f"  at {position.temperature:g} °C")
         self._hint("Enter measure", "a angle set", "t temperature", "b back", "q stop and keep")
         tilt: dict[str, float] = {}
         gravity: tuple[float, ...] | None = None
@@ -90,7 +90,7 @@ class TerminalOperator:
             for channel, mean in one.mean.items():
                 table.add_row(
                     f"{one.serial} {channel}",
-                    f"{one.expected[channel]:.6g}",
+                    f"{one.expected[channel]:.6g}" if one.expected else "unknown",
                     f"{mean:.6g} {one.unit}",
                     self._angle(one.serial, mean),
                     f"{one.std[channel]:.2g}",
@@ -110,7 +110,7 @@ class TerminalOperator:
                 return Answer("redo" if key == "r" else "back")
 
     def accepted(self, position: Position, measured: list[Measured]) -> None:
-        self._console.print(f"  [green]accepted[/green] {position.name}", highlight=False)
+        self._console.print(f"  [green]accepted[/green] {position.name}")
 
     def refused(self, position: Position, why: str) -> None:
         self._clear()
@@ -119,7 +119,7 @@ class TerminalOperator:
     def write(self, files: list[Path]) -> Answer:
         """Ask once more before the files are written."""
         named = ", ".join(f"{path} (replaces the one there)" if path.exists() else str(path) for path in files)
-        self._console.print(f"\nAll positions are measured. Write {named}?", highlight=False)
+        self._console.print(f"\nAll positions are measured. Write {named}?")
         self._hint("Enter write", "n stop and keep")
         while True:
             key = self._keys.choice(None)
@@ -130,8 +130,8 @@ class TerminalOperator:
 
     def done(self, files: list[Path], journal: Path) -> None:
         for path in files:
-            self._console.print(f"[green]wrote[/green] {path}", highlight=False)
-        self._console.print(f"journal {journal}", highlight=False)
+            self._console.print(f"[green]wrote[/green] {path}")
+        self._console.print(f"journal {journal}")
 
     def _wait(self, live: Live) -> str | None:
         """The next key; meanwhile the readings are shown."""
@@ -215,12 +215,12 @@ class TerminalOperator:
     def _typed(self, what: str, parse: Callable[[str], T]) -> T:
         """Ask until the typed line can be understood."""
         while True:
-            self._console.print(f"  {what}: ", end="", highlight=False)
+            self._console.print(f"  {what}: ", end="")
             typed = self._keys.line()
             try:
                 return parse(typed)
             except (ValueError, InputError) as error:
-                self._console.print(f"  {typed!r} will not do: {error}", highlight=False)
+                self._console.print(f"  {typed!r} will not do: {error}")
 
 
 def _direction(typed: str) -> tuple[float, ...]:
