@@ -246,10 +246,16 @@ def _fit(
     record["degrees_of_freedom"] = found.dof
     if found.chi_square is not None and found.stated:
         record["chi_square"] = significant(found.chi_square, 4)
-    record["uncertainty_from"] = "stated noise and jig" if found.stated else "residuals"
+    record["uncertainty_from"] = _source_of_uncertainty(found, jig)
     if jig is not None:
         record["jig_degrees"] = jig
     return record
+
+
+def _source_of_uncertainty(found: Estimate, jig: float | None) -> str:
+    if not found.stated:
+        return "residuals"
+    return "noise alone: no jig is stated, and no position is left over" if jig is None else "stated noise and jig"
 
 
 def _worst(residuals: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:

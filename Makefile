@@ -1,0 +1,69 @@
+# Everything runs in .venv, which is made on first use, and made anew when pyproject.toml, constraints.txt, the Python
+# or the place of this folder changes. Another Python: make PYTHON=/path/to/python3 test
+
+VENV  := .venv
+STAMP := $(VENV)/made-for
+RUN   := $(VENV)/bin/python
+
+ifndef PYTHON
+PYTHON := $(shell for python in python3.11 python3 python3.12 python3.13 python3.14; do \
+	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
+endif
+
+# What a virtual environment cannot survive a change of: its shebangs and its editable install hold both.
+IDENTIFY := "$(PYTHON)" -c 'import os, platform; print("Python", platform.python_version(), "in", os.getcwd())'
+ifneq ($(shell cat $(STAMP) 2>/dev/null),$(shell $(IDENTIFY) 2>/dev/null))
+.PHONY: $(STAMP)
+endif
+
+.PHONY: help demo test check bench fixtures reference clean
+
+help:
+	@echo "make demo       calibrate a virtual sensor, and show what that does to a recorded log"
+	@echo "make test       run the tests"
+	@echo "make check      lint, types, layers, and what the wheel holds"
+	@echo "make bench      measure how fast the kernels are"
+	@echo "make fixtures   make the recorded sessions and golden files of the tests anew"
+	@echo "make reference  write docs/reference/cli.md from --help"
+	@echo "make clean      remove all that make has made"
+
+demo: $(STAMP)
+	@$(VENV)/bin/tiltcal demo demo
+
+test: $(STAMP)
+	@$(RUN) -m pytest -n auto --maxprocesses 4
+
+check: $(STAMP)
+	@$(RUN) -m ruff check .
+	@$(RUN) -m ruff format --check .
+	@$(RUN) -m mypy
+	@$(VENV)/bin/lint-imports
+	@rm -rf build dist
+	@$(RUN) -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist .
+	@rm -rf build
+	@$(VENV)/bin/check-wheel-contents dist
+
+bench: $(STAMP)
+	@$(RUN) -m pytest benchmarks
+
+fixtures: $(STAMP)
+	@$(RUN) fixtures/make.py
+
+reference: $(STAMP)
+	@$(RUN) docs/reference/generate.py
+
+clean:
+	rm -rf $(VENV) build dist demo tiltcal.egg-info .benchmarks .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	find tiltcal/ drivers procedures tests fixtures benchmarks docs -name __pycache__ -prune -exec rm -rf {} +
+
+INSTALL := $(RUN) -m pip install --quiet --disable-pip-version-check -c constraints.txt
+
+# python-spidev comes as source: where it cannot be built there is no SPI, and all the rest works.
+$(STAMP): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "tiltcal needs Python 3.11 or newer: make PYTHON=/path/to/python3 ..." >&2; exit 1; }
+	@echo "making $(VENV), which takes a minute ..." >&2
+	@"$(PYTHON)" -m venv --clear $(VENV)
+	@$(INSTALL) -e '.[dev]'
+	@$(INSTALL) spidev >$(VENV)/spidev.log 2>&1 \
+		|| echo "no SPI in $(VENV): python-spidev cannot be built here (see $(VENV)/spidev.log)" >&2
+	@$(IDENTIFY) >$@
