@@ -26,6 +26,22 @@ PLUG_INS = "tiltcal.devices"
 _BUILT_IN = {
     "sca100t-d01": "tiltcal.drivers.sca100t:D01",
     "sca100t-d02": "tiltcal.drivers.sca100t:D02",
+    "sca100t-d01-analog": "tiltcal.drivers.analog:SCA100T_D01",
+    "sca100t-d02-analog": "tiltcal.drivers.analog:SCA100T_D02",
+    "adxl202-analog": "tiltcal.drivers.analog:ADXL202",
+    "adxl202e-analog": "tiltcal.drivers.analog:ADXL202E",
+    "adxl210-analog": "tiltcal.drivers.analog:ADXL210",
+    "thermistor": "tiltcal.drivers.thermistor:THERMISTOR",
+    "adxl202": "tiltcal.drivers.adxl202:ADXL202",
+    "adxl202e": "tiltcal.drivers.adxl202:ADXL202E",
+    "adxl210": "tiltcal.drivers.adxl202:ADXL210",
+    "serial-columns": "tiltcal.drivers.columns:SERIAL_COLUMNS",
+    "dfrobot-sca100t": "tiltcal.drivers.dfrobot:DFROBOT_SCA100T",
+    "sca3000-d01": "tiltcal.drivers.sca3000:D01",
+    "sca3000-e02": "tiltcal.drivers.sca3000:E02",
+    "sca3000-e04": "tiltcal.drivers.sca3000:E04",
+    "sca3000-e05": "tiltcal.drivers.sca3000:E05",
+    "sca3000-i2c": "tiltcal.drivers.sca3000:I2C",
 }
 
 

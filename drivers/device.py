@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Fixture
+    from tiltcal.drivers.twin.fixture import Held
     from tiltcal.drivers.twin.truth import Truth
 
 
@@ -81,12 +81,18 @@ class SpiPort:
     ----------
     modes : tuple of int
         Clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
-    fastest : int
-        Highest clock, Hz.
+    fastest : int or None
+        Highest clock, Hz; None where its maker's word on it is not at hand.
+    speed : int or None
+        Clock where the address names none, Hz; None is the fastest.
+    slowest : int
+        Lowest clock at which the part's words do not change while they are read, Hz.
     """
 
     modes: tuple[int, ...]
-    fastest: int
+    fastest: int | None
+    speed: int | None = None
+    slowest: int = 1
 
 
 @dataclass(frozen=True)
@@ -135,6 +141,9 @@ class Model:
         None where the part has no SPI.
     options : tuple of str
         Options of an address that belong to the device and not to its bus, such as which input is wired to x.
+    scaled : bool
+        Whether the nominal offset and sensitivity are known. Where they are not, a wrong position and a movement too
+        small for the noise cannot be told.
     tailor : callable or None
         ``tailor(address)`` returns this model with the facts that such options settle; None where there are none.
     """
@@ -154,11 +163,12 @@ class Model:
     interval: float
     thermometer: bool
     driver: Callable[[Link, Clock], Sensor]
-    twin: Callable[[Truth, Fixture, Clock], Link]
+    twin: Callable[[Truth, Held, Clock], Link]
     not_modelled: tuple[str, ...] = field(default=())
     default_truth: Callable[[int], Truth] | None = None
     spi: SpiPort | None = None
     options: tuple[str, ...] = ()
+    scaled: bool = True
     tailor: Callable[[Address], Model] | None = None
 
     def at(self, address: Address) -> Model:
@@ -194,3 +204,23 @@ class SelfTesting(Protocol):
             As :meth:`Sensor.read`.
         """
         ...
+
+
+@runtime_checkable
+class Talking(Protocol):
+    """A driver whose sensor talks by itself, over a line that may lose or damage what it says."""
+
+    def reception(self) -> Mapping[str, int]:
+        """What became of what the sensor said since the driver began.
+
+        Returns
+        -------
+        mapping of str to int
+            In words such as ``{"sentences": 120, "damaged": 3, "lost": 1}``: first what was used, then what was not.
+        """
+        ...
+
+
+def in_words(reception: Mapping[str, int]) -> str:
+    """A reception for people: ``120 sentences, 3 damaged, 1 lost``."""
+    return ", ".join(f"{number} {what}" for what, number in reception.items())

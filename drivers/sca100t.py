@@ -24,7 +24,7 @@ from tiltcal.errors import BusError, DeviceFault, UsageError
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Fixture
+    from tiltcal.drivers.twin.fixture import Held
     from tiltcal.drivers.twin.truth import Truth
 
 MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
@@ -55,6 +55,9 @@ class SelfTest:
     before: int
     deflected: int
     after: int
+
+    def __str__(self) -> str:
+        return f"{self.before} count at rest, {self.deflected} while pushed, {self.after} after the recovery"
 
     @property
     def deflection_passed(self) -> bool:
@@ -285,7 +288,7 @@ _D01 = Variant(counts_per_g=1638.0, range=0.5, offset_limit=0.11, nonlinearity=0
 _D02 = Variant(counts_per_g=819.0, range=1.0, offset_limit=0.23, nonlinearity=0.57)
 
 
-def _twin(truth: Truth, fixture: Fixture, clock: Clock) -> Link:
+def _twin(truth: Truth, fixture: Held, clock: Clock) -> Link:
     from tiltcal.drivers.twin.sca100t import Sca100tTwin
 
     return Sca100tTwin(truth, fixture, clock)

@@ -1,8 +1,8 @@
 """An ADXL202 behind a microcontroller on a pseudo-terminal, written from the data sheet for the tests alone.
 
 It shares no line with the drivers or their twins. Modelled: duty cycles with offset, a sensitivity matrix, a linear
-drift of each offset and Gaussian noise; a period that is off nominal and drifts with temperature; whole timer ticks; the
-sentence with its sequence number and checksum; on request, damage to one sentence in so many.
+drift of each offset and Gaussian noise; a period that is off nominal and drifts with temperature; whole timer ticks;
+the sentence with its sequence number and checksum; on request, damage to one sentence in so many.
 """
 
 from __future__ import annotations

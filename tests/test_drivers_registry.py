@@ -45,7 +45,7 @@ def test_every_built_in_model_carries_the_name_it_is_found_by() -> None:
 @pytest.mark.parametrize(
     ("name", "advice"),
     [
-        ("sca100t", "did you mean 'sca100t-d02' or 'sca100t-d01'?"),
+        ("sca100t", "did you mean 'sca100t-d02' or 'sca100t-d01'"),
         ("SCA100T-D01", "did you mean 'sca100t-d01'"),
         ("zzz", "'tiltcal devices' lists them"),
     ],

@@ -287,11 +287,20 @@ def test_a_jig_misses_a_position_by_its_angle() -> None:
     fixture = Fixture(VirtualClock(), seed=4, jig=0.5)
     misses = []
     for _ in range(2000):
+        fixture.move((0.0, 1.0, 0.0))
         fixture.move((0.0, 0.0, 1.0))
         misses.append(fixture.gravity[0])
     assert stdev(misses) == pytest.approx(sin(radians(0.5)), rel=0.08)
     assert abs(fmean(misses)) < 5 * sin(radians(0.5)) / 2000**0.5
     assert hypot(*fixture.gravity) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_position_that_is_held_keeps_its_angle_error() -> None:
+    fixture = Fixture(VirtualClock(), seed=4, jig=0.5)
+    fixture.move((0.0, 0.0, 1.0), temperature=24.0)
+    before = fixture.gravity
+    fixture.move((0.0, 0.0, 1.0), temperature=5.5)
+    assert fixture.gravity == before
 
 
 def test_the_chamber_approaches_its_set_point() -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from realbus.bench import Bench, Part, run_on_spi
+
 from tiltcal.files.calibration import Calibration, read_calibration
 from tiltcal.files.journal import read_journal
 

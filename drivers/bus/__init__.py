@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -12,6 +13,15 @@ if TYPE_CHECKING:
 __all__ = ["link_letter", "open_link"]
 
 _LETTERS = {"spi": "s", "i2c": "i", "serial": "r", "gpio": "e", "vcd": "e"}
+
+_OPENERS = {
+    "spi": "tiltcal.drivers.bus.spi:open_spi",
+    "i2c": "tiltcal.drivers.bus.i2c:open_i2c",
+    "serial": "tiltcal.drivers.bus.serial:open_serial",
+    "gpio": "tiltcal.drivers.bus.edges:open_gpio",
+    "vcd": "tiltcal.drivers.bus.vcd:open_vcd",
+}
+"""What opens an address whose scheme ends so: ``opener(address, model)`` returns the link."""
 
 
 def link_letter(address: Address, model: Model) -> str:
@@ -46,8 +56,9 @@ def open_link(address: Address, model: Model) -> Link:
     if address.scheme not in model.schemes:
         ways = " or ".join(f"{scheme}:" for scheme in (*model.schemes, "sim"))
         address.refuse(f"{model.name} is reached by {ways} (such as {model.address}), not by {address.scheme}:")
-    if address.scheme != "spi":
+    bus = address.scheme.rpartition("+")[2]
+    if bus not in _OPENERS:
         address.refuse(f"this version of tiltcal cannot open {address.scheme}: yet")
-    from tiltcal.drivers.bus.spi import open_spi
-
-    return open_spi(address, model)
+    module, _, opener = _OPENERS[bus].partition(":")
+    link: Link = getattr(import_module(module), opener)(address, model)
+    return link

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 
 class Link(Protocol):
@@ -23,7 +23,8 @@ class Link(Protocol):
             SPI: the frame shifted out while chip select is low. I2C: the bytes written, may be empty.
             Serial: the bytes sent, may be empty.
         count : int
-            I2C: bytes to read after a repeated start. Serial: the most bytes to wait for. SPI: unused, a frame reads
+            I2C: bytes to read after a repeated start. Serial and edges: the most bytes to take of what has
+            arrived, waiting for the first; with 0 and nothing to send, what has arrived is dropped. SPI: unused, a frame reads
             as many bytes as it writes.
 
         Returns
@@ -40,4 +41,17 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Release the bus; closing twice is allowed."""
+        ...
+
+
+@runtime_checkable
+class Recalling(Protocol):
+    """A virtual link that keeps what was written to it, as a part keeps its registers.
+
+    A session that is resumed has new twins, while a real part has been there all the time: such a twin hears again
+    what was sent before.
+    """
+
+    def recall(self, out: bytes, now_ns: int) -> None:
+        """Take what was sent at an earlier session time, in nanoseconds, and answer nothing."""
         ...

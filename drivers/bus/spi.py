@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tiltcal.drivers.bus.permission import no_permission
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def open_spi(address: Address, model: Model) -> SpiLink:
     HardwareError
         The spidev package is not installed.
     BusError
-        No such device, or no permission.
+        No such device, no permission, or a clock that is too slow for the part.
     """
     address.allow("mode", "speed", *model.options)
     port = model.spi
@@ -42,9 +43,14 @@ def open_spi(address: Address, model: Model) -> SpiLink:
     if mode not in port.modes:
         works = " and ".join(map(str, port.modes))
         address.refuse(f"{model.name} does not work in SPI mode {mode} (it works in {works})")
-    speed = address.integer("speed", port.fastest, low=1)
-    if speed > port.fastest:
+    speed = address.integer("speed", port.speed or port.fastest, low=1)
+    if port.fastest is not None and speed > port.fastest:
         address.refuse(f"{speed} Hz is too fast for {model.name} (at most speed={port.fastest})")
+    if speed < port.slowest:
+        raise BusError(
+            f"an SPI clock of {speed} Hz is too slow for {model.name}: its words would change while they are read; "
+            f"set at least speed={port.slowest}"
+        )
     return SpiLink(address.path, mode, speed)
 
 
@@ -113,7 +119,7 @@ def _why(device: str, cause: OSError) -> str:
         advice = f"present: {present}" if present else "no SPI device is present; switch SPI on in the board's settings"
         return f"{device} does not exist ({advice})"
     if cause.errno in (errno.EACCES, errno.EPERM):
-        return _no_permission(device)
+        return no_permission(device, "spidev")
     if cause.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
         return f"{device} has gone: plug the SPI adapter in again, then resume"
     if cause.errno in (errno.ENOTTY, errno.EINVAL):
@@ -124,22 +130,3 @@ def _why(device: str, cause: OSError) -> str:
         return f"{device} is in use by another program: stop that one first"
     reason = cause.strerror or str(cause)
     return f"transfer on {device} failed ({reason}): check the wiring and the adapter, then resume"
-
-
-def _no_permission(device: str) -> str:
-    """Who may use a device node, and how to become one of them."""
-    import grp
-
-    try:
-        group = grp.getgrgid(os.stat(device).st_gid).gr_name
-    except (KeyError, OSError):
-        return f"no permission to use {device}: ask the owner of this machine for it"
-    if group == "root":
-        return (
-            f"no permission to use {device}, which belongs to root alone: give it to a group with the udev rule  "
-            'SUBSYSTEM=="spidev", GROUP="spi", MODE="0660"  and join that group'
-        )
-    return (
-        f"no permission to use {device}, which belongs to group {group}: add yourself to group {group} with  "
-        f"sudo usermod -aG {group} $USER  and log in again"
-    )

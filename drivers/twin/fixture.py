@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import cos, exp, radians, sin
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from tiltcal.drivers.twin.noise import normal
 
@@ -11,6 +12,19 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
 
 Vector = tuple[float, float, float]
+
+
+class Held(Protocol):
+    """What a twin feels of where it is held."""
+
+    @property
+    def gravity(self) -> Vector:
+        """Up in the sensor's frame, g."""
+        ...
+
+    def temperature(self) -> float:
+        """Of the sensor, °C."""
+        ...
 
 
 class Fixture:
@@ -70,12 +84,46 @@ class Fixture:
         self._asked = gravity
         self.gravity = _rotated(gravity, errors)
 
+    def turned(self, seen: Callable[[Vector], Vector]) -> Seat:
+        """The fixture as a sensor sees it that does not sit straight on it.
+
+        Parameters
+        ----------
+        seen : callable
+            Takes a vector of the fixture's frame into the sensor's.
+        """
+        return Seat(self, seen)
+
     def temperature(self) -> float:
         """Temperature of the chamber now, °C."""
         if self._time_constant == 0.0:
             return self._target
         elapsed = (self._clock.now_ns() - self._start_ns) / 1e9
         return self._target + (self._start_temperature - self._target) * exp(-elapsed / self._time_constant)
+
+
+class Seat:
+    """A sensor's place on a fixture: gravity in its own frame, the chamber's temperature.
+
+    Parameters
+    ----------
+    fixture : Fixture
+    seen : callable
+        Takes a vector of the fixture's frame into the sensor's.
+    """
+
+    def __init__(self, fixture: Fixture, seen: Callable[[Vector], Vector]) -> None:
+        self._fixture = fixture
+        self._seen = seen
+
+    @property
+    def gravity(self) -> Vector:
+        """Up in the sensor's frame, g."""
+        return self._seen(self._fixture.gravity)
+
+    def temperature(self) -> float:
+        """Temperature of the chamber now, °C."""
+        return self._fixture.temperature()
 
 
 def _rotated(vector: Vector, angles: list[float]) -> Vector:

@@ -28,7 +28,7 @@ from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.twin.fixture import Fixture, Vector
+    from tiltcal.drivers.twin.fixture import Held, Vector
     from tiltcal.drivers.twin.truth import Fault
 
 LEVEL: Vector = (0.0, 0.0, 1.0)
@@ -52,7 +52,7 @@ class Sca100tTwin:
     Parameters
     ----------
     truth : Truth
-    fixture : Fixture
+    fixture : Held
         Holds the sensor; its frame is the sensor's.
     clock : Clock
         Session time; each frame lets it advance by its bits at 500 kHz.
@@ -60,7 +60,7 @@ class Sca100tTwin:
 
     letter = "s"
 
-    def __init__(self, truth: Truth, fixture: Fixture, clock: Clock) -> None:
+    def __init__(self, truth: Truth, fixture: Held, clock: Clock) -> None:
         self._truth = truth
         self._fixture = fixture
         self._clock = clock

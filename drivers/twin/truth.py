@@ -47,6 +47,8 @@ class Truth:
         Per channel, white, standard deviation of one sample, unit.
     thermometer_error : float
         What the sensor's own thermometer reads too high, °C.
+    supply : float
+        What an analog sensor is supplied with, V; its coefficients are referred to 5 V whatever the supply.
     seed : int
     jig, ambient, time_constant : float
         Of the fixture that holds it: see :class:`tiltcal.drivers.twin.fixture.Fixture`.
@@ -62,6 +64,7 @@ class Truth:
     nonlinearity: Mapping[str, Polynomial] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     thermometer_error: float = 0.0
+    supply: float = 5.0
     seed: int = 0
     jig: float = 0.0
     ambient: float = 24.0

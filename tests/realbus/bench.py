@@ -6,8 +6,9 @@
         events = bench.lead()       # takes every position that is asked for, answers "ready"
     assert bench.exit_code == 0
 
-The program uses the real bus library (python-spidev) on a real device node; umockdev hands its ioctls to an SCA100T
-that was written apart from the drivers: see :mod:`realbus.sca100t_part` for what it models.
+The program uses the real bus library (python-spidev, smbus2) on a real device node; umockdev hands its ioctls to a part
+that was written apart from the drivers: see :mod:`realbus.sca100t_part` and :mod:`realbus.sca3000_part` for what they
+model.
 """
 
 from __future__ import annotations
@@ -19,23 +20,33 @@ import socket
 import subprocess
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Any, NamedTuple
+from typing import IO, Any, ClassVar, NamedTuple, Protocol
 
 import pytest
 
 HERE = Path(__file__).parent
 SYSTEM_PYTHON = "/usr/bin/python3"
 DEVICE = "/dev/spidev0.0"
+I2C_BUS = "/dev/i2c-1"
+
+
+class PartFacts(Protocol):
+    """A frozen dataclass of what a part of :mod:`realbus.host` is made with."""
+
+    kind: ClassVar[str]
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
 @dataclass(frozen=True)
 class Part:
     """The truth of the independent SCA100T: see :class:`realbus.sca100t_part.Sca100tPart`."""
+
+    kind: ClassVar[str] = "sca100t"
 
     offset: tuple[float, float] = (1026.3, 1020.8)
     sensitivity: tuple[tuple[float, float, float], tuple[float, float, float]] = (
@@ -48,8 +59,27 @@ class Part:
     seed: int = 1
 
 
+@dataclass(frozen=True)
+class Sca3000:
+    """The truth of the independent SCA3000: see :class:`realbus.sca3000_part.Sca3000Part`."""
+
+    kind: ClassVar[str] = "sca3000"
+
+    offset: tuple[float, float, float] = (31.4, -18.7, 44.2)
+    sensitivity: tuple[tuple[float, float, float], ...] = (
+        (1341.2, 9.6, -14.3),
+        (-7.1, 1322.5, 11.8),
+        (5.9, -12.4, 1338.7),
+    )
+    noise: float = 1.5
+    jig: float = 0.01
+    seed: int = 1
+    rate: float = 250.0
+    thermometer: bool = True
+
+
 class Message(NamedTuple):
-    """One SPI message as the kernel's side saw it: times on the monotonic clock, ns."""
+    """One SPI message or I2C transaction as the kernel's side saw it: times on the monotonic clock, ns."""
 
     start_ns: int
     end_ns: int
@@ -98,12 +128,12 @@ class Bench:
         self._order(kill=int(signal))
 
     def messages(self) -> list[Message]:
-        """Every SPI message that was answered so far."""
+        """Every SPI message or I2C transaction that was answered so far."""
         rows = self._order(messages=True)["messages"]
         return [Message(start, end, bytes.fromhex(out), bytes.fromhex(answer)) for start, end, out, answer in rows]
 
     def settings(self) -> dict[str, int]:
-        """SPI mode, bits per word and speed in Hz that the program has set."""
+        """SPI: mode, bits per word and speed in Hz that the program has set. I2C: the address last spoken to."""
         settings: dict[str, int] = self._order(messages=True)["settings"]
         return settings
 
@@ -146,17 +176,45 @@ class Bench:
         return answer
 
 
-@contextmanager
 def run_on_spi(
-    program: Sequence[str | os.PathLike[str]], part: Part | None = None, *, seconds: float = 120.0, **popen: Any
+    program: Sequence[str | os.PathLike[str]], part: PartFacts | None = None, *, seconds: float = 120.0, **popen: Any
+) -> AbstractContextManager[Bench]:
+    """Start a program on a machine whose ``/dev/spidev0.0`` leads to a part, an SCA100T unless another is named.
+
+    The other parameters are those of :func:`run_on`.
+    """
+    return run_on({"kind": "spidev"}, program, part or Part(), seconds=seconds, **popen)
+
+
+def run_on_i2c(
+    program: Sequence[str | os.PathLike[str]], part: PartFacts, address: int, *, seconds: float = 120.0, **popen: Any
+) -> AbstractContextManager[Bench]:
+    """Start a program on a machine whose ``/dev/i2c-1`` has a part at a 7-bit address.
+
+    The other parameters are those of :func:`run_on`.
+    """
+    return run_on({"kind": "i2c", "address": address}, program, part, seconds=seconds, **popen)
+
+
+@contextmanager
+def run_on(
+    node: Mapping[str, object],
+    program: Sequence[str | os.PathLike[str]],
+    part: PartFacts,
+    *,
+    seconds: float = 120.0,
+    **popen: Any,
 ) -> Iterator[Bench]:
-    """Start a program on a machine whose ``/dev/spidev0.0`` leads to the independent SCA100T.
+    """Start a program on a machine that has one emulated device node.
 
     Parameters
     ----------
+    node : mapping
+        Its kind and what else it is made with: see :mod:`realbus.host`.
     program : sequence of str
         Program and arguments.
-    part : Part, optional
+    part : PartFacts
+        What is behind the node.
     seconds : float
         The program is killed when it runs longer than this.
     **popen
@@ -171,8 +229,8 @@ def run_on_spi(
         pytest.skip(why)
     ours, theirs = socket.socketpair()
     command = [
-        *("umockdev-wrapper", SYSTEM_PYTHON, str(HERE / "host.py"), str(theirs.fileno()), "spidev"),
-        *(json.dumps(asdict(part or Part())), *map(str, program)),
+        *("umockdev-wrapper", SYSTEM_PYTHON, str(HERE / "host.py"), str(theirs.fileno())),
+        *(json.dumps(node), json.dumps({"kind": part.kind, **asdict(part)}), *map(str, program)),
     ]
     with (
         ours,

@@ -2,7 +2,11 @@
 
     umockdev-wrapper /usr/bin/python3 host.py CONTROL NODE PART PROGRAM ARGUMENT...
 
-CONTROL is the number of an inherited socket, NODE the kind of node (``spidev``), PART the JSON of the part behind it.
+CONTROL is the number of an inherited socket. NODE and PART are JSON objects: what they hold besides ``kind`` is given
+to the class of that kind::
+
+    {"kind": "spidev"}     {"kind": "i2c", "address": 29}          {"kind": "sca100t", "offset": [1026.3, 1020.8], ...}
+
 The program inherits the standard streams; its exit code becomes the host's. One JSON line on the control socket is one
 order, answered by one line once it is in force::
 
@@ -19,20 +23,36 @@ import os
 import socket
 import subprocess
 import sys
+from importlib import import_module
 
 import gi
 
 gi.require_version("UMockdev", "1.0")
 from gi.repository import GLib, UMockdev  # noqa: E402
-from sca100t_part import Sca100tPart  # noqa: E402
+from i2c_node import I2cNode  # noqa: E402
 from spidev_node import SpidevNode  # noqa: E402
 
-NODES = {"spidev": SpidevNode}
+Node = SpidevNode | I2cNode
+
+NODES = {"spidev": SpidevNode, "i2c": I2cNode}
+
+PARTS = {
+    "sca100t": "sca100t_part:Sca100tPart",
+    "sca3000": "sca3000_part:Sca3000Part",
+    "ads1115": "analog_part:Ads1115Part",
+    "mcp3208": "analog_part:Mcp3208Part",
+}
 
 
-def main(control: str, node_kind: str, part: str, *program: str) -> int:
+def make(node: dict, part: dict) -> Node:
+    """The node, with its part behind it."""
+    module, _, name = PARTS[part.pop("kind")].partition(":")
+    return NODES[node.pop("kind")](getattr(import_module(module), name)(**part), **node)
+
+
+def main(control: str, node_facts: str, part_facts: str, *program: str) -> int:
     testbed = UMockdev.Testbed.new()
-    node = NODES[node_kind](Sca100tPart(**json.loads(part)))
+    node = make(json.loads(node_facts), json.loads(part_facts))
     testbed.add_from_string(
         f"P: /devices/platform/{node.name}\nN: {node.name}\n"
         f"E: DEVNAME=/dev/{node.name}\nE: SUBSYSTEM={node.subsystem}\n"
@@ -65,7 +85,7 @@ def main(control: str, node_kind: str, part: str, *program: str) -> int:
     return codes[0] if codes[0] >= 0 else 128 - codes[0]
 
 
-def obey(order: dict, node: SpidevNode, child: int) -> dict:
+def obey(order: dict, node: Node, child: int) -> dict:
     """Carry out one order from the test."""
     if "pose" in order:
         node.part.pose(order["pose"], order["temperature"])

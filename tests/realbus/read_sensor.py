@@ -1,4 +1,9 @@
-"""A program under test: reads an SCA100T through the real drivers, one command a line, one JSON line as the answer."""
+"""A program under test: reads a sensor through the real drivers, one command a line, one JSON line as the answer.
+
+    read_sensor.py MODEL ADDRESS
+
+Commands: ``probe``, ``read COUNT``, ``exchange TIMES BYTES`` (in hexadecimal), ``reopen``.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +18,27 @@ from tiltcal.drivers.bus.clock import SystemClock
 from tiltcal.errors import TiltcalError
 
 
-def main(address: str) -> None:
-    model = find_model("sca100t-d02")
-    link = open_link(parse_address(address), model)
+def main(name: str, written: str) -> None:
+    address = parse_address(written)
+    model = find_model(name).at(address)
+    link = open_link(address, model)
     sensor = model.driver(link, SystemClock(time.time_ns()))
     for line in sys.stdin:
-        command, _, count = line.strip().partition(" ")
+        command, *arguments = line.split()
         try:
             if command == "reopen":
                 link.close()
-                link = open_link(parse_address(address), model)
+                link = open_link(address, model)
                 sensor = model.driver(link, SystemClock(time.time_ns()))
                 answer: dict[str, object] = {}
             elif command == "exchange":
-                for _ in range(int(count)):
-                    link.exchange(b"\x10\x00\x00")
+                for _ in range(int(arguments[0])):
+                    link.exchange(bytes.fromhex(arguments[1]))
                 answer = {}
             elif command == "probe":
                 answer = dict(sensor.probe())
             else:
-                readings = [sensor.read() for _ in range(int(count))]
+                readings = [sensor.read() for _ in range(int(arguments[0]))]
                 answer = {
                     "values": [reading.values for reading in readings],
                     "temperatures": [reading.temperature for reading in readings],
@@ -44,4 +50,4 @@ def main(address: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

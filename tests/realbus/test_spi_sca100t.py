@@ -12,7 +12,7 @@ import pytest
 
 from realbus.bench import DEVICE, Message, Part, run_on_spi
 
-PROGRAM = [sys.executable, str(Path(__file__).parent / "read_sca100t.py"), f"spi://{DEVICE}"]
+PROGRAM = [sys.executable, str(Path(__file__).parent / "read_sensor.py"), "sca100t-d02", f"spi://{DEVICE}"]
 
 pytest.importorskip("spidev", reason="the spidev package is not installed")
 
@@ -57,7 +57,7 @@ def test_the_readings_follow_the_pose() -> None:
 
 def test_chip_select_is_high_for_150_us_before_every_read() -> None:
     with run_on_spi(PROGRAM) as bench:
-        bench.ask("exchange 50")
+        bench.ask("exchange 50 100000")
         bare = gaps(bench.messages())
         bench.ask("read 50")
         kept = gaps(bench.messages()[50:])
@@ -75,7 +75,7 @@ def test_the_adapter_is_set_to_mode_0_and_500_khz() -> None:
 
 
 def test_the_address_sets_mode_and_speed() -> None:
-    with run_on_spi([*PROGRAM[:2], f"spi://{DEVICE}?mode=3&speed=125000"]) as bench:
+    with run_on_spi([*PROGRAM[:3], f"spi://{DEVICE}?mode=3&speed=125000"]) as bench:
         bench.ask("probe")
         assert bench.settings() == {"mode": 3, "bits": 8, "speed": 125_000}
 
@@ -116,6 +116,6 @@ def test_the_parts_fault_signal_is_a_device_fault() -> None:
 
 
 def test_a_node_that_does_not_exist_names_the_one_that_does() -> None:
-    with run_on_spi([*PROGRAM[:2], "spi:///dev/spidev7.1"]) as bench:
+    with run_on_spi([*PROGRAM[:3], "spi:///dev/spidev7.1"]) as bench:
         assert bench.exit_code != 0
         assert "/dev/spidev7.1 does not exist (present: /dev/spidev0.0)" in bench.errors()

@@ -15,6 +15,7 @@
       nonlinearity: {x: [0.002, -0.004]}      # coefficients of a², a³, ... where a is the signal in g
       noise: {x: 0.6, y: 0.6}                 # standard deviation of one sample, unit
       thermometer_error: 0.5                  # °C
+      supply: 4.9                             # of an analog sensor, V
       jig: 0.01                               # standard deviation of a set angle, degrees
       ambient: 24.0                           # °C
       time_constant: 300                      # of the chamber, seconds
@@ -66,7 +67,7 @@ def _read_truth(node: Node, seed: int) -> Truth:
     section = node.mapping(
         required=("offset", "sensitivity"),
         optional=(
-            *("temperature", "nonlinearity", "noise", "thermometer_error"),
+            *("temperature", "nonlinearity", "noise", "thermometer_error", "supply"),
             *("jig", "ambient", "time_constant", "faults"),
         ),
     )
@@ -81,7 +82,9 @@ def _read_truth(node: Node, seed: int) -> Truth:
     if "faults" in section:
         given["faults"] = tuple(_read_fault(item) for item in section["faults"].items())
     given.update((name, section[name].number()) for name in ("thermometer_error", "ambient") if name in section)
-    given.update((name, section[name].number(minimum=0.0)) for name in ("jig", "time_constant") if name in section)
+    given.update(
+        (name, section[name].number(minimum=0.0)) for name in ("supply", "jig", "time_constant") if name in section
+    )
     return Truth(
         channels=channels,
         offset=read_per_channel(section["offset"], channels),

@@ -1,0 +1,377 @@
+"""Analog Devices ADXL202, ADXL202E and ADXL210 dual-axis accelerometers at their duty-cycle outputs.
+
+Each axis is a pulse of length T1 in a period T2 that both share; the reading is the duty cycle T1/T2, nominally 0.5 at
+0 g and 0.125 more for each g (0.04 for the ADXL210). T2 drifts, so T1 alone is never a reading. The pulses come as
+
+- sentences of a microcontroller that has timed them, framed as in NMEA 0183::
+
+      $PTCDC,seq,t1x,t1y,t2x,t2y[,temperature]*hh
+
+  with ``seq`` counting sentences, four times in timer ticks, °C, and the XOR of all between ``$`` and ``*``;
+- edges of two lines with their times, from a GPIO chip or from a logic analyser's file.
+
+Sources: ADXL202/210 data sheet Rev. B, ADXL202E data sheet Rev. A, application notes AN-603 and AN-604.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from math import sqrt
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.bus.edges import RECORD, Edge, unpack_edges
+from tiltcal.drivers.converter import SCHEMES as CONVERTERS
+from tiltcal.drivers.device import Model, Reading, in_words
+from tiltcal.drivers.lines import UNUSABLE, Lines, shown
+from tiltcal.drivers.nmea import content, missing
+from tiltcal.drivers.pulses import Cycle, PulseTrains
+from tiltcal.errors import BusError, DeviceFault
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.truth import Truth
+
+ZERO = 0.5
+"""Nominal duty cycle at 0 g."""
+
+EDGES_AT_ONCE = 256
+"""The most edges to take in one transaction."""
+
+TROUBLED = 256
+"""Transactions with edges, and no cycle, before the driver gives up."""
+
+_TICKS = rb"([0-9]{1,12}(?:\.[0-9]{1,9})?)"
+_SENTENCE = re.compile(
+    rb"PTCDC,([0-9]{1,12})," + rb",".join([_TICKS] * 4) + rb"(?:,([+-]?[0-9]{1,4}(?:\.[0-9]{0,9})?)?)?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """What one sentence says.
+
+    Attributes
+    ----------
+    number : int
+        Its place in the sequence.
+    duty : tuple of float
+        T1/T2 of x and of y, each by its own period.
+    periods : tuple of float
+        T2 of x and of y, ticks.
+    temperature : float or None
+        °C; None where the sentence carries none.
+    """
+
+    number: int
+    duty: tuple[float, float]
+    periods: tuple[float, float]
+    temperature: float | None
+
+
+def parse_sentence(line: bytes) -> Sentence | None:
+    """Take a sentence apart.
+
+    Parameters
+    ----------
+    line : bytes
+        From ``$`` to the checksum, without a line end.
+
+    Returns
+    -------
+    Sentence or None
+        None where it is damaged: its frame, its checksum, its fields, or a pulse longer than its period.
+    """
+    inside = content(line)
+    fields = _SENTENCE.fullmatch(inside) if inside is not None else None
+    if fields is None:
+        return None
+    number, *times, temperature = fields.groups()
+    t1x, t1y, t2x, t2y = map(float, times)
+    if not (0.0 < t2x >= t1x and 0.0 < t2y >= t1y):
+        return None
+    return Sentence(int(number), (t1x / t2x, t1y / t2y), (t2x, t2y), float(temperature) if temperature else None)
+
+
+class Adxl202Sentences:
+    """The driver of an ADXL202 behind a microcontroller that sends sentences.
+
+    Parameters
+    ----------
+    link : Link
+        Serial.
+    clock : Clock
+        Unused: the sentences pace the driver.
+    """
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self._lines = Lines(link)
+        self._number: int | None = None
+        self._damaged_since = 0
+        self._used = self._damaged = self._lost = self._restarts = 0
+
+    def probe(self) -> Mapping[str, str]:
+        """Check that sentences come.
+
+        Returns
+        -------
+        mapping of str to str
+            Duty cycles, the period, the temperature where it is sent, and the reception.
+
+        Raises
+        ------
+        BusError
+            Silence, or nothing that is a sentence.
+        """
+        self.discard()
+        sentence = self._next()
+        said = {channel: f"{duty:.6f} duty" for channel, duty in zip("xy", sentence.duty, strict=True)}
+        said["period"] = f"{sentence.periods[0]:g} ticks"
+        if sentence.temperature is not None:
+            said["temperature"] = f"{sentence.temperature:.1f} °C"
+        return said | {"reception": in_words(self.reception())}
+
+    def read(self) -> Reading:
+        """The next undamaged sentence: the duty cycles of x and y, and the temperature where it is sent, °C.
+
+        Raises
+        ------
+        BusError
+            Silence, or nothing that is a sentence.
+        """
+        sentence = self._next()
+        return Reading(sentence.duty, sentence.temperature)
+
+    def discard(self) -> None:
+        """Forget what queued up; it does not count as lost."""
+        self._lines.discard()
+        self._number = None
+
+    def reception(self) -> Mapping[str, int]:
+        """Sentences that were used, damaged, lost on the way (gaps in the sequence), and restarts of the sequence."""
+        return {
+            "sentences": self._used,
+            "damaged": self._damaged,
+            "lost": self._lost,
+            "restarts": self._restarts,
+        }
+
+    def _next(self) -> Sentence:
+        for _ in range(UNUSABLE):
+            line, whole = self._lines.next()
+            # Behind a lost line end stands a second sentence; what is before its "$" is the damaged first one.
+            garbage, _, _ = line.rpartition(b"$")
+            sentence = parse_sentence(line[len(garbage) :])
+            if (garbage or sentence is None) and (whole or line.startswith(b"$")):
+                self._damaged += 1
+                self._damaged_since += 1
+            if sentence is not None and self._in_sequence(sentence.number):
+                self._used += 1
+                return sentence
+        raise BusError(
+            f"{UNUSABLE} lines came and none was a sentence $PTCDC,seq,t1x,t1y,t2x,t2y*hh with its checksum; the last "
+            f"was {shown(line)}: is the baudrate right, and does the microcontroller time both axes?"
+        )
+
+    def _in_sequence(self, number: int) -> bool:
+        """Count what is missing before a sentence; whether it is a new one."""
+        before, self._number = self._number, number
+        damaged, self._damaged_since = self._damaged_since, 0
+        if number == before:
+            return False
+        if before is not None:
+            gap = missing(before, number)
+            if gap is None:
+                self._restarts += 1
+            else:
+                # A damaged sentence leaves a gap too, and is counted already.
+                self._lost += max(gap - damaged, 0)
+        return True
+
+
+class Adxl202Edges:
+    """The driver of an ADXL202 whose outputs are on two lines that are captured edge by edge.
+
+    Parameters
+    ----------
+    link : Link
+        Edge records.
+    clock : Clock
+        Unused: the pulses pace the driver.
+    """
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self._link = link
+        self._trains = PulseTrains()
+        self._ready: deque[Cycle] = deque()
+        self._used = 0
+
+    def probe(self) -> Mapping[str, str]:
+        """Check that both lines pulse.
+
+        Returns
+        -------
+        mapping of str to str
+            Duty cycles, the period, and the reception.
+
+        Raises
+        ------
+        BusError
+            No edges.
+        DeviceFault
+            One line is dead, or the lines do not belong together.
+        """
+        self.discard()
+        cycle = self._next()
+        said = {channel: f"{duty:.6f} duty" for channel, duty in zip("xy", cycle.duty, strict=True)}
+        return said | {"period": f"{cycle.period / 1e6:.6g} ms", "reception": in_words(self.reception())}
+
+    def read(self) -> Reading:
+        """The next period: the duty cycles of x and y.
+
+        Raises
+        ------
+        BusError
+            No edges.
+        DeviceFault
+            One line is dead, or the lines do not belong together.
+        """
+        return Reading(self._next().duty)
+
+    def discard(self) -> None:
+        """Forget what queued up; it does not count as lost."""
+        self._trains.restart()
+        self._ready.clear()
+        self._link.exchange(b"", 0)
+
+    def reception(self) -> Mapping[str, int]:
+        """Periods that were used, edges lost (gaps in their numbers), and periods with a pulse missing."""
+        return {"periods": self._used, "lost edges": self._trains.lost, "torn periods": self._trains.torn}
+
+    def _next(self) -> Cycle:
+        for _ in range(TROUBLED):
+            if self._ready:
+                self._used += 1
+                return self._ready.popleft()
+            for edge in self._edges():
+                cycle = self._trains.take(edge)
+                if cycle is not None:
+                    self._ready.append(cycle)
+        raise DeviceFault("edges come, and no period of both lines is whole: are the wires of x and y loose?")
+
+    def _edges(self) -> Iterator[Edge]:
+        try:
+            return unpack_edges(self._link.exchange(b"", EDGES_AT_ONCE * RECORD.size))
+        except BusError:
+            # Once the lines are had again, their edges are numbered anew.
+            self._trains.restart()
+            raise
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """What distinguishes the parts.
+
+    Attributes
+    ----------
+    duty_per_g : float
+        Nominal sensitivity.
+    noise_density : float
+        g/√Hz.
+    """
+
+    duty_per_g: float
+    noise_density: float
+
+
+SENSITIVITY_LIMIT = 0.2
+"""Largest relative error of the sensitivity over parts: 10 to 15 %/g around 12.5 (AN-603)."""
+
+OFFSET_SPREAD = 0.5
+"""Standard deviation of the offset over parts, g; ours: the notes say only that it varies from part to part."""
+
+
+def _sentences_twin(truth: Truth, fixture: Held, clock: Clock) -> Link:
+    from tiltcal.drivers.twin.adxl202 import sentences_twin
+
+    return sentences_twin(truth, fixture, clock)
+
+
+def _edges_twin(truth: Truth, fixture: Held, clock: Clock) -> Link:
+    from tiltcal.drivers.twin.adxl202 import EdgesTwin
+
+    return EdgesTwin(truth, fixture, clock)
+
+
+def _default_truth(variant: Variant, seed: int) -> Truth:
+    from tiltcal.drivers.twin.adxl202 import draw_truth
+
+    return draw_truth(variant, seed)
+
+
+def _tailored(model: Model, address: Address) -> Model:
+    """The model by how its pulses come; at a ``sim:`` address ``wiring=edges`` has them come as edges."""
+    if address.scheme in CONVERTERS:
+        from tiltcal.drivers import find_model
+
+        return find_model(f"{model.name}-analog").at(address)
+    if "wiring" in address.options and not address.simulated:
+        address.refuse("option 'wiring' is for sim: addresses; a real address says it by its scheme")
+    wiring = address.text("wiring", "sentences")
+    if wiring not in ("sentences", "edges"):
+        address.refuse(f"option wiring={wiring} is none of sentences, edges")
+    if wiring == "sentences" and address.scheme in ("serial", "sim"):
+        return model
+    return replace(
+        model,
+        schemes=("gpio", "vcd", "serial"),
+        thermometer=False,
+        driver=Adxl202Edges,
+        twin=_edges_twin,
+    )
+
+
+def _model(name: str, title: str, variant: Variant) -> Model:
+    model = Model(
+        name=name,
+        title=title,
+        channels=("x", "y"),
+        unit="duty",
+        schemes=("serial", "gpio", "vcd"),
+        address="serial:///dev/ttyUSB0?baudrate=115200",
+        offset=ZERO,
+        sensitivity=variant.duty_per_g,
+        offset_spread=OFFSET_SPREAD,
+        # A limit of either sign with nothing known inside it is a rectangular distribution (GUM 4.3.7).
+        sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
+        rails=(0.0, 1.0),
+        resolution=0.0,
+        # The sensor talks by itself: a read waits for what comes next.
+        interval=0.0,
+        thermometer=True,
+        driver=Adxl202Sentences,
+        twin=_sentences_twin,
+        not_modelled=(
+            "response time and bandwidth: a new position is there at once, the noise of two samples is independent",
+            "self-test",
+            "supply: ratiometric error, digital noise on the supply",
+            "late time stamps, loss and damage on the line",
+            "a receive buffer: what is sent while nobody listens is missing from the sequence",
+            "the period's drift with temperature, on edges (sentences have it)",
+            "the memory fault (parity) of other parts: it has no such memory",
+        ),
+        default_truth=partial(_default_truth, variant),
+        options=("wiring",),
+    )
+    return replace(model, tailor=partial(_tailored, model))
+
+
+ADXL202 = _model("adxl202", "Analog Devices ADXL202 accelerometer, ±2 g, duty cycle", Variant(0.125, 500e-6))
+ADXL202E = _model("adxl202e", "Analog Devices ADXL202E accelerometer, ±2 g, duty cycle", Variant(0.125, 200e-6))
+ADXL210 = _model("adxl210", "Analog Devices ADXL210 accelerometer, ±10 g, duty cycle", Variant(0.04, 500e-6))

@@ -1,0 +1,282 @@
+"""Analog sensors of two axes behind a converter: SCA100T, and ADXL202 with its duty cycle through an RC filter.
+
+Both are ratiometric: offset and sensitivity are shares of the supply. A reading is therefore given in volts *referred
+to a supply of 5 V*, ``5 * Vout / Vdd``, and so are the coefficients of its calibration; the supply that the sensor has
+today does not enter. Where to find it is the address's to say::
+
+    ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2     measured at input 2, with each sample
+    ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&vdd=4.98     stated
+    mcp3208+spi:///dev/spidev0.1?x=0&y=1&vref=5.0              the converter's reference pin is the sensor's supply
+
+An SCA100T has X at pin 11 (OUT_1) and Y at pin 5 (OUT_2); ``x`` and ``y`` name the inputs that they are wired to.
+
+Sources: SCA100T Series data sheet, Murata doc. 8261800 Rev. B2; ADXL202/210 data sheet Rev. B and ADXL202E data sheet
+Rev. A, Analog Devices; A Solid State Tilt Meter for Current Meter Attitude Determination.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers import adxl202, sca100t
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.converter import (
+    NOMINAL,
+    Converter,
+    FrontEnd,
+    Supply,
+    find_front_end,
+    require_apart,
+    take_input,
+    take_supply,
+)
+from tiltcal.drivers.device import Model, Reading
+from tiltcal.errors import DeviceFault
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.truth import Truth
+
+CHANNELS = ("x", "y")
+
+ZERO = NOMINAL / 2.0
+"""Nominal reading at 0 g, V referred to 5 V."""
+
+LOWEST_SANE, HIGHEST_SANE = 0.05 * NOMINAL, 0.95 * NOMINAL
+"""An SCA100T that has found a memory parity error holds both outputs below 0.25 V; from 95 % of the supply on it is in
+its self-test or its interconnection is broken. Applied to the ADXL202 too: it has no such limits, but no duty cycle of
+its range comes near."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What distinguishes one analog sensor.
+
+    Attributes
+    ----------
+    title : str
+    digital : Model
+        The same part at its digital port, whose tolerances it shares.
+    share_per_g : float
+        Nominal sensitivity, shares of the supply per g.
+    supply : tuple of float
+        Lowest and highest supply, V.
+    parity_signal : bool
+        Whether both outputs near ground are the part's own fault signal.
+    interval : float
+        Seconds after which a sample does not repeat the noise of the one before.
+    not_modelled : tuple of str
+        What the twin leaves out of this part.
+    """
+
+    title: str
+    digital: Model
+    share_per_g: float
+    supply: tuple[float, float]
+    parity_signal: bool
+    interval: float
+    not_modelled: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """What the user types."""
+        return f"{self.digital.name}-analog"
+
+    @property
+    def sensitivity(self) -> float:
+        """Nominal, V/g referred to 5 V."""
+        return NOMINAL * self.share_per_g
+
+
+@dataclass(frozen=True)
+class Wired:
+    """How a sensor is wired to a converter.
+
+    Attributes
+    ----------
+    front_end : FrontEnd
+    numbers : tuple of int
+        The inputs of x and y.
+    supply : Supply
+    """
+
+    front_end: FrontEnd
+    numbers: tuple[int, ...]
+    supply: Supply
+
+
+class AnalogSensor:
+    """The driver of an analog sensor, whatever the converter.
+
+    Parameters
+    ----------
+    part : Part
+    wired : Wired
+    converter : Converter
+    """
+
+    def __init__(self, part: Part, wired: Wired, converter: Converter) -> None:
+        self._part = part
+        self._wired = wired
+        self._converter = converter
+
+    def probe(self) -> Mapping[str, str]:
+        """Check that the sensor answers sanely.
+
+        Returns
+        -------
+        mapping of str to str
+            What each output reads, the supply and the converter.
+
+        Raises
+        ------
+        BusError
+            The converter does not answer.
+        DeviceFault
+            A supply that the sensor cannot work with, or the sensor's own fault signal.
+        """
+        values, supply = self._sample()
+        said = {
+            channel: f"{value:.4f} V, referred to {NOMINAL:g} V"
+            for channel, value in zip(CHANNELS, values, strict=True)
+        }
+        return {**said, "supply": self._wired.supply.said(supply), "converter": self._wired.front_end.says}
+
+    def read(self) -> Reading:
+        """Take one sample: x and y in V, referred to a supply of 5 V.
+
+        Raises
+        ------
+        BusError
+            The transaction failed.
+        DeviceFault
+            As :meth:`probe`.
+        """
+        values, _ = self._sample()
+        return Reading(values)
+
+    def discard(self) -> None:
+        """Nothing queues up: every read is a new conversion."""
+
+    def _sample(self) -> tuple[tuple[float, ...], float]:
+        """Both readings in V referred to 5 V, and the supply in V."""
+        shares, supply = self._wired.supply.shares(self._converter, self._wired.numbers)
+        values = tuple(NOMINAL * share for share in shares)
+        if self._part.parity_signal and max(values) < LOWEST_SANE:
+            raise DeviceFault(
+                f"both outputs are below {LOWEST_SANE:g} V, the part's fault signal (memory parity error), or are not "
+                "connected: check the wiring, then switch its supply off and on; if it stays, replace the part"
+            )
+        return values, supply
+
+
+def _wire(part: Part, address: Address) -> Wired:
+    """The wiring as an address tells it."""
+    front_end = find_front_end(address)
+    numbers = {channel: take_input(address, channel, front_end, place) for place, channel in enumerate(CHANNELS)}
+    supply = take_supply(address, front_end, *part.supply)
+    require_apart(address, {**numbers, "supply": supply.number})
+    return Wired(front_end, tuple(numbers.values()), supply)
+
+
+def _driver(part: Part, wired: Wired, link: Link, clock: Clock) -> AnalogSensor:
+    return AnalogSensor(part, wired, wired.front_end.driver(link, clock))
+
+
+def _twin(wired: Wired, truth: Truth, fixture: Held, clock: Clock) -> Link:
+    from tiltcal.drivers.twin.analog import SensorWiring
+
+    wiring = SensorWiring(truth, fixture, clock, wired.numbers, wired.supply)
+    return wired.front_end.twin(wiring, clock)
+
+
+def _default_truth(part: Part, seed: int) -> Truth:
+    from tiltcal.drivers.twin.analog import draw_truth
+
+    return draw_truth(part, seed)
+
+
+def _model(part: Part, address: Address) -> Model:
+    """The model of a part as it is wired at an address."""
+    wired = _wire(part, address)
+    front_end = wired.front_end
+    chooses = ("adc",) if address.simulated else ()
+    return Model(
+        name=part.name,
+        title=part.title,
+        channels=CHANNELS,
+        unit="V",
+        schemes=front_end.schemes,
+        address="ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2",
+        offset=ZERO,
+        sensitivity=part.sensitivity,
+        offset_spread=part.digital.offset_spread,
+        sensitivity_spread=part.digital.sensitivity_spread,
+        rails=(LOWEST_SANE, HIGHEST_SANE),
+        resolution=front_end.step * NOMINAL / wired.supply.volts,
+        interval=part.interval,
+        thermometer=False,
+        driver=partial(_driver, part, wired),
+        twin=partial(_twin, wired),
+        not_modelled=(
+            *part.not_modelled,
+            "response time: a new position and a new temperature are there at once, without ringing",
+            "supply: ripple, drift, start-up time, ratiometric error",
+            "converter: offset, gain error, non-linearity, noise, charge taken from the sensor's output",
+            "an input with nothing wired to it, which floats: it reads 0 V",
+        ),
+        default_truth=partial(_default_truth, part),
+        spi=front_end.spi,
+        options=(*CHANNELS, "supply", "vdd", *front_end.options, *chooses),
+        tailor=partial(_model, part),
+    )
+
+
+def _sca100t(digital: Model, share_per_g: float) -> Model:
+    part = Part(
+        title=digital.title.replace("SPI", "analog outputs behind a converter"),
+        digital=digital,
+        share_per_g=share_per_g,
+        supply=(4.75, 5.25),
+        parity_signal=True,
+        interval=digital.interval,
+        not_modelled=(
+            "long-term drift, temperature hysteresis, shock",
+            "self-test pins, and its digital port, which the analog outputs do not need",
+        ),
+    )
+    return _model(part, parse_address("sim:"))
+
+
+def _adxl202(digital: Model) -> Model:
+    part = Part(
+        title=f"{digital.title} through an RC filter behind a converter",
+        digital=digital,
+        # What is left of pulses behind the filter is their duty cycle, as a share of the supply.
+        share_per_g=digital.sensitivity,
+        supply=(3.0, 5.25),
+        parity_signal=False,
+        interval=0.5 / BANDWIDTH,
+        not_modelled=(
+            "the pulses themselves: what is left of them behind the RC filter, and the filter's load",
+            "offsets over parts, cross-axis sensitivity and the spread of the drift are ours: no source names them",
+            "non-linearity",
+        ),
+    )
+    return _model(part, parse_address("sim:"))
+
+
+BANDWIDTH = 10.0
+"""Of the filters that an ADXL202 is assumed behind, Hz; its virtual part has the noise that these let pass."""
+
+SCA100T_D01 = _sca100t(sca100t.D01, 0.8)
+SCA100T_D02 = _sca100t(sca100t.D02, 0.4)
+ADXL202 = _adxl202(adxl202.ADXL202)
+ADXL202E = _adxl202(adxl202.ADXL202E)
+ADXL210 = _adxl202(adxl202.ADXL210)

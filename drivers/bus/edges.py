@@ -1,0 +1,228 @@
+"""Edges of two digital lines: their records, and the GPIO lines of a Linux board that give them.
+
+Every edge travels as one record of 14 bytes, little-endian::
+
+    time    8 bytes   nanoseconds on the capturing clock
+    line    1 byte    0 is x, 1 is y
+    rising  1 byte    1 where the line goes up, 0 where it goes down
+    number  4 bytes   counts the edges of both lines as they were captured; a step of more than one is a loss
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from struct import Struct
+from time import sleep
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+
+from tiltcal.drivers.bus.permission import no_permission
+from tiltcal.errors import BusError, HardwareError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.device import Model
+
+RECORD = Struct("<QBBI")
+
+TIMEOUT = 2.0
+"""Seconds without an edge that are an error: two hundred of the part's longest periods."""
+
+GATHER = 0.005
+"""Seconds for which edges are gathered into one answer: 20 of them at 4,000 a second."""
+
+KERNEL_BUFFER = 1024
+"""Edges that the kernel may hold for two lines before the oldest is lost; it allows no more."""
+
+CONSUMER = "tiltcal"
+
+
+class Edge(NamedTuple):
+    """One change of one line.
+
+    Attributes
+    ----------
+    time_ns : int
+        On the capturing clock.
+    line : int
+        0 is x, 1 is y.
+    rising : bool
+    number : int
+        Of the edges of both lines, as they were captured.
+    """
+
+    time_ns: int
+    line: int
+    rising: bool
+    number: int
+
+
+def pack_edges(edges: Iterable[Edge]) -> bytes:
+    """Edges as the records of a link's answer; a number past 32 bits starts again at 0."""
+    return b"".join(RECORD.pack(edge.time_ns, edge.line, edge.rising, edge.number & 0xFFFFFFFF) for edge in edges)
+
+
+def unpack_edges(records: bytes) -> Iterator[Edge]:
+    """The edges in a link's answer, the inverse of :func:`pack_edges`.
+
+    Raises
+    ------
+    BusError
+        A torn record.
+    """
+    if len(records) % RECORD.size:
+        raise BusError(f"{len(records)} bytes are no whole number of edge records of {RECORD.size} bytes")
+    for time_ns, line, rising, number in RECORD.iter_unpack(records):
+        yield Edge(time_ns, line, bool(rising), number)
+
+
+def open_gpio(address: Address, model: Model) -> GpioLink:
+    """Open a ``gpio:`` address.
+
+    Parameters
+    ----------
+    address : Address
+        The path is a GPIO chip; options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge that
+        are an error.
+    model : Model
+        Its options are let through.
+
+    Raises
+    ------
+    UsageError
+        A line is missing, or both are the same.
+    HardwareError
+        The gpiod package is not installed, or is older than version 2.
+    BusError
+        No such chip or line, no permission, or in use.
+    """
+    address.allow("x", "y", "timeout", *model.options)
+    x, y = address.integer("x", low=0), address.integer("y", low=0)
+    if x == y:
+        address.refuse(f"x and y are both line {x}; they are two wires")
+    timeout = address.number("timeout", TIMEOUT, low=0.01, high=3600.0)
+    return GpioLink(address.path, x, y, timeout)
+
+
+class GpioLink:
+    """Both lines of one sensor on one GPIO chip, time-stamped by the kernel on its monotonic clock.
+
+    Parameters
+    ----------
+    chip : str
+        Such as ``/dev/gpiochip0``.
+    x, y : int
+        Line offsets.
+    timeout : float
+        Seconds without an edge that are an error.
+
+    Raises
+    ------
+    HardwareError
+        The gpiod package is not installed, or is older than version 2.
+    BusError
+        The lines cannot be had.
+    """
+
+    letter = "e"
+
+    def __init__(self, chip: str, x: int, y: int, timeout: float) -> None:
+        self._chip = chip
+        self._place = {x: 0, y: 1}
+        self._timeout = timeout
+        self._request: Any = None
+        gpiod = _gpiod()
+        settings = gpiod.LineSettings(
+            direction=gpiod.line.Direction.INPUT,
+            edge_detection=gpiod.line.Edge.BOTH,
+            event_clock=gpiod.line.Clock.MONOTONIC,
+        )
+        self._rising = gpiod.EdgeEvent.Type.RISING_EDGE
+        try:
+            self._request = gpiod.request_lines(
+                chip, consumer=CONSUMER, config={(x, y): settings}, event_buffer_size=KERNEL_BUFFER
+            )
+        except (OSError, ValueError) as cause:
+            if isinstance(cause, OSError) and cause.errno in (errno.ENODEV, errno.ENOTTY):
+                raise BusError(f"{chip} is no GPIO chip, as /dev/gpiochip0 is") from cause
+            self._fail(cause)
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Take the edges that have arrived.
+
+        Parameters
+        ----------
+        out : bytes
+            Unused: nothing is sent over these lines.
+        count : int
+            The most bytes of records to take. With 0, the edges that have arrived are dropped instead.
+
+        Returns
+        -------
+        bytes
+            At least one record where ``count`` is not 0.
+
+        Raises
+        ------
+        BusError
+            No edge for as long as the address allows, or the chip has gone.
+        """
+        try:
+            if not count:
+                while self._request.wait_edge_events(0):
+                    self._request.read_edge_events(KERNEL_BUFFER)
+                return b""
+            if not self._request.wait_edge_events(self._timeout):
+                raise BusError(
+                    f"no edge on the lines of {self._chip} for {self._timeout:g} s: is the sensor powered, and are "
+                    "its outputs on the lines that the address names?"
+                )
+            sleep(GATHER)
+            return pack_edges(map(self._edge, self._request.read_edge_events(max(count // RECORD.size, 1))))
+        except (OSError, ValueError) as cause:
+            self._fail(cause)
+
+    def close(self) -> None:
+        """Release the lines; closing twice is allowed."""
+        if self._request is not None:
+            self._request.release()
+            self._request = None
+
+    def _edge(self, event: Any) -> Edge:
+        rising = event.event_type is self._rising
+        return Edge(event.timestamp_ns, self._place[event.line_offset], rising, event.global_seqno)
+
+    def _fail(self, cause: Exception) -> NoReturn:
+        raise BusError(_why(self._chip, cause)) from cause
+
+
+def _gpiod() -> Any:
+    """The gpiod package in its second version, whose requests carry both lines and the event clock."""
+    advice = "install it with  pip install 'tiltcal[gpio]'"
+    try:
+        import gpiod
+    except ImportError as cause:
+        raise HardwareError(f"edges of GPIO lines need the Python package gpiod, for Linux only: {advice}") from cause
+    if not hasattr(gpiod, "request_lines"):
+        raise HardwareError(f"the gpiod package here is older than version 2 (a distribution's package?): {advice}")
+    return gpiod
+
+
+def _why(chip: str, cause: Exception) -> str:
+    """What an error of the operating system means at a bench, and what to try."""
+    number = cause.errno if isinstance(cause, OSError) else None
+    if number == errno.ENOENT:
+        present = ", ".join(sorted(map(str, Path("/dev").glob("gpiochip*"))))
+        return f"{chip} does not exist ({f'present: {present}' if present else 'no GPIO chip is present'})"
+    if number in (errno.EACCES, errno.EPERM):
+        return no_permission(chip, "gpio")
+    if number == errno.EBUSY:
+        return f"a line of {chip} is in use by another program or by the kernel: stop that one first"
+    if number == errno.EINVAL or isinstance(cause, ValueError):
+        return f"{chip} refuses the lines ({cause}): does it have them?"
+    if number in (errno.ENODEV, errno.EIO, errno.ENXIO):
+        return f"{chip} has gone: plug it in again, then resume"
+    reason = os.strerror(number) if number is not None else str(cause)
+    return f"{chip} failed ({reason}): check the wiring, then resume"

@@ -1,0 +1,164 @@
+"""I2C through the Linux i2c-dev driver."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tiltcal.drivers.bus.permission import no_permission
+from tiltcal.errors import BusError, HardwareError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.device import Model
+
+LOWEST, HIGHEST = 0x08, 0x77
+"""The 7-bit addresses that a device may have; the I2C specification keeps the others for itself."""
+
+
+def open_i2c(address: Address, model: Model) -> I2cLink:
+    """Open an ``i2c:`` address for one device.
+
+    Parameters
+    ----------
+    address : Address
+        Option ``address``, the device's 7-bit address, is required.
+    model : Model
+        What is connected there, with options of its own.
+
+    Raises
+    ------
+    UsageError
+        An unknown option, or an I2C address that is missing or reserved.
+    HardwareError
+        The smbus2 package is not installed.
+    BusError
+        No such device node, or no permission.
+    """
+    address.allow("address", *model.options)
+    return I2cLink(address.path, address.integer("address", low=LOWEST, high=HIGHEST))
+
+
+class I2cLink:
+    """One device on one I2C bus.
+
+    Each exchange is one transaction with one stop condition at its end, so no other master comes between what is
+    written and what is read.
+
+    Parameters
+    ----------
+    device : str
+        Device node of the bus, such as ``/dev/i2c-1``.
+    address : int
+        The device's 7-bit address.
+
+    Raises
+    ------
+    HardwareError
+        The smbus2 package is not installed.
+    BusError
+        The bus cannot be opened.
+    """
+
+    letter = "i"
+
+    def __init__(self, device: str, address: int) -> None:
+        self._device = device
+        self._address = address
+        self._library = _smbus2()
+        self._bus: Any = self._library.SMBus()
+        try:
+            self._bus.open(device)
+        except OSError as cause:
+            self._bus.close()
+            raise BusError(_why_not_opened(device, cause)) from cause
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Write ``out``, then read ``count`` bytes after a repeated start; either part may be empty.
+
+        With both empty the device is only asked to acknowledge its address. See
+        :class:`~tiltcal.drivers.bus.link.Link`.
+        """
+        message = self._library.i2c_msg
+        messages = []
+        if out or not count:
+            messages.append(message.write(self._address, out))
+        if count:
+            messages.append(message.read(self._address, count))
+        try:
+            self._bus.i2c_rdwr(*messages)
+        except OSError as cause:
+            raise BusError(_why_not_exchanged(self._device, self._address, cause)) from cause
+        return bytes(messages[-1]) if count else b""
+
+    def close(self) -> None:
+        """Release the device node; a new link may open it then, also after an error."""
+        self._bus.close()
+
+
+def _smbus2() -> Any:
+    """The smbus2 package, which exists where the operating system has fcntl."""
+    try:
+        import smbus2
+    except ImportError as cause:
+        raise HardwareError(
+            "I2C needs the Python package smbus2, for Linux only: install it with  pip install 'tiltcal[i2c]'"
+        ) from cause
+    return smbus2
+
+
+def _why_not_opened(device: str, cause: OSError) -> str:
+    """Why a bus cannot be opened, and what to try."""
+    if cause.errno == errno.ENOENT:
+        present = ", ".join(sorted(map(str, Path("/dev").glob("i2c-*"))))
+        advice = f"present: {present}" if present else "no I2C bus is present; switch I2C on in the board's settings"
+        return f"{device} does not exist ({advice})"
+    if cause.errno in (errno.EACCES, errno.EPERM):
+        return no_permission(device, "i2c-dev")
+    if cause.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
+        return f"{device} has gone: plug the I2C adapter in again, then resume"
+    if cause.errno in (errno.ENOTTY, errno.EINVAL):
+        return f"{device} refuses an I2C request ({os.strerror(cause.errno)}): is it an I2C bus, as /dev/i2c-1 is?"
+    reason = cause.strerror or str(cause)
+    return f"{device} cannot be opened ({reason}): check the adapter, then resume"
+
+
+def _why_not_exchanged(device: str, address: int, cause: OSError) -> str:
+    """Why a transaction failed, and what to try.
+
+    The kernel's list of fault codes leaves adapters a choice: a missing acknowledge is ENXIO for some, EREMOTEIO for
+    many, EIO for others.
+    """
+    number = _bus_number(device)
+    if cause.errno in (errno.ENXIO, errno.EREMOTEIO, errno.EIO):
+        return (
+            f"nobody acknowledges at address 0x{address:02x} on {device} ({os.strerror(cause.errno)}): check the "
+            f"sensor's supply, SDA, SCL and the address ('i2cdetect -y {number}' shows who is there)"
+        )
+    if cause.errno == errno.ETIMEDOUT:
+        return (
+            f"time-out at address 0x{address:02x} on {device}: SDA or SCL is held low, or the clock is stretched too "
+            "long: check the pull-up resistors, switch the sensor's supply off and on, then resume"
+        )
+    if cause.errno in (errno.EAGAIN, errno.EBUSY):
+        return (
+            f"{device} is busy ({os.strerror(cause.errno)}): another master has it, or SDA or SCL is held low: check "
+            "the wiring, then resume"
+        )
+    if cause.errno in (errno.ENODEV, errno.ESHUTDOWN):
+        return f"{device} has gone: plug the I2C adapter in again, then resume"
+    if cause.errno == errno.EOPNOTSUPP:
+        return (
+            f"the adapter of {device} speaks SMBus only and cannot write and read in one transaction: use an adapter "
+            "with plain I2C"
+        )
+    reason = cause.strerror or str(cause)
+    return f"transaction with 0x{address:02x} on {device} failed ({reason}): check the wiring and the adapter"
+
+
+def _bus_number(device: str) -> str:
+    """The number that the i2c-tools call a bus by; the node itself where its name has none."""
+    tail = device.rpartition("-")[2]
+    return tail if tail.isdigit() else device

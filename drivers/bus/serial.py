@@ -1,0 +1,194 @@
+"""Serial lines, through whatever pyserial opens: ports, sockets, RFC 2217 servers, loops."""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from tiltcal.drivers.bus.permission import no_permission
+from tiltcal.errors import BusError, HardwareError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.device import Model
+
+BAUDRATE = 115_200
+"""Where the address names none, baud."""
+
+TIMEOUT = 5.0
+"""Seconds of silence that are an error. Opening the port resets many boards, whose boot loader then takes two."""
+
+GATHER = 0.010
+"""Seconds for which what arrives is gathered into one answer, so that a fast talker costs few transactions."""
+
+_PORT_ERRORS: tuple[type[Exception], ...] = (OSError, ValueError, TypeError)
+"""What pyserial lets pass. A TypeError is a port that another error has closed beneath it."""
+with suppress(ImportError):  # not on Windows
+    import termios
+
+    _PORT_ERRORS += (termios.error,)
+
+PARITIES = ("N", "E", "O", "M", "S")
+STOP_BITS = {"1": 1.0, "1.5": 1.5, "2": 2.0}
+
+
+def open_serial(address: Address, model: Model) -> SerialLink:
+    """Open a ``serial:`` address.
+
+    Parameters
+    ----------
+    address : Address
+        The path is what pyserial's ``serial_for_url`` takes. Options ``baudrate``, ``parity`` (N, E, O, M, S),
+        ``stopbits`` (1, 1.5, 2) and ``timeout`` (seconds of silence that are an error).
+    model : Model
+        Its options are let through.
+
+    Raises
+    ------
+    UsageError
+        An unknown or wrong option, or a URL that pyserial does not know.
+    HardwareError
+        The pyserial package is not installed.
+    BusError
+        No such port, no permission, nobody listens, or in use.
+    """
+    address.allow(*dict.fromkeys(("baudrate", "parity", "stopbits", "timeout", *model.options)))
+    parity, stop_bits = address.text("parity", "N").upper(), address.text("stopbits", "1")
+    if parity not in PARITIES:
+        address.refuse(f"option parity={parity} is none of {', '.join(PARITIES)}")
+    if stop_bits not in STOP_BITS:
+        address.refuse(f"option stopbits={stop_bits} is none of {', '.join(STOP_BITS)}")
+    settings = {
+        "baudrate": address.integer("baudrate", BAUDRATE, low=50, high=20_000_000),
+        "parity": parity,
+        "stopbits": STOP_BITS[stop_bits],
+    }
+    timeout = address.number("timeout", TIMEOUT, low=0.05, high=3600.0)
+    serial = _pyserial()
+    try:
+        port = serial.serial_for_url(address.path, do_not_open=True, exclusive=True, **settings)
+    except ValueError as cause:
+        address.refuse(f"pyserial cannot use it ({cause})")
+    return SerialLink(address.path, port, timeout)
+
+
+class SerialLink:
+    """One serial line.
+
+    Parameters
+    ----------
+    place : str
+        What was opened, for messages.
+    port : serial.SerialBase
+        Not opened yet.
+    timeout : float
+        Seconds of silence that are an error.
+
+    Raises
+    ------
+    BusError
+        The port cannot be opened.
+    """
+
+    letter = "r"
+
+    def __init__(self, place: str, port: Any, timeout: float) -> None:
+        self._place = place
+        self._port = port
+        self._timeout = timeout
+        try:
+            port.timeout = GATHER
+            port.open()
+        except _PORT_ERRORS as cause:
+            port.close()
+            self._fail(cause)
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Send ``out``, then take what has arrived.
+
+        Parameters
+        ----------
+        out : bytes
+            May be empty.
+        count : int
+            The most bytes to take. With 0 and nothing to send, what has arrived is dropped instead.
+
+        Returns
+        -------
+        bytes
+            At least one byte where ``count`` is not 0.
+
+        Raises
+        ------
+        BusError
+            Silence for as long as the address allows, or the port has gone.
+        """
+        try:
+            if out:
+                self._port.write(out)
+            elif not count:
+                self._port.reset_input_buffer()
+            return self._received(count) if count else b""
+        except _PORT_ERRORS as cause:
+            self._fail(cause)
+
+    def close(self) -> None:
+        """Release the port; closing twice is allowed."""
+        self._port.close()
+
+    def _received(self, count: int) -> bytes:
+        deadline = time.monotonic() + self._timeout
+        while not (arrived := bytes(self._port.read(count))):
+            if time.monotonic() > deadline:
+                raise BusError(
+                    f"{self._place} was silent for {self._timeout:g} s: is the device powered, is its transmit wire on "
+                    "this port's receive pin, and does it talk at this baudrate?"
+                )
+        return arrived
+
+    def _fail(self, cause: Exception) -> NoReturn:
+        raise BusError(_why(self._place, cause)) from cause
+
+
+def _pyserial() -> Any:
+    try:
+        import serial
+    except ImportError as cause:
+        raise HardwareError(
+            "a serial line needs the Python package pyserial: install it with  pip install 'tiltcal[serial]'"
+        ) from cause
+    return serial
+
+
+def _why(place: str, cause: Exception) -> str:
+    """What an error of pyserial or of the operating system means at a bench, and what to try."""
+    number = _errno(cause)
+    if number == errno.ENOENT:
+        present = ", ".join(sorted(str(path) for kind in ("ttyUSB*", "ttyACM*") for path in Path("/dev").glob(kind)))
+        advice = f"present: {present}" if present else "no USB serial port is present; is the cable plugged in?"
+        return f"{place} does not exist ({advice})"
+    if number in (errno.EACCES, errno.EPERM):
+        return no_permission(place, "tty")
+    if number in (errno.EBUSY, errno.EAGAIN):
+        return f"{place} is in use by another program: stop that one first"
+    if number in (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT):
+        return f"nobody listens at {place} ({os.strerror(number)}): is the server running, and the port number right?"
+    if number in (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF) or "disconnected" in str(cause):
+        return f"{place} has gone: plug it in again, then resume"
+    if number in (errno.ENOTTY, errno.EINVAL):
+        return f"{place} is no serial port, or does not take these settings ({os.strerror(number)})"
+    return f"{place} failed ({cause}): check the cable and the adapter, then resume"
+
+
+def _errno(cause: BaseException) -> int | None:
+    """The number of the operating system's error beneath an error of pyserial."""
+    under: BaseException | None = cause
+    while under is not None:
+        if isinstance(under, _PORT_ERRORS) and under.args and isinstance(under.args[0], int):
+            return under.args[0]
+        under = under.__cause__ or under.__context__
+    return errno.EBADF if isinstance(cause, TypeError) else None

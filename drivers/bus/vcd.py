@@ -1,0 +1,222 @@
+"""Captures of a logic analyser: value change dump files (IEEE 1364), as sigrok and others write them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from fractions import Fraction
+from io import BufferedReader
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges
+from tiltcal.errors import BusError, HardwareError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.device import Model
+
+
+PREFACE = 20
+"""Lines before the header that are let pass."""
+
+
+def open_vcd(address: Address, model: Model) -> VcdLink:
+    """Open a ``vcd:`` address.
+
+    Parameters
+    ----------
+    address : Address
+        The path is the capture; options ``x`` and ``y`` name its signals, ``top.D0`` where ``D0`` alone is in several
+        scopes.
+    model : Model
+        Its options are let through.
+
+    Raises
+    ------
+    UsageError
+        A signal is missing from the options.
+    HardwareError
+        The pyvcd package is not installed.
+    BusError
+        The file cannot be read, is damaged, or has no such signal.
+    """
+    address.allow("x", "y", *model.options)
+    x, y = address.text("x"), address.text("y")
+    if x == y:
+        address.refuse(f"x and y are both signal {x!r}; they are two wires")
+    return VcdLink(address.path, x, y)
+
+
+class VcdLink:
+    """The edges of two signals of a capture, from its start to its end.
+
+    Parameters
+    ----------
+    path : str
+    x, y : str
+        Names of signals of one bit.
+
+    Raises
+    ------
+    HardwareError
+        The pyvcd package is not installed.
+    BusError
+        The file cannot be read, is damaged, or has no such signal.
+    """
+
+    letter = "e"
+
+    def __init__(self, path: str, x: str, y: str) -> None:
+        self._path = path
+        self._names = (x, y)
+        self._file: BufferedReader | None = None
+        self._open()
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Take the next edges; see :class:`~tiltcal.drivers.bus.link.Link`.
+
+        Parameters
+        ----------
+        out : bytes
+            Unused.
+        count : int
+            The most bytes of records to take. With 0 nothing is taken; where the file was written anew since it was
+            opened, reading starts again with the new capture.
+
+        Raises
+        ------
+        BusError
+            The capture is at its end, or damaged.
+        """
+        if not count:
+            self._renew()
+            return b""
+        edges = list(islice(self._edges, max(count // RECORD.size, 1)))
+        if not edges:
+            raise BusError(
+                f"{self._path}: the capture is at its end: capture a longer one under the same name, then repeat the "
+                "position"
+            )
+        return pack_edges(edges)
+
+    def close(self) -> None:
+        """Release the file; closing twice is allowed."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _open(self) -> None:
+        try:
+            self._file = open(self._path, "rb")  # noqa: SIM115 - it stays open as long as the link
+            self._identity = _identity(os.fstat(self._file.fileno()))
+        except OSError as cause:
+            raise BusError(f"{self._path} cannot be read ({cause.strerror}): is the path right?") from cause
+        try:
+            _skip_preface(self._path, self._file)
+            self._edges = _edges(self._path, _tokens(self._path, self._file), self._names)
+        except BaseException:
+            self.close()
+            raise
+
+    def _renew(self) -> None:
+        try:
+            written_anew = _identity(os.stat(self._path)) != self._identity
+        except OSError:
+            written_anew = False
+        if written_anew:
+            self.close()
+            self._open()
+
+
+def _identity(status: os.stat_result) -> tuple[int, int, int]:
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def _skip_preface(path: str, file: BufferedReader) -> None:
+    """Go to the first line of the header: sigrok-cli prints a line of its own before it where it writes to a pipe."""
+    for _ in range(PREFACE):
+        start = file.tell()
+        if file.readline(4096).lstrip().startswith(b"$"):
+            file.seek(start)
+            return
+    raise BusError(f"{path}: it is no value change dump: none of its first lines begins with $")
+
+
+def _tokens(path: str, file: BufferedReader) -> Iterator[Any]:
+    """The file's tokens; whatever the reader says of damage, as our error."""
+    try:
+        from vcd.reader import VCDParseError, tokenize
+    except ImportError as cause:
+        raise HardwareError(
+            "a logic analyser's capture needs the Python package pyvcd: install it with  pip install 'tiltcal[vcd]'"
+        ) from cause
+
+    def checked() -> Iterator[Any]:
+        try:
+            yield from tokenize(file)
+        except VCDParseError as cause:
+            raise BusError(f"{path}: it is no value change dump, or is damaged: {cause}") from cause
+        except (ValueError, AssertionError) as cause:
+            raise BusError(f"{path}: it is no value change dump, or is damaged ({cause})") from cause
+
+    return checked()
+
+
+def _edges(path: str, tokens: Iterator[Any], names: tuple[str, str]) -> Iterator[Edge]:
+    """The edges of the named signals; the header is read at once, the rest as it is asked for."""
+    signals, scale = _header(path, tokens)
+    lines = {_code(path, signals, name): line for line, name in enumerate(names)}
+    if len(lines) < len(names):
+        raise BusError(f"{path}: signals {' and '.join(names)} are one and the same wire")
+    return _changes(tokens, lines, scale)
+
+
+def _header(path: str, tokens: Iterator[Any]) -> tuple[dict[str, str], Fraction]:
+    """Identifier of each signal by its full name, and the nanoseconds of one time step."""
+    from vcd.reader import TokenKind
+
+    signals: dict[str, str] = {}
+    scopes: list[str] = []
+    scale = Fraction(1)
+    for token in tokens:
+        if token.kind is TokenKind.SCOPE:
+            scopes.append(token.scope.ident)
+        elif token.kind is TokenKind.UPSCOPE and scopes:
+            scopes.pop()
+        elif token.kind is TokenKind.TIMESCALE:
+            exponents = {"s": 9, "ms": 6, "us": 3, "ns": 0, "ps": -3, "fs": -6}
+            scale = int(token.timescale.magnitude) * Fraction(10) ** exponents[token.timescale.unit.value]
+        elif token.kind is TokenKind.VAR and token.var.size == 1:
+            signals[".".join([*scopes, token.var.ref_str])] = token.var.id_code
+        elif token.kind is TokenKind.ENDDEFINITIONS:
+            return signals, scale
+    raise BusError(f"{path}: its header does not end: was the capture cut short?")
+
+
+def _code(path: str, signals: dict[str, str], name: str) -> str:
+    """The identifier of a signal by its name, with or without its scopes."""
+    found = {full: code for full, code in signals.items() if full == name or full.endswith(f".{name}")}
+    if not found:
+        known = ", ".join(full.rpartition(".")[2] for full in signals) or "none of one bit"
+        raise BusError(f"{path}: no signal is called {name!r} (it has {known})")
+    if len(set(found.values())) > 1 and name not in found:
+        raise BusError(f"{path}: {name!r} is in several scopes: name one of {', '.join(found)}")
+    return found.get(name) or next(iter(found.values()))
+
+
+def _changes(tokens: Iterator[Any], lines: dict[str, int], scale: Fraction) -> Iterator[Edge]:
+    """A signal's first value is where it stands, no edge; so is a value after x or z."""
+    from vcd.reader import TokenKind
+
+    time, number = 0, 0
+    level: dict[int, str] = {}
+    for token in tokens:
+        if token.kind is TokenKind.CHANGE_TIME:
+            time = token.data
+        elif token.kind in (TokenKind.CHANGE_SCALAR, TokenKind.CHANGE_VECTOR) and token.data.id_code in lines:
+            line, value = lines[token.data.id_code], str(token.data.value)
+            before, level[line] = level.get(line), value
+            if {before, value} == {"0", "1"}:
+                number += 1
+                yield Edge(round(time * scale), line, value == "1", number)

@@ -1,0 +1,263 @@
+"""Any device that prints numbers on a line: ``serial-columns``.
+
+The address says which number is which::
+
+    serial:///dev/ttyUSB0?columns=x,y,temperature&unit=V&offset=2.5&sensitivity=2
+    serial:socket://192.168.1.7:4000?columns=-,-,x,y,z&separator=semicolon&unit=g
+
+``columns`` names the numbers in the order they are printed: x, y, z, temperature (°C), and ``-`` or nothing for one
+that is skipped. ``sensitivity`` (unit/g) and ``offset`` (unit at 0 g) are what such a device nominally has; they let a
+wrong position and a movement be caught. Where the unit is g or m/s2 they follow from it; where nothing says what 1 g
+is, the device is calibrated all the same, without these checks.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.device import Model, Reading, in_words
+from tiltcal.drivers.lines import UNUSABLE, Lines, shown
+from tiltcal.errors import BusError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.truth import Truth
+
+AXES = ("x", "y", "z")
+TEMPERATURE = "temperature"
+SKIPPED = ("", "-")
+
+SEPARATORS = {"comma": rb",", "semicolon": rb";", "tab": rb"\t", "space": rb"[ \t]+", "any": rb"[,;][ \t]*|[ \t]+"}
+"""By the word that the address says, since some of the characters themselves mean something in an address."""
+
+ONE_G = {"g": 1.0, "m/s2": 9.80665}
+"""Nominal sensitivity of the units that say it themselves, unit/g."""
+
+UNSTATED = "unit"
+"""What a number is counted in where the address does not say."""
+
+UNKNOWN = 1e6
+"""Stands for a sensitivity that nobody has stated, unit/g: large, so that nothing is taken for a movement."""
+
+OFFSET_SPREAD, ANYWHERE = 0.1, 1e4
+"""Standard deviation of the offset over devices, g: where the nominal one is known, and where it is not."""
+
+RAIL = 1e12
+"""Where the address names no rails, no number that a device prints is at one."""
+
+_NUMBER = re.compile(rb"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What the numbers of a line are.
+
+    Attributes
+    ----------
+    names : tuple of str
+        In the order they are printed; ``-`` for one that is skipped.
+    separator : bytes
+        A regular expression.
+    """
+
+    names: tuple[str, ...]
+    separator: bytes
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The axes among the names, in the order x, y, z."""
+        return tuple(axis for axis in AXES if axis in self.names)
+
+    def reading(self, line: bytes) -> Reading | None:
+        """The reading of a line; None where it is damaged: another number of columns, or one that is no number."""
+        cells = re.split(self.separator, line.strip())
+        if len(cells) != len(self.names):
+            return None
+        numbers = {}
+        for name, cell in zip(self.names, cells, strict=True):
+            if name == "-":
+                continue
+            text = cell.strip()
+            if not _NUMBER.fullmatch(text) or not isfinite(float(text)):
+                return None
+            numbers[name] = float(text)
+        return Reading(tuple(numbers[channel] for channel in self.channels), numbers.get(TEMPERATURE))
+
+
+class ColumnsDriver:
+    """The driver of a device that prints numbers.
+
+    Parameters
+    ----------
+    columns : Columns
+    link : Link
+        Serial.
+    clock : Clock
+        Unused: the lines pace the driver.
+    """
+
+    def __init__(self, columns: Columns, link: Link, clock: Clock) -> None:
+        self._columns = columns
+        self._lines = Lines(link)
+        self._used = self._damaged = 0
+
+    def probe(self) -> Mapping[str, str]:
+        """Check that lines of numbers come.
+
+        Returns
+        -------
+        mapping of str to str
+            The numbers by their names, and the reception.
+
+        Raises
+        ------
+        BusError
+            Silence, or no line of so many numbers.
+        """
+        self.discard()
+        reading = self.read()
+        said = {name: f"{value:g}" for name, value in zip(self._columns.channels, reading.values, strict=True)}
+        if reading.temperature is not None:
+            said[TEMPERATURE] = f"{reading.temperature:.1f} °C"
+        return said | {"reception": in_words(self.reception())}
+
+    def read(self) -> Reading:
+        """The next line of numbers.
+
+        Raises
+        ------
+        BusError
+            Silence, or no line of so many numbers.
+        """
+        for _ in range(UNUSABLE):
+            line, whole = self._lines.next()
+            # The tail of a line may be as many numbers as a line, the first one cut short.
+            if not whole:
+                continue
+            reading = self._columns.reading(line)
+            if reading is not None:
+                self._used += 1
+                return reading
+            self._damaged += 1
+        wanted = ",".join(self._columns.names)
+        raise BusError(
+            f"{UNUSABLE} lines came and none had the numbers {wanted}; the last was {shown(line)}: does columns= name "
+            "every number of a line, and is the separator right?"
+        )
+
+    def discard(self) -> None:
+        """Forget what queued up."""
+        self._lines.discard()
+
+    def reception(self) -> Mapping[str, int]:
+        """Lines that were used, and lines that were not the numbers that the address names."""
+        return {"lines": self._used, "damaged": self._damaged}
+
+
+def _columns(address: Address) -> Columns:
+    """What the address says of a line.
+
+    Raises
+    ------
+    UsageError
+        A name that is none, a name twice, or no axis.
+    """
+    written = address.text("columns", "x,y,temperature" if address.simulated else None)
+    names = tuple("-" if name.strip() in SKIPPED else name.strip() for name in written.split(","))
+    for name in names:
+        if name not in (*AXES, TEMPERATURE, "-"):
+            address.refuse(f"column {name!r} is none of x, y, z, temperature, - (for one that is skipped)")
+        if name != "-" and names.count(name) > 1:
+            address.refuse(f"columns names {name!r} twice")
+    if not set(names) & set(AXES):
+        address.refuse("columns names none of x, y, z")
+    separator = address.text("separator", "any")
+    if separator not in SEPARATORS:
+        address.refuse(f"option separator={separator} is none of {', '.join(SEPARATORS)}")
+    return Columns(names, SEPARATORS[separator])
+
+
+def _tailored(model: Model, address: Address) -> Model:
+    """The model with what the address says of the device."""
+    columns = _columns(address)
+    unit = address.text("unit", "g" if address.simulated else UNSTATED)
+    default = ONE_G.get(unit)
+    scaled = default is not None or "sensitivity" in address.options
+    sensitivity = address.number("sensitivity", default or UNKNOWN)
+    if sensitivity == 0.0:
+        address.refuse("option sensitivity=0 cannot be: the device would sense nothing")
+    low, high = address.number("low", -RAIL), address.number("high", RAIL)
+    if low >= high:
+        address.refuse(f"option low={low:g} is not below high={high:g}")
+    offset = address.number("offset", 0.0)
+    return replace(
+        model,
+        channels=columns.channels,
+        unit=unit,
+        offset=offset,
+        sensitivity=sensitivity,
+        offset_spread=OFFSET_SPREAD if "offset" in address.options or default is not None else ANYWHERE,
+        scaled=scaled,
+        rails=(low, high),
+        thermometer=TEMPERATURE in columns.names,
+        driver=partial(ColumnsDriver, columns),
+        twin=partial(_twin, columns),
+        default_truth=partial(_default_truth, columns, offset, sensitivity),
+    )
+
+
+def _twin(columns: Columns, truth: Truth, fixture: Held, clock: Clock) -> Link:
+    from tiltcal.drivers.twin.columns import columns_twin
+
+    return columns_twin(columns, truth, fixture, clock)
+
+
+def _default_truth(columns: Columns, offset: float, sensitivity: float, seed: int) -> Truth:
+    from tiltcal.drivers.twin.columns import draw_truth
+
+    return draw_truth(columns.channels, offset, sensitivity, seed)
+
+
+def _driver(link: Link, clock: Clock) -> ColumnsDriver:
+    return ColumnsDriver(_ANY, link, clock)
+
+
+_ANY = Columns((*AXES[:2], TEMPERATURE), SEPARATORS["any"])
+
+_MODEL = Model(
+    name="serial-columns",
+    title="any device that prints numbers on a line",
+    channels=_ANY.channels,
+    unit="g",
+    schemes=("serial",),
+    address="serial:///dev/ttyUSB0?columns=x,y,temperature",
+    offset=0.0,
+    sensitivity=1.0,
+    offset_spread=OFFSET_SPREAD,
+    sensitivity_spread=0.1,
+    rails=(-RAIL, RAIL),
+    resolution=0.0,
+    # The device talks by itself: a read waits for what comes next.
+    interval=0.0,
+    thermometer=True,
+    driver=_driver,
+    twin=partial(_twin, _ANY),
+    not_modelled=(
+        "response time and bandwidth: a new position is there at once, the noise of two samples is independent",
+        "loss and damage on the line",
+        "a receive buffer: what is printed while nobody listens is gone",
+        "the memory fault (parity) of other parts",
+    ),
+    default_truth=partial(_default_truth, _ANY, 0.0, 1.0),
+    options=("columns", "separator", "unit", "offset", "sensitivity", "low", "high"),
+)
+
+SERIAL_COLUMNS = replace(_MODEL, tailor=partial(_tailored, _MODEL))

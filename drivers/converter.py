@@ -1,0 +1,258 @@
+"""Analog-to-digital converters as the analog sensors behind them see them.
+
+A converter measures voltages; most analog sensors put out a share of their supply. So what a sensor's driver asks for
+is a ratio, and a :class:`Supply` says what it is a ratio to: a supply that is measured along with each sample, or one
+that is stated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from math import inf
+from typing import TYPE_CHECKING, Protocol
+
+from tiltcal.errors import DeviceFault
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.device import SpiPort
+    from tiltcal.drivers.twin.analog import Wiring
+
+SCHEMES = ("ads1115+i2c", "mcp3208+spi")
+"""Address schemes of the converters, the one that a virtual sensor is behind by default first."""
+
+NOMINAL = 5.0
+"""What analog sensors are supplied with nominally, V."""
+
+_MODULES = {"ads1115": "tiltcal.drivers.ads1115", "mcp3208": "tiltcal.drivers.mcp3208"}
+
+
+class Converter(Protocol):
+    """The driver of a converter."""
+
+    def volts(self, number: int) -> float:
+        """Measure one input against ground, V.
+
+        Raises
+        ------
+        BusError
+            The transaction failed.
+        DeviceFault
+            The input is beyond the converter's range, or the converter misbehaves.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class FrontEnd:
+    """A converter as an address sets it up.
+
+    Attributes
+    ----------
+    name : str
+        What stands before the ``+`` of the scheme.
+    says : str
+        The converter and its settings, for the operator.
+    inputs : int
+        Number of inputs.
+    full_scale : float
+        V; it reads what is beyond as if it were there.
+    step : float
+        Of a reading, V.
+    reference : float or None
+        Voltage at its reference pin, V, where it has one; a sensor with the same supply needs no other to be
+        ratiometric.
+    options : tuple of str
+        Options of the address that belong to it.
+    spi : SpiPort or None
+    driver : callable
+        ``driver(link, clock)`` returns the :class:`Converter`.
+    twin : callable
+        ``twin(wiring, clock)`` returns a link that answers as it would with these voltages at its inputs.
+    """
+
+    name: str
+    says: str
+    inputs: int
+    full_scale: float
+    step: float
+    reference: float | None
+    options: tuple[str, ...]
+    spi: SpiPort | None
+    driver: Callable[[Link, Clock], Converter]
+    twin: Callable[[Wiring, Clock], Link]
+
+    @property
+    def schemes(self) -> tuple[str, ...]:
+        """All schemes of converters, this one's first."""
+        return tuple(sorted(SCHEMES, key=lambda scheme: not scheme.startswith(f"{self.name}+")))
+
+
+def find_front_end(address: Address) -> FrontEnd:
+    """The converter that an address names; ``sim:`` may choose one with ``adc=``.
+
+    Raises
+    ------
+    UsageError
+        An unknown converter, or a setting that it does not have.
+    """
+    name = address.text("adc", "ads1115") if address.simulated else address.scheme.partition("+")[0]
+    if name not in _MODULES:
+        known = " or ".join(f"{scheme}:" for scheme in SCHEMES)
+        address.refuse(f"{name!r} is no converter that tiltcal knows (analog sensors are reached by {known})")
+    front_end: FrontEnd = import_module(_MODULES[name]).front_end(address)
+    return front_end
+
+
+def take_input(address: Address, option: str, front_end: FrontEnd, default: int) -> int:
+    """The converter's input that an option names; only a virtual sensor has a default wiring.
+
+    Raises
+    ------
+    UsageError
+        It is missing, or the converter has no such input.
+    """
+    return address.integer(option, default if address.simulated else None, low=0, high=front_end.inputs - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Supply:
+    """The supply that a sensor's output is a share of.
+
+    Attributes
+    ----------
+    number : int or None
+        The input that it is wired to; None where it is stated.
+    volts : float
+        As stated; where it is measured, what it nominally is.
+    low, high : float
+        Within these the sensor's output is a share of the supply, V.
+    full_scale : float
+        Of the converter, V.
+    reference : float or None
+        Voltage at the converter's reference pin, V; None where that pin is tied to this supply, or there is none.
+    """
+
+    number: int | None
+    volts: float
+    low: float
+    high: float
+    full_scale: float = inf
+    reference: float | None = None
+
+    def shares(self, converter: Converter, numbers: Sequence[int]) -> tuple[tuple[float, ...], float]:
+        """Measure inputs as shares of the supply.
+
+        The conversions follow each other, so a supply that moves meanwhile would pass for tilt. A measured supply is
+        therefore taken before and after the others, and its value at each of them lies on the line between the two:
+        what it drifts cancels, and only ripple faster than one sample is left.
+
+        Parameters
+        ----------
+        converter : Converter
+        numbers : sequence of int
+            The inputs, in the order in which they are measured.
+
+        Returns
+        -------
+        shares : tuple of float
+            One per input.
+        supply : float
+            Mean of what was measured, or what was stated, V.
+
+        Raises
+        ------
+        BusError
+            The transaction failed.
+        DeviceFault
+            The supply is not what the sensor needs.
+        """
+        if self.number is None:
+            return tuple(converter.volts(number) / self.volts for number in numbers), self.volts
+        before = self._checked(converter.volts(self.number))
+        volts = [converter.volts(number) for number in numbers]
+        after = self._checked(converter.volts(self.number))
+        slope = (after - before) / (len(numbers) + 1)
+        shares = tuple(volt / (before + slope * place) for place, volt in enumerate(volts, start=1))
+        return shares, (before + after) / 2.0
+
+    def said(self, volts: float) -> str:
+        """A supply of so many volts and how it is known, for the operator."""
+        return f"{volts:.4f} V, {'stated' if self.number is None else f'measured at input {self.number}'}"
+
+    def _checked(self, volts: float) -> float:
+        # The uppermost step stands for everything beyond it.
+        if volts > 0.9995 * self.full_scale:
+            raise DeviceFault(
+                f"the supply at input {self.number} reads {volts:.3f} V, the most that this converter can tell: state "
+                "it with vdd=VOLTS, or give the converter a higher full scale"
+            )
+        # 1 % allows for the converter's own error, which the ratio does not see.
+        if not 0.99 * self.low <= volts <= 1.01 * self.high:
+            raise DeviceFault(
+                f"the supply at input {self.number} reads {volts:.3f} V, where the sensor needs {self.low:g} to "
+                f"{self.high:g} V: is it switched on, and wired to this input?"
+            )
+        return volts
+
+
+def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) -> Supply:
+    """The supply as an address tells it: ``supply=N`` where it is measured, ``vdd=VOLTS`` where it is stated.
+
+    A converter whose reference pin is the sensor's supply needs neither.
+
+    Parameters
+    ----------
+    address : Address
+    front_end : FrontEnd
+    low, high : float
+        What the sensor may be supplied with, V.
+
+    Raises
+    ------
+    UsageError
+        It is neither measured nor stated, or both, or it is beyond the converter's range.
+    """
+    if "supply" in address.options and "vdd" in address.options:
+        address.refuse("options 'supply' and 'vdd' exclude each other: the supply is either measured or stated")
+    if "vdd" in address.options:
+        return Supply(
+            None, address.number("vdd", low=low, high=high), low, high, front_end.full_scale, front_end.reference
+        )
+    if "supply" in address.options or (front_end.reference is None and address.simulated):
+        number = take_input(address, "supply", front_end, 2)
+        if front_end.full_scale <= low:
+            address.refuse(f"{front_end.says} cannot measure a supply of {low:g} V or more")
+        return Supply(number, min(NOMINAL, high), low, high, front_end.full_scale, front_end.reference)
+    if front_end.reference is None:
+        address.refuse(
+            "nothing says what the sensor is supplied with: wire its supply to an input and add supply=N, or state "
+            "it with vdd=VOLTS"
+        )
+    if not low <= front_end.reference <= high:
+        address.refuse(
+            f"the sensor needs a supply of {low:g} to {high:g} V, so the reference of {front_end.reference:g} V is "
+            "not its supply: wire that to an input and add supply=N, or state it with vdd=VOLTS"
+        )
+    return Supply(None, front_end.reference, low, high, front_end.full_scale)
+
+
+def require_apart(address: Address, wiring: dict[str, int | None]) -> None:
+    """Refuse two signals on one input.
+
+    Raises
+    ------
+    UsageError
+        Naming both options.
+    """
+    seen: dict[int, str] = {}
+    for option, number in wiring.items():
+        if number is None:
+            continue
+        if number in seen:
+            address.refuse(f"options {seen[number]!r} and {option!r} name the same input {number}")
+        seen[number] = option

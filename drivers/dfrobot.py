@@ -1,0 +1,183 @@
+"""DFRobot's TOY0048: a Murata SCA100T-D02 behind a microcontroller that answers on a serial line.
+
+::
+
+    host     55 AA 02 FD
+    module   55 AA Xhi Xlo Yhi Ylo T checksum     the words and the temperature code of the SCA100T
+
+The last byte is the complement of the XOR of those between the header and itself. The baudrate is not documented, so
+the address must name it.
+
+Source: https://wiki.dfrobot.com/toy0048/docs/18369 and its four published frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial, reduce
+from operator import xor
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers import sca100t
+from tiltcal.drivers.device import Model, Reading, in_words
+from tiltcal.drivers.lines import CHUNK
+from tiltcal.errors import BusError, DeviceFault
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.truth import Truth
+
+REQUEST = bytes.fromhex("55AA02FD")
+HEADER = bytes.fromhex("55AA")
+
+LENGTH = 8
+"""Bytes of an answer, with header and checksum."""
+
+ATTEMPTS = 10
+"""Requests for one sample before the driver gives up."""
+
+FULL_SCALE = sca100t.FULL_SCALE
+
+
+def checksum(payload: bytes) -> int:
+    """The complement of the XOR of the payload's bytes."""
+    return reduce(xor, payload, 0) ^ 0xFF
+
+
+def parse_answer(received: bytes) -> Reading | None:
+    """The reading in what was received; None where there is no undamaged answer.
+
+    Parameters
+    ----------
+    received : bytes
+        An answer, perhaps behind garbage.
+
+    Returns
+    -------
+    Reading or None
+        x and y in counts, 0 to 2047, and the temperature in °C.
+    """
+    start = received.find(HEADER)
+    while 0 <= start <= len(received) - LENGTH:
+        *payload, stated = received[start + len(HEADER) : start + LENGTH]
+        x, y = payload[0] << 8 | payload[1], payload[2] << 8 | payload[3]
+        if stated == checksum(bytes(payload)) and max(x, y) <= FULL_SCALE:
+            return Reading((float(x), float(y)), sca100t.decode_temperature(bytes([0, payload[4]])))
+        start = received.find(HEADER, start + 1)
+    return None
+
+
+class DfrobotSca100t:
+    """The driver of the module.
+
+    Parameters
+    ----------
+    link : Link
+        Serial.
+    clock : Clock
+        Unused: the module's answers pace the driver.
+    """
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self._link = link
+        self._used = self._damaged = 0
+
+    def probe(self) -> Mapping[str, str]:
+        """Check that the module answers.
+
+        Returns
+        -------
+        mapping of str to str
+            Both words, the temperature, and the reception.
+
+        Raises
+        ------
+        BusError
+            Silence, or no undamaged answer.
+        DeviceFault
+            A word below 102.
+        """
+        reading = self.read()
+        said = {channel: f"{value:.0f} count" for channel, value in zip("xy", reading.values, strict=True)}
+        return said | {
+            "temperature": f"{reading.temperature:.1f} °C (not trimmed)",
+            "reception": in_words(self.reception()),
+        }
+
+    def read(self) -> Reading:
+        """Ask for one sample: x and y in counts and the temperature in °C.
+
+        Raises
+        ------
+        BusError
+            Silence, or no undamaged answer.
+        DeviceFault
+            A word below 102.
+        """
+        received = b""
+        for _ in range(ATTEMPTS):
+            self._link.exchange(b"", 0)
+            received = self._link.exchange(REQUEST, CHUNK)
+            while len(received) < LENGTH:
+                received += self._link.exchange(b"", CHUNK)
+            reading = parse_answer(received)
+            if reading is not None:
+                self._used += 1
+                return _sane(reading)
+            self._damaged += 1
+        raise BusError(
+            f"{ATTEMPTS} requests brought no answer 55 AA ... with its checksum; the last brought "
+            f"{received[:LENGTH].hex(' ')}: is the baudrate right, and is it this module?"
+        )
+
+    def discard(self) -> None:
+        """Nothing queues up: the module answers when it is asked."""
+
+    def reception(self) -> Mapping[str, int]:
+        """Answers that were used, and damaged ones, which were asked for again."""
+        return {"answers": self._used, "damaged": self._damaged}
+
+
+def _sane(reading: Reading) -> Reading:
+    for channel, word in zip("xy", reading.values, strict=True):
+        if word < sca100t.LOWEST_SANE_WORD:
+            raise DeviceFault(
+                f"{channel} reads {word:.0f} count, and words below {sca100t.LOWEST_SANE_WORD} are the SCA100T's fault "
+                "signal: switch the module off and on; if it stays, replace it"
+            )
+    return reading
+
+
+def _twin(truth: Truth, fixture: Held, clock: Clock) -> Link:
+    from tiltcal.drivers.twin.dfrobot import DfrobotTwin
+
+    return DfrobotTwin(truth, fixture, clock)
+
+
+def _tailored(model: Model, address: Address) -> Model:
+    """The model, once the address has named the baudrate."""
+    if not address.simulated:
+        address.text("baudrate")
+    return model
+
+
+_MODEL = replace(
+    sca100t.D02,
+    name="dfrobot-sca100t",
+    title="DFRobot TOY0048 module with a Murata SCA100T-D02, ±90°, serial",
+    schemes=("serial",),
+    address="serial:///dev/ttyUSB0?baudrate=9600",
+    driver=DfrobotSca100t,
+    twin=_twin,
+    not_modelled=(
+        *(line for line in sca100t.D02.not_modelled if "self-test" not in line and "chip select" not in line),
+        "the module's microcontroller: it answers at once, and always whole",
+    ),
+    spi=None,
+)
+
+DFROBOT_SCA100T = replace(_MODEL, tailor=partial(_tailored, _MODEL))

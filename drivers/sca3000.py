@@ -1,0 +1,347 @@
+"""VTI (Murata) SCA3000 three-axis accelerometer, on SPI or I2C.
+
+Registers hold one byte each. A transaction names the first register, and the address counts DOWN from byte to byte::
+
+    SPI   command byte (register << 2), then data while chip select stays low
+    I2C   register, repeated start, then data
+
+    0x00 REVID   major and minor revision, 4 bits each
+    0x02 STATUS  bit 5 unlocked, bit 1 EEPROM checksum error, bit 0 the previous SPI frame was bad
+    0x04-0x09    X_LSB X_MSB Y_LSB Y_MSB Z_LSB Z_MSB: 13 bits, two's complement, left-aligned
+    0x12-0x13    TEMP_LSB TEMP_MSB: 9 bits below the two highest
+    0x14 MODE    bits 1 and 0: 0 normal, 1 and 2 the part's options, 3 motion detection
+
+This driver never writes a register: a wrong reserved bit can lock the part up, and a calibration needs reads only.
+
+Sources: Linux ``drivers/iio/accel/sca3000.c``; openmag ``sca3000.h``; SCA3000 Series product family specification,
+VTI 8257300A.07, page 12. That addresses count down on I2C as well is from the last; that the pointer there is the plain
+register address is inferred, so ``pointer=command`` sends the SPI command byte in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from math import ceil
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.device import Model, Reading, SpiPort
+from tiltcal.errors import BusError, DeviceFault
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.truth import Truth
+
+REVID, STATUS, MODE = 0x00, 0x02, 0x14
+X_LSB, Z_MSB = 0x04, 0x09
+TEMP_LSB, TEMP_MSB = 0x12, 0x13
+
+UNLOCKED, CHECKSUM_ERROR, FRAME_ERROR = 0x20, 0x02, 0x01
+"""Bits of STATUS."""
+
+MODES = ("normal", "option 1", "option 2", "motion detection")
+"""By bits 1 and 0 of MODE."""
+
+OVERFLOW = (-3456.0, 3455.0)
+"""The words 0x9400 and 0x6BFF, which stand for a channel that is overloaded, count."""
+
+COMMAND_SHIFT = 2
+"""An SPI command byte has the register in its upper six bits; the lower two are 0 for a read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What distinguishes the parts of the family, and how one of them is wired.
+
+    Attributes
+    ----------
+    counts_per_g : float
+    rate : float
+        Output data rate in normal mode, Hz.
+    thermometer : bool
+    pointer_shift : int
+        On I2C a register is named by its address shifted left by so many bits.
+    """
+
+    counts_per_g: float
+    rate: float
+    thermometer: bool
+    pointer_shift: int = 0
+
+
+class Sca3000:
+    """The driver of an SCA3000, whichever its range and its bus.
+
+    Parameters
+    ----------
+    link : Link
+        SPI or I2C; its letter says which.
+    part : Part
+    """
+
+    def __init__(self, link: Link, part: Part) -> None:
+        self._link = link
+        self._part = part
+
+    def probe(self) -> Mapping[str, str]:
+        """Check that the device answers sanely.
+
+        Returns
+        -------
+        mapping of str to str
+            Its revision, lock and mode, the three words it sent, and the temperature where it has a thermometer. A
+            mode that is not normal is told and not refused.
+
+        Raises
+        ------
+        BusError
+            No answer, a data line that never moves, or an SPI frame that the part found broken.
+        DeviceFault
+            The checksum of the part's own memory is wrong.
+        """
+        (revision,) = self._registers(REVID, 1)
+        (status,) = self._registers(STATUS, 1)
+        (mode,) = self._registers(MODE, 1)
+        sample = self._sample()
+        _check_data_line(bytes([revision, status, mode]) + sample)
+        self._check_status(status)
+        reading = self._reading(sample)
+        said = {
+            "revision": f"{revision >> 4}.{revision & 0b1111}",
+            "registers": "unlocked" if status & UNLOCKED else "locked",
+            "mode": _mode_in_words(mode),
+        }
+        said.update((channel, f"{value:.0f} count") for channel, value in zip("xyz", reading.values, strict=True))
+        if reading.temperature is not None:
+            said["temperature"] = f"{reading.temperature:.1f} °C"
+        return said
+
+    def read(self) -> Reading:
+        """Take one sample: x, y and z in counts, -4096 to 4095, and the temperature in °C where there is one.
+
+        Raises
+        ------
+        BusError
+            The transaction failed, or every bit of the sample is the same.
+        """
+        sample = self._sample()
+        _check_data_line(sample)
+        return self._reading(sample)
+
+    def discard(self) -> None:
+        """Nothing queues up: every read finds the latest conversion."""
+
+    def _sample(self) -> bytes:
+        """The six data registers from Z_MSB down, then TEMP_MSB and TEMP_LSB where the part has them."""
+        sample = self._registers(Z_MSB, 6)
+        return sample + self._registers(TEMP_MSB, 2) if self._part.thermometer else sample
+
+    def _reading(self, sample: bytes) -> Reading:
+        z, y, x = (float(decode_word(sample[at : at + 2])) for at in (0, 2, 4))
+        return Reading((x, y, z), decode_temperature(sample[6:]) if self._part.thermometer else None)
+
+    def _registers(self, first: int, count: int) -> bytes:
+        """``count`` registers, from ``first`` down."""
+        if self._link.letter == "i":
+            answer, head = self._link.exchange(bytes([first << self._part.pointer_shift]), count), 0
+        else:
+            answer, head = self._link.exchange(bytes([first << COMMAND_SHIFT, *bytes(count)])), 1
+        if len(answer) != head + count:
+            raise BusError(
+                f"a transaction of {head + count} bytes was answered with {len(answer)}: the adapter is at fault"
+            )
+        return answer[head:]
+
+    def _check_status(self, status: int) -> None:
+        if status & CHECKSUM_ERROR:
+            raise DeviceFault(
+                "the part reports a checksum error of its EEPROM (STATUS bit 1), so its own trimming is lost: switch "
+                "its supply off and on; if it stays, replace the part"
+            )
+        if status & FRAME_ERROR and self._link.letter == "s":
+            raise BusError(
+                "the part found the previous SPI frame broken (STATUS bit 0): try a slower clock (such as "
+                "speed=100000), shorter wires, and see that nothing else shares its chip select"
+            )
+
+
+def decode_word(pair: bytes) -> int:
+    """The 13-bit word of an MSB and an LSB register.
+
+    Parameters
+    ----------
+    pair : bytes
+        MSB, LSB; the low 3 bits of the LSB mean nothing.
+
+    Returns
+    -------
+    int
+        -4096 to 4095, count.
+    """
+    return int.from_bytes(pair, "big", signed=True) >> 3
+
+
+def decode_temperature(pair: bytes) -> float:
+    """The temperature in TEMP_MSB and TEMP_LSB, °C; the two highest bits and the five lowest mean nothing."""
+    raw = (pair[0] & 0x3F) << 3 | pair[1] >> 5
+    return 23.0 + (raw - 256) / 1.8
+
+
+def _mode_in_words(mode: int) -> str:
+    name = MODES[mode & 0b11]
+    if name == "normal":
+        return name
+    return (
+        f"{name}, not normal: bandwidth and data rate differ from the data sheet's normal mode (tiltcal only reads: "
+        "switch the sensor's supply off and on to leave it)"
+    )
+
+
+def _check_data_line(answers: bytes) -> None:
+    """Tell a dead wire from a sensor: at rest one channel at least feels gravity, so no living part sends this."""
+    if set(answers) == {0xFF}:
+        raise BusError(
+            "the data line is stuck high (every bit of the sample is 1): check the data line, chip select or SDA, "
+            "and the sensor's supply"
+        )
+    if set(answers) == {0x00}:
+        raise BusError(
+            "the data line is stuck low (every bit of the sample is 0): check the data line, ground and the "
+            "sensor's supply"
+        )
+
+
+SLOWEST_RATE = 100.0
+"""The slowest normal output data rate of the known parts (E04), Hz; it fits a part whose own is not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One line of the family as the user sees it.
+
+    Attributes
+    ----------
+    name, title, address : str
+    schemes : tuple of str
+    part : Part
+        As far as it is known.
+    any_range : bool
+        Whether the address must say ``counts_per_g``.
+    """
+
+    name: str
+    title: str
+    address: str
+    schemes: tuple[str, ...]
+    part: Part
+    any_range: bool = False
+
+
+def _driver(part: Part, link: Link, clock: Clock) -> Sca3000:
+    return Sca3000(link, part)
+
+
+def _twin(part: Part, scheme: str, truth: Truth, fixture: Held, clock: Clock) -> Link:
+    from tiltcal.drivers.twin.sca3000 import Sca3000I2cTwin, Sca3000SpiTwin
+
+    kind = Sca3000I2cTwin if scheme == "i2c" else Sca3000SpiTwin
+    return kind(truth, fixture, clock, part)
+
+
+def _default_truth(part: Part, seed: int) -> Truth:
+    from tiltcal.drivers.twin.sca3000 import draw_truth
+
+    return draw_truth(part, seed)
+
+
+def _tailored(entry: Entry, address: Address) -> Model:
+    """The model with what the address says of the part and its wiring."""
+    known = entry.part
+    required = entry.any_range and not address.simulated
+    # ±1 g must stay clear of the overflow codes, and one count must be less than 1 g.
+    counts = address.number("counts_per_g", None if required else known.counts_per_g, low=1.0, high=OVERFLOW[1])
+    part = Part(
+        counts_per_g=counts,
+        rate=address.number("rate", known.rate, low=1.0, high=10_000.0),
+        thermometer=bool(_choice(address, "thermometer", {"no": 0, "yes": 1}, known.thermometer)),
+        pointer_shift=_choice(address, "pointer", {"register": 0, "command": COMMAND_SHIFT}, known.pointer_shift),
+    )
+    return _model(entry, part)
+
+
+def _choice(address: Address, name: str, meanings: Mapping[str, int], default: int) -> int:
+    """The number that the word of an option stands for."""
+    if name not in address.options:
+        return default
+    word = address.text(name)
+    if word not in meanings:
+        address.refuse(f"option {name}={word} is not one of {', '.join(meanings)}")
+    return meanings[word]
+
+
+def _model(entry: Entry, part: Part) -> Model:
+    return Model(
+        name=entry.name,
+        title=entry.title,
+        channels=("x", "y", "z"),
+        unit="count",
+        schemes=entry.schemes,
+        address=entry.address,
+        offset=0.0,
+        sensitivity=part.counts_per_g,
+        # No tolerance of the family is known: wide enough for any part, narrow enough to tell the faces of a cube.
+        offset_spread=0.1,
+        sensitivity_spread=0.05,
+        rails=OVERFLOW,
+        resolution=1.0,
+        interval=1.0 / part.rate,
+        thermometer=part.thermometer,
+        driver=partial(_driver, part),
+        twin=partial(_twin, part, entry.schemes[0]),
+        not_modelled=(
+            "the real noise, tolerances and drift, which no source names: a drawn part's are ours (noise 1.5 count)",
+            "response time and bandwidth: a new position is there at the next output word, without ringing",
+            "modes other than normal, ring buffer, motion detection, free fall, interrupts",
+            "writes, which the driver never sends: they change nothing",
+            "supply: start-up time, brown-out",
+            "bytes torn by noise, clock too fast, clock stretching",
+        ),
+        default_truth=partial(_default_truth, part),
+        # No source names the fastest clock; 4 MHz has been used, and 500 kHz is slow enough for the maker's others.
+        # A burst must be over before the next word is due, or it mixes bytes of two words.
+        spi=SpiPort(modes=(0,), fastest=None, speed=500_000, slowest=ceil(8 * 7 * part.rate))
+        if "spi" in entry.schemes
+        else None,
+        options=("counts_per_g", "rate", "thermometer", *(("pointer",) if "i2c" in entry.schemes else ())),
+        tailor=partial(_tailored, entry),
+    )
+
+
+def _named(variant: str, extent: str, part: Part, schemes: tuple[str, ...] = ("spi",)) -> Model:
+    title = f"VTI (Murata) SCA3000-{variant} three-axis accelerometer, {extent}"
+    return _model(Entry(f"sca3000-{variant.lower()}", title, "spi:///dev/spidev0.0", schemes, part), part)
+
+
+# The D01 has a bit that switches its I2C off, so it has I2C as well.
+D01 = _named("D01", "±2 g, SPI or I2C", Part(1333.0, 250.0, thermometer=True), ("spi", "i2c"))
+E02 = _named("E02", "1000 count/g, SPI", Part(1000.0, 125.0, thermometer=False))
+E04 = _named("E04", "500 count/g, SPI", Part(500.0, 100.0, thermometer=False))
+E05 = _named("E05", "160 count/g, SPI", Part(160.0, 200.0, thermometer=False))
+
+# The sensitivity is a virtual part's alone: a real one's must be given.
+_ANY = Part(1333.0, SLOWEST_RATE, thermometer=False)
+I2C = _model(
+    Entry(
+        "sca3000-i2c",
+        "VTI (Murata) SCA3000 three-axis accelerometer of any range, I2C",
+        "i2c:///dev/i2c-1?address=0x1d&counts_per_g=1333",
+        ("i2c",),
+        _ANY,
+        any_range=True,
+    ),
+    _ANY,
+)

@@ -1,0 +1,122 @@
+"""The virtual ADS1115: a link that answers as its registers would."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.ads1115 import CONFIG, CONVERSION, DONE, RANGES, RATES, RESET, START
+from tiltcal.drivers.twin.noise import uniform
+from tiltcal.errors import BusError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.twin.analog import Wiring
+
+BIT_SECONDS = 1.0 / 100_000
+
+SLOWEST, FASTEST = 1.1, 0.9
+"""Duration of a conversion over its nominal one: the converter's clock is within 10 %."""
+
+GROUND = 4
+"""From this input code on one input is measured against ground; below it the difference of two is."""
+
+DIFFERENCES = ((0, 1), (0, 3), (1, 3), (2, 3))
+"""By the lower input codes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """A conversion: its result, and when it is there.
+
+    Attributes
+    ----------
+    code : int
+    done_ns : int
+    """
+
+    code: int
+    done_ns: int
+
+
+class Ads1115Twin:
+    """An ADS1115 on the I2C bus, bit by bit.
+
+    It holds what a part holds: the pointer, the config register, and the conversion that was started last. All three
+    come from what was written to it; :meth:`recall` hands them to the twin of a resumed session.
+
+    Parameters
+    ----------
+    wiring : Wiring
+        The voltages at its inputs, taken when a conversion starts.
+    clock : Clock
+        Session time; each transaction lets it advance by its bits at 100 kHz.
+    """
+
+    letter = "i"
+
+    def __init__(self, wiring: Wiring, clock: Clock) -> None:
+        self._wiring = wiring
+        self._clock = clock
+        self._pointer = CONVERSION
+        self._config = RESET & ~START
+        self._conversion = Conversion(0, 0)
+        self._former = 0
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Write, then read from the register that is pointed to; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        if self._wiring.silent():
+            raise BusError("nobody acknowledges, a fault that the virtual sensor's truth asks for")
+        # Each byte has a ninth bit for its acknowledge, and each direction begins with the device's address.
+        self._clock.sleep(9 * (1 + len(out)) * BIT_SECONDS)
+        self._write(out)
+        answer = self._register().to_bytes(2, "big")
+        if count:
+            self._clock.sleep(9 * (1 + count) * BIT_SECONDS)
+        return (answer * (count // 2 + 1))[:count]
+
+    def recall(self, out: bytes, now_ns: int) -> None:
+        """Take what was written at an earlier time, as the part did that has been there ever since."""
+        present_ns = self._clock.now_ns()
+        self._clock.seek(now_ns)
+        self._write(out)
+        self._clock.seek(present_ns)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _write(self, out: bytes) -> None:
+        if out:
+            self._pointer = out[0] & 0b11
+        if len(out) >= 3 and self._pointer == CONFIG:
+            written = int.from_bytes(out[1:3], "big")
+            self._config = written & ~START
+            if written & START and not self._busy():
+                self._former = self._conversion.code
+                self._conversion = self._converted()
+
+    def _register(self) -> int:
+        """What the register that is pointed to holds; the thresholds are not modelled."""
+        if self._pointer == CONFIG:
+            return self._config | (0 if self._busy() else DONE)
+        if self._pointer == CONVERSION:
+            return (self._former if self._busy() else self._conversion.code) & 0xFFFF
+        return 0
+
+    def _busy(self) -> bool:
+        return self._clock.now_ns() < self._conversion.done_ns
+
+    def _converted(self) -> Conversion:
+        """The conversion that the config register asks for, started now."""
+        now_ns = self._clock.now_ns()
+        full_scale = (*RANGES, RANGES[-1], RANGES[-1])[self._config >> 9 & 0b111]
+        seconds = FASTEST + (SLOWEST - FASTEST) * uniform(self._wiring.seed, "oscillator", 0)
+        seconds /= RATES[self._config >> 5 & 0b111]
+        code = round(self._volts(self._config >> 12 & 0b111) / full_scale * 32768)
+        return Conversion(min(max(code, -32768), 32767), now_ns + round(seconds * 1e9))
+
+    def _volts(self, code: int) -> float:
+        if code >= GROUND:
+            return self._wiring.volts(code - GROUND)
+        plus, minus = DIFFERENCES[code]
+        return self._wiring.volts(plus) - self._wiring.volts(minus)

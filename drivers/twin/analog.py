@@ -1,0 +1,196 @@
+"""The voltages at the inputs of a virtual converter: what virtual analog sensors and thermistors put out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.converter import NOMINAL
+from tiltcal.drivers.twin.noise import normal, uniform
+from tiltcal.errors import BusError, UsageError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.analog import Part
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.converter import Supply
+    from tiltcal.drivers.twin.fixture import Held, Vector
+    from tiltcal.drivers.twin.truth import Fault, Truth
+
+LEVEL: Vector = (0.0, 0.0, 1.0)
+
+
+class Wiring(ABC):
+    """What is wired to the inputs of a virtual converter; all of it depends on the truth, the pose and the time alone.
+
+    Parameters
+    ----------
+    truth : Truth
+    clock : Clock
+        Session time; it names the noise.
+    supply : Supply
+        Where the sensor's supply is wired to; how large it is, the truth says.
+    """
+
+    def __init__(self, truth: Truth, clock: Clock, supply: Supply) -> None:
+        self._truth = truth
+        self._clock = clock
+        self._supply = supply
+
+    @property
+    def seed(self) -> int:
+        """Of whatever the converter draws at random."""
+        return self._truth.seed
+
+    @property
+    def reference(self) -> float:
+        """What is really at the converter's reference pin, V."""
+        return self._truth.supply if self._supply.reference is None else self._supply.reference
+
+    def volts(self, number: int) -> float:
+        """What is at an input now, V."""
+        if number == self._supply.number:
+            return self._truth.supply
+        return min(max(self.share(number, self._clock.now_ns()), 0.0), 1.0) * self._truth.supply
+
+    @abstractmethod
+    def share(self, number: int, now_ns: int) -> float:
+        """What is at an input, as a share of the supply."""
+
+    def silent(self) -> bool:
+        """Whether the converter keeps silent now, a fault that the truth asks for.
+
+        Raises
+        ------
+        BusError
+            It is unplugged.
+        """
+        fault = self._fault()
+        if fault is not None and fault.kind == "unplugged":
+            raise BusError(
+                "the virtual converter is unplugged, a fault that its truth asks for: resume the session later"
+            )
+        return fault is not None and fault.kind == "silent"
+
+    def _fault(self) -> Fault | None:
+        return self._truth.fault(self._clock.now_ns() / 1e9)
+
+
+class SensorWiring(Wiring):
+    """A sensor of two axes at a converter.
+
+    Parameters
+    ----------
+    truth : Truth
+        In V referred to a supply of 5 V.
+    fixture : Held
+        Holds the sensor; its frame is the sensor's.
+    clock : Clock
+    numbers : sequence of int
+        The inputs that x and y are wired to.
+    supply : Supply
+    """
+
+    def __init__(
+        self,
+        truth: Truth,
+        fixture: Held,
+        clock: Clock,
+        numbers: Sequence[int],
+        supply: Supply,
+    ) -> None:
+        super().__init__(truth, clock, supply)
+        self._fixture = fixture
+        self._channels = dict(zip(numbers, truth.channels, strict=True))
+
+    def share(self, number: int, now_ns: int) -> float:
+        """What is at an input, as a share of the supply."""
+        channel = self._channels.get(number)
+        if channel is None:
+            return 0.0
+        fault = self._fault()
+        if fault is not None and fault.kind == "parity":
+            return 0.05 * uniform(self._truth.seed, f"parity {channel}", now_ns)
+        if fault is not None and fault.kind == "stuck":
+            # Held at what it would be in the level position: a function of the fault alone, so a resumed session finds
+            # the same voltage.
+            return self._truth.reading(channel, LEVEL, self._truth.ambient) / NOMINAL
+        reading = self._truth.reading(channel, self._fixture.gravity, self._fixture.temperature())
+        noise = self._truth.noise.get(channel, 0.0)
+        if noise:
+            reading += noise * normal(self._truth.seed, f"noise {channel}", now_ns)
+        return reading / NOMINAL
+
+
+class ThermistorWiring(Wiring):
+    """A thermistor's divider at a converter.
+
+    Parameters
+    ----------
+    truth : Truth
+        Of it only seed, supply, the thermometer's error and faults matter.
+    fixture : Held
+        The chamber that it is in.
+    clock : Clock
+    number : int
+        The input that it is wired to.
+    divided : callable
+        The share of the supply that its divider puts out at a temperature in °C.
+    supply : Supply
+    """
+
+    def __init__(
+        self,
+        truth: Truth,
+        fixture: Held,
+        clock: Clock,
+        number: int,
+        divided: Callable[[float], float],
+        supply: Supply,
+    ) -> None:
+        super().__init__(truth, clock, supply)
+        self._fixture = fixture
+        self._number = number
+        self._divided = divided
+
+    def share(self, number: int, now_ns: int) -> float:
+        """What is at an input, as a share of the supply."""
+        if number != self._number:
+            return 0.0
+        fault = self._fault()
+        stuck = fault is not None and fault.kind == "stuck"
+        temperature = self._truth.ambient if stuck else self._fixture.temperature()
+        return self._divided(temperature + self._truth.thermometer_error)
+
+
+def draw_truth(part: Part, seed: int) -> Truth:
+    """A plausible part: what its digital port would show, in V referred to a supply of 5 V, and not rounded.
+
+    Parameters
+    ----------
+    part : Part
+    seed : int
+        The same seed is the same part.
+
+    Raises
+    ------
+    UsageError
+        Nothing is known of how the part's errors spread.
+    """
+    digital = part.digital
+    if digital.default_truth is None:
+        raise UsageError(f"{digital.name} has no default twin; name one with twin=FILE")
+    truth = digital.default_truth(seed)
+    step = part.sensitivity / digital.sensitivity
+    return replace(
+        truth,
+        offset={name: NOMINAL / 2.0 + step * (offset - digital.offset) for name, offset in truth.offset.items()},
+        sensitivity={
+            name: {axis: step * sensitivity for axis, sensitivity in row.items()}
+            for name, row in truth.sensitivity.items()
+        },
+        drift={name: tuple(step * k for k in drift) for name, drift in truth.drift.items()},
+        noise={name: step * noise for name, noise in truth.noise.items()},
+        thermometer_error=0.0,
+    )

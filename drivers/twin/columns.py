@@ -1,0 +1,92 @@
+"""A virtual device that prints numbers on a line, a hundred lines a second."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.columns import TEMPERATURE, Columns
+from tiltcal.drivers.twin.noise import normal, uniform
+from tiltcal.drivers.twin.talker import Talker
+from tiltcal.drivers.twin.truth import Truth
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.twin.fixture import Held, Vector
+
+LEVEL: Vector = (0.0, 0.0, 1.0)
+
+PERIOD = 0.010
+"""Seconds from line to line."""
+
+BAUDRATE = 115_200
+
+
+def columns_twin(columns: Columns, truth: Truth, fixture: Held, clock: Clock) -> Talker:
+    """A device that prints the columns of an address; one that is skipped there reads 0.
+
+    Parameters
+    ----------
+    columns : Columns
+    truth : Truth
+    fixture : Held
+        Holds the sensor; its frame is the sensor's.
+    clock : Clock
+        Session time.
+    """
+    between = next(mark for mark in (b",", b";", b"\t", b" ") if re.fullmatch(columns.separator, mark))
+
+    def number(name: str, line: int) -> float:
+        if name == TEMPERATURE:
+            return fixture.temperature() + truth.thermometer_error
+        if name not in truth.channels:
+            return 0.0
+        fault = truth.fault(clock.now_ns() / 1e9)
+        if fault is not None and fault.kind == "stuck":
+            return truth.reading(name, LEVEL, truth.ambient)
+        noise = truth.noise.get(name, 0.0) * normal(truth.seed, f"noise {name}", line)
+        return truth.reading(name, fixture.gravity, fixture.temperature()) + noise
+
+    def line(place: int) -> bytes:
+        return between.join(f"{number(name, place):.9g}".encode() for name in columns.names) + b"\r\n"
+
+    return Talker(truth, clock, line, period=PERIOD, baudrate=BAUDRATE)
+
+
+def draw_truth(channels: tuple[str, ...], offset: float, sensitivity: float, seed: int) -> Truth:
+    """A device near its nominal coefficients; every spread is ours.
+
+    Parameters
+    ----------
+    channels : tuple of str
+    offset : float
+        Nominal, unit.
+    sensitivity : float
+        Nominal, unit/g.
+    seed : int
+        The same seed is the same device.
+    """
+
+    def within(limit: float, name: str) -> float:
+        return limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
+
+    def row(channel: str) -> dict[str, float]:
+        return {
+            axis: sensitivity * (1.0 + within(0.03, f"sensitivity {axis}"))
+            if axis == channel
+            else sensitivity * within(0.02, f"cross {channel} {axis}")
+            for axis in "xyz"
+        }
+
+    return Truth(
+        channels=channels,
+        offset={channel: offset + sensitivity * within(0.05, f"offset {channel}") for channel in channels},
+        sensitivity={channel: row(channel) for channel in channels},
+        reference=24.0,
+        drift={channel: (sensitivity * within(0.001, f"drift {channel}"),) for channel in channels},
+        noise=dict.fromkeys(channels, abs(sensitivity) * 0.001),
+        seed=seed,
+        jig=0.01,
+        ambient=24.0,
+        time_constant=20.0,
+    )

@@ -1,0 +1,57 @@
+"""The virtual DFRobot module: a virtual SCA100T, asked over SPI, answered over the serial line."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.dfrobot import HEADER, REQUEST, checksum
+from tiltcal.drivers.sca100t import RDAX, RDAY, RWTR, decode_word
+from tiltcal.drivers.twin.sca100t import RELOAD_NS, Sca100tTwin
+from tiltcal.drivers.twin.talker import answer_in_line
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.truth import Truth
+
+BYTE_SECONDS = 10 / 9600
+
+
+class DfrobotTwin:
+    """The module on a serial line of 9600 baud.
+
+    Parameters
+    ----------
+    truth : Truth
+    fixture : Held
+        Holds the module; its frame is the sensor's.
+    clock : Clock
+        Goes on by the bytes of request and answer.
+    """
+
+    letter = "r"
+
+    def __init__(self, truth: Truth, fixture: Held, clock: Clock) -> None:
+        self._truth = truth
+        self._clock = clock
+        self._sensor = Sca100tTwin(truth, fixture, clock)
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Answer a request; anything else meets silence. See :class:`~tiltcal.drivers.bus.link.Link`."""
+        answer_in_line(self._truth, self._clock, silent=count > 0)
+        if out != REQUEST:
+            return b""
+        self._clock.sleep(len(out) * BYTE_SECONDS)
+        frames = [self._read(command) for command in ((RDAX, 0, 0), (RDAY, 0, 0), (RWTR, 0))]
+        words = b"".join(decode_word(frame).to_bytes(2, "big") for frame in frames[:2])
+        payload = words + frames[2][1:2]
+        answer = HEADER + payload + bytes([checksum(payload)])
+        self._clock.sleep(len(answer) * BYTE_SECONDS)
+        return answer[:count]
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _read(self, frame: tuple[int, ...]) -> bytes:
+        self._clock.sleep(RELOAD_NS / 1e9)
+        return self._sensor.exchange(bytes(frame))

@@ -1,0 +1,140 @@
+"""A virtual SCA3000, written from the fact sheet for the tests alone, on SPI and on I2C.
+
+It shares no line with the drivers or their twins, so that a misreading in one does not hide in the other. It runs under
+the system's Python and needs the standard library only.
+
+Modelled: the command byte (address in bits 7 to 2, bit 1 to write); the register address counting down within one frame
+and wrapping from X_LSB to Z_MSB; REVID, STATUS, MODE, the six data registers and, where the part has one, the
+thermometer; 13-bit two's complement left-aligned in 16 bits; new words at the output data rate only; offset, a 3 x 3
+sensitivity matrix, Gaussian noise of each word, the overflow codes; a jig that misses each position by a random small
+rotation. On I2C a register pointer that the first written byte sets.
+
+Not modelled: the ring buffer, motion detection, interrupts, drift with temperature. A write is carried out by doing
+nothing and counted in ``writes``: no test may cause one.
+"""
+
+from __future__ import annotations
+
+import random
+from math import radians
+
+REVID, STATUS = 0x00, 0x02
+X_LSB, Z_MSB = 0x04, 0x09
+TEMP_LSB, TEMP_MSB = 0x12, 0x13
+
+
+class Sca3000Part:
+    """The part, and the jig that holds it.
+
+    Parameters
+    ----------
+    offset : list of float
+        X, Y and Z word at 0 g, count.
+    sensitivity : list of list of float
+        A row for each of X, Y and Z, with columns x, y, z, count/g.
+    noise : float
+        Standard deviation of a word, count.
+    jig : float
+        Standard deviation of each of the three angles by which a position is missed, degrees.
+    seed : int
+    rate : float
+        Output data rate, Hz.
+    thermometer : bool
+    """
+
+    def __init__(
+        self,
+        offset: list[float],
+        sensitivity: list[list[float]],
+        noise: float,
+        jig: float,
+        seed: int,
+        rate: float,
+        thermometer: bool,
+    ) -> None:
+        self.offset = offset
+        self.sensitivity = sensitivity
+        self.noise = noise
+        self.jig = radians(jig)
+        self.chance = random.Random(seed)
+        self.period_ns = round(1e9 / rate)
+        self.thermometer = thermometer
+        self.gravity = [0.0, 0.0, 1.0]
+        self.temperature = 24.0
+        self.broken = False
+        self.pointer = 0
+        self.writes = 0
+        self.slot = -1
+        self.words = [0, 0, 0]
+
+    def pose(self, gravity: list[float], temperature: float | None) -> None:
+        """Lie as asked, but for the jig's error: g' = g + e x g for a small rotation e."""
+        ex, ey, ez = (self.chance.gauss(0.0, self.jig) for _ in range(3))
+        gx, gy, gz = gravity
+        missed = [gx + ey * gz - ez * gy, gy + ez * gx - ex * gz, gz + ex * gy - ey * gx]
+        length = sum(component**2 for component in missed) ** 0.5
+        self.gravity = [component / length for component in missed]
+        self.slot = -1
+        if temperature is not None:
+            self.temperature = temperature
+
+    def transfer(self, out: bytes, start_ns: int, end_ns: int) -> bytes:
+        """Answer one SPI frame; the byte under the command is left to chance."""
+        if not out:
+            return b""
+        unknown = bytes([self.chance.randrange(256)])
+        if out[0] & 0b11:
+            self.writes += 1
+            return unknown + bytes(len(out) - 1)
+        return unknown + self.burst(out[0] >> 2, len(out) - 1, start_ns)
+
+    def message(self, out: bytes, count: int, now_ns: int) -> bytes:
+        """Answer one I2C message: a write sets the pointer, a read begins at it."""
+        if len(out) > 1:
+            self.writes += 1
+        if out:
+            self.pointer = out[0]
+        return self.burst(self.pointer, count, now_ns) if count else b""
+
+    def burst(self, address: int, count: int, now_ns: int) -> bytes:
+        """Registers from ``address`` down."""
+        self.renew(now_ns)
+        answer = bytearray()
+        for _ in range(count):
+            answer.append(self.register(address))
+            address = Z_MSB if address == X_LSB else (address - 1) % 64
+        return bytes(answer)
+
+    def renew(self, now_ns: int) -> None:
+        """Take new words where the output data rate has them."""
+        slot = now_ns // self.period_ns
+        if slot != self.slot:
+            self.slot = slot
+            self.words = [self.convert(channel) for channel in range(3)]
+
+    def convert(self, channel: int) -> int:
+        """The word of a channel now, as 16 bits."""
+        value = self.offset[channel]
+        for sensitivity, g in zip(self.sensitivity[channel], self.gravity):  # noqa: B905
+            value += sensitivity * g
+        count = round(self.chance.gauss(value, self.noise))
+        if count >= 3455:
+            return 0x6BFF
+        if count <= -3456:
+            return 0x9400
+        return (count * 8) % 65536
+
+    def register(self, address: int) -> int:
+        """One byte."""
+        if X_LSB <= address <= Z_MSB:
+            word = self.words[(address - X_LSB) // 2]
+            return word // 256 if address % 2 else word % 256
+        if address in (TEMP_LSB, TEMP_MSB) and self.thermometer:
+            raw = max(0, min(511, round(256 + 1.8 * (self.temperature - 23))))
+            # The two bits above the nine of the thermometer mean nothing.
+            return (raw // 8) + 64 * self.chance.randrange(4) if address == TEMP_MSB else raw % 8 * 32
+        if address == REVID:
+            return 0x21
+        if address == STATUS:
+            return 0b0000_0010 if self.broken else 0
+        return 0

@@ -1,0 +1,185 @@
+"""Serial links through the real pyserial, on pseudo-terminals, sockets and loops, and what each error means."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import sys
+import threading
+import tty
+from collections.abc import Iterator
+
+import pytest
+
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus import link_letter, open_link
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.link import Link
+from tiltcal.errors import BusError, HardwareError, UsageError
+
+serial = pytest.importorskip("serial", reason="the pyserial package is not installed")
+
+ADXL202 = find_model("adxl202")
+
+
+def opened(address: str) -> Link:
+    return open_link(parse_address(address), ADXL202)
+
+
+@pytest.fixture
+def pty() -> Iterator[tuple[int, str]]:
+    """The device's end of a pseudo-terminal, and the path of ours."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    path = os.ttyname(slave)
+    os.close(slave)
+    yield master, path
+    os.close(master)
+
+
+@pytest.fixture
+def link(pty: tuple[int, str]) -> Iterator[Link]:
+    opened_link = opened(f"serial://{pty[1]}?baudrate=921600&timeout=0.1")
+    yield opened_link
+    opened_link.close()
+
+
+def received(link: Link, count: int) -> bytes:
+    got = b""
+    while len(got) < count:
+        got += link.exchange(b"", count - len(got))
+    return got
+
+
+def test_what_arrives_is_handed_over_and_no_more_than_asked_for(pty, link) -> None:
+    os.write(pty[0], b"0123456789")
+
+    assert link.exchange(b"", 4) == b"0123"
+    assert received(link, 6) == b"456789"
+    assert link.letter == "r" == link_letter(parse_address("serial:///dev/ttyUSB0"), ADXL202)
+
+
+def test_every_byte_passes_unchanged(pty, link) -> None:
+    os.write(pty[0], bytes(range(256)))
+    assert received(link, 256) == bytes(range(256))
+
+    link.exchange(bytes(range(256)))
+    assert os.read(pty[0], 256) == bytes(range(256))
+
+
+def test_what_queued_up_can_be_dropped(pty, link) -> None:
+    os.write(pty[0], b"old")
+    assert link.exchange(b"", 0) == b""
+    os.write(pty[0], b"new")
+    assert link.exchange(b"", 3) == b"new"
+
+
+def test_silence_is_an_error_that_says_what_to_try(pty, link) -> None:
+    with pytest.raises(BusError, match=r"silent for 0\.1 s.*powered.*baudrate"):
+        link.exchange(b"", 1)
+    # An error of the line is no error of the link: the device may begin to talk.
+    os.write(pty[0], b"x")
+    assert link.exchange(b"", 1) == b"x"
+
+
+def test_an_unplugged_adapter_is_told_and_a_plugged_one_goes_on() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    link = opened(f"serial://{os.ttyname(slave)}?timeout=0.1")
+    os.close(slave)
+    os.close(master)
+    with pytest.raises(BusError, match=r"has gone: plug it in again, then resume"):
+        link.exchange(b"", 1)
+    with pytest.raises(BusError, match="has gone"):
+        link.exchange(b"", 0)
+    link.close()
+    link.close()
+
+    with pytest.raises(BusError):
+        link.exchange(b"", 1)
+
+
+def test_a_device_behind_a_socket() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+
+        def talk() -> None:
+            connection, _ = server.accept()
+            with connection:
+                # What is sent before the port is open is dropped, as with any other port.
+                connection.recv(1)
+                connection.sendall(b"hello")
+                connection.recv(1)
+
+        talker = threading.Thread(target=talk)
+        talker.start()
+        link = opened(f"serial:socket://127.0.0.1:{port}?timeout=1")
+        link.exchange(b"?")
+        assert received(link, 5) == b"hello"
+        link.exchange(b"!")
+        talker.join()
+        with pytest.raises(BusError, match="has gone"):
+            link.exchange(b"", 1)
+        link.close()
+
+    with pytest.raises(BusError, match=r"nobody listens at socket://127\.0\.0\.1"):
+        opened(f"serial:socket://127.0.0.1:{port}")
+
+
+def test_a_loop_url() -> None:
+    link = opened("serial:loop://?timeout=0.1")
+    link.exchange(b"round")
+    assert received(link, 5) == b"round"
+    link.close()
+
+
+def test_no_such_port() -> None:
+    with pytest.raises(BusError, match=r"/dev/ttyUSB77 does not exist \(.*\)"):
+        opened("serial:///dev/ttyUSB77")
+
+
+def test_a_port_in_use(pty) -> None:
+    first = opened(f"serial://{pty[1]}")
+    with pytest.raises(BusError, match="in use by another program"):
+        opened(f"serial://{pty[1]}")
+    first.close()
+    opened(f"serial://{pty[1]}").close()
+
+
+def test_no_permission_names_the_group(monkeypatch: pytest.MonkeyPatch, pty) -> None:
+    def refused(self: object) -> None:
+        raise serial.SerialException(errno.EACCES, f"could not open port {pty[1]}")
+
+    monkeypatch.setattr(serial.Serial, "open", refused)
+    with pytest.raises(BusError, match=f"no permission to use {pty[1]}.*group"):
+        opened(f"serial://{pty[1]}")
+
+
+def test_a_file_is_no_serial_port(tmp_path) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text("text")
+    with pytest.raises(BusError, match="no serial port"):
+        opened(f"serial://{path}")
+
+
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [
+        ("serial:///dev/ttyUSB0?baud=9600", "did you mean 'baudrate'"),
+        ("serial:///dev/ttyUSB0?baudrate=fast", "not a whole number"),
+        ("serial:///dev/ttyUSB0?parity=maybe", "none of N, E, O"),
+        ("serial:///dev/ttyUSB0?stopbits=3", "none of 1, 1.5, 2"),
+        ("serial:///dev/ttyUSB0?timeout=0", "too small"),
+        ("serial:nosuch://somewhere", "pyserial cannot use it"),
+    ],
+)
+def test_wrong_addresses(address: str, why: str) -> None:
+    with pytest.raises(UsageError, match=why):
+        opened(address)
+
+
+def test_without_pyserial_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "serial", None)
+    with pytest.raises(HardwareError, match=r"pip install 'tiltcal\[serial\]'"):
+        opened("serial:///dev/ttyUSB0")
