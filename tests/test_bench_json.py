@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from command import TILTCAL, measure
 from hypothesis import given
 from hypothesis import strategies as st
+
 from tiltcal.bench.operators.program import understood
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import read_calibration
@@ -151,7 +153,5 @@ def test_an_answer_that_will_not_do_is_refused_with_the_reason(rubbish: str, tmp
 
 @given(st.text() | st.binary().map(lambda data: data.decode(errors="replace")))
 def test_any_line_is_an_answer_or_an_input_error(line: str) -> None:
-    try:
+    with suppress(InputError):
         understood(line)
-    except InputError:
-        pass

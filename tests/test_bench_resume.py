@@ -48,7 +48,8 @@ def test_killed_at_a_random_moment(number: int, never_stopped: Path, tmp_path: P
 def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
     """Within one process, at many more places than can be hit by killing: torn lines, the end record, its edges."""
     from tiltcal.bench.operators.sim import SimOperator
-    from tiltcal.bench.session import Plan, Session
+    from tiltcal.bench.plan import Plan
+    from tiltcal.bench.session import Session
     from tiltcal.files.journal import read_journal
 
     whole = (never_stopped / JOURNAL).read_bytes()

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 from command import measure, tiltcal
+
 from tiltcal.bench.operators.operator import Answer
 from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.session import Session, plan_session
+from tiltcal.bench.plan import plan_session, single
+from tiltcal.bench.session import Session
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import Calibration, read_calibration
 from tiltcal.files.procedure import Position, find_procedure
@@ -36,9 +38,10 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def session(procedure: str = "plane", **options: float) -> Session:
     plan = plan_session(
         find_procedure(procedure),
-        [("sca100t-d02", "S-1", "sim:?twin=twin.yaml", Path("S-1.yaml"))],
+        single("sca100t-d02", "S-1", "sim:?twin=twin.yaml"),
+        [Path("S-1.yaml")],
         Path("S-1.journal.jsonl"),
-        operator="sim",
+        lead="sim",
         **options,  # type: ignore[arg-type]
     )
     return Session(plan, Path("S-1.journal.jsonl"))

@@ -8,6 +8,7 @@ from pathlib import Path
 import pexpect
 import pytest
 from command import measure, tiltcal
+
 from tiltcal.files.calibration import read_calibration
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from command import tiltcal
+
 from tiltcal.files.calibration import read_calibration
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
+
 from tiltcal.core.closed_forms import (
     scale_from_tilt,
     sensitivity_from_pair,

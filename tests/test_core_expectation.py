@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from tiltcal.core.expectation import Expectation
 from tiltcal.core.frames import gravity_from_tilt
 

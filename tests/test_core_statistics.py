@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from tiltcal.core.statistics import drift, summarise
 
 
@@ -72,3 +73,7 @@ def test_drift_uncertainty_covers_noise() -> None:
     times = [0.1 * k for k in range(40)]
     ratios = [change / u for change, u in (drift(times, rng.normal(size=40).tolist()) for _ in range(500))]
     assert np.std(ratios) == pytest.approx(1.0, abs=0.12)
+
+
+def test_samples_of_one_instant_have_not_drifted() -> None:
+    assert drift([2.5, 2.5, 2.5], [1.0, 7.0, 3.0]) == (0.0, 0.0)

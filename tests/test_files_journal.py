@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.journal import Event, JournalWriter, read_journal
 

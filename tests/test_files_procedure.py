@@ -49,7 +49,7 @@ SHIPPED = {
     ),
     "zero-45": (Determines(("x", "y")), ["level", "x-45", "y-45"]),
     "two-temperature": (Determines((), drift=1), ["level-warm", "level-cold"]),
-    "mavs": (Determines(("x", "y"), drift=1), ["level-warm", "x-45", "y-45", "level-cold"]),
+    "mavs": (Determines(("x", "y"), drift=1), ["x-45", "y-45", "level-warm", "level-cold"]),
     "six-face": (Determines(("x", "y", "z")), ["x-up", "x-down", "y-up", "y-down", "z-up", "z-down"]),
 }
 

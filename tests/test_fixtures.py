@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from command import tiltcal
+
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure import shipped_procedures
 from tiltcal.files.twin import read_twin

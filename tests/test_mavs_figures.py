@@ -13,8 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.session import Session, plan_session
+from tiltcal.bench.plan import plan_session, single
+from tiltcal.bench.session import Session
 from tiltcal.core.compensate import Compensation
 from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.files.calibration import Calibration, read_calibration
@@ -32,8 +34,8 @@ def calibrations(tmp_path_factory: pytest.TempPathFactory) -> list[Calibration]:
     found = []
     for seed in SEEDS:
         output, journal = folder / f"{seed}.yaml", folder / f"{seed}.journal.jsonl"
-        place = ("sca100t-d02", f"A-{seed}", f"sim:?twin={TWIN}&seed={seed}", output)
-        plan = plan_session(find_procedure("mavs"), [place], journal, operator="sim")
+        bench = single("sca100t-d02", f"A-{seed}", f"sim:?twin={TWIN}&seed={seed}")
+        plan = plan_session(find_procedure("mavs"), bench, [output], journal, lead="sim")
         Session(plan, journal).measure(SimOperator(lambda line: None))
         found.append(read_calibration(output))
     return found

@@ -9,7 +9,8 @@
     ├── EstimateError       exit 2   the positions cannot determine the coefficients
     ├── HardwareError       exit 3   the bus, the sensor or its wiring
     │   ├── BusError                 no device, no permission, no answer, unplugged
-    │   └── DeviceFault              the device answers, and says or shows that it is faulty
+    │   ├── DeviceFault              the device answers, and says or shows that it is faulty
+    │   └── BayError                 one device of a bench failed; it is named
     └── Stopped             exit 130 the operator stopped; the session is kept and can be resumed
 
 A message says what was found, where, and what to do.
@@ -76,6 +77,21 @@ class BusError(HardwareError):
 
 class DeviceFault(HardwareError):
     """The device answers, and says or shows that it is faulty."""
+
+
+class BayError(HardwareError):
+    """One device of a bench failed.
+
+    Parameters
+    ----------
+    serial : str
+        Which one.
+    message : str
+    """
+
+    def __init__(self, serial: str, message: str) -> None:
+        self.serial = serial
+        super().__init__(message)
 
 
 class Stopped(TiltcalError):

@@ -12,20 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiltcal.bench.bay import Bay
 from tiltcal.bench.operators.operator import Answer, Measured, Operator
-from tiltcal.bench.settle import Sample, Unsettled, Window, movement, wait_until_still
+from tiltcal.bench.rack import Bay, Rack, Sample
+from tiltcal.bench.settle import Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.tape import Tape, TapedClock
 from tiltcal.core.expectation import Expectation
 from tiltcal.core.frames import gravity_from_tilt, normalised
+from tiltcal.core.model import Array
 from tiltcal.core.statistics import Summary, summarise
-from tiltcal.drivers.device import Reading
+from tiltcal.drivers.device import Model, Reading
 from tiltcal.drivers.twin.fixture import Fixture
-from tiltcal.errors import HardwareError, InputError
+from tiltcal.errors import BayError, HardwareError, InputError
 from tiltcal.files.procedure import Position, Procedure
-
-ATTEMPTS = 5
-"""Refusals in a row that the hardware may cause before the session stops."""
 
 RECOVERY = 1.0
 """Seconds that a bus is left alone after an error."""
@@ -64,16 +62,20 @@ class Taken:
         As it was actually set.
     time_ns : int
         When its last sample was taken, since the session began.
-    summaries : tuple of dict of str to Summary
-        Per sensor and channel.
-    temperatures : tuple of float or None
-        Per sensor, °C.
+    summaries : mapping of str to dict of str to Summary
+        Per serial number and channel.
+    temperatures : mapping of str to float or None
+        Per serial number, °C.
     """
 
     position: Position
     time_ns: int
-    summaries: tuple[dict[str, Summary], ...]
-    temperatures: tuple[float | None, ...]
+    summaries: Mapping[str, dict[str, Summary]]
+    temperatures: Mapping[str, float | None]
+
+    def mean(self, serial: str) -> Array:
+        """Mean reading of each channel of a sensor, in its unit."""
+        return np.array([summary.mean for summary in self.summaries[serial].values()])
 
 
 class Runner:
@@ -82,7 +84,7 @@ class Runner:
     Parameters
     ----------
     procedure : Procedure
-    bays : sequence of Bay
+    rack : Rack
     operator : Operator
     tape : Tape
     clock : TapedClock
@@ -94,7 +96,7 @@ class Runner:
     def __init__(
         self,
         procedure: Procedure,
-        bays: Sequence[Bay],
+        rack: Rack,
         operator: Operator,
         tape: Tape,
         clock: TapedClock,
@@ -102,14 +104,12 @@ class Runner:
         fixture: Fixture | None = None,
     ) -> None:
         self._procedure = procedure
-        self._bays = tuple(bays)
-        self._models = tuple(bay.model for bay in bays)
+        self._rack = rack
         self._operator = operator
         self._tape = tape
         self._clock = clock
         self._settings = settings
         self._fixture = fixture
-        self._failures = 0
 
     def run(self) -> list[Taken]:
         """Every position of the procedure, accepted, in its order.
@@ -119,7 +119,7 @@ class Runner:
         Stopped
             The operator quit.
         HardwareError
-            The hardware failed several times in a row.
+            The hardware failed several times in a row, and no other sensor remains.
         JournalError
             The journal does not fit, or a replay ends before the procedure does.
         """
@@ -154,7 +154,7 @@ class Runner:
             self._hold(as_set)
         self._settle(position, self._procedure.positions[len(taken) - 1] if taken else None, answer.temperature)
         result = self._sample(as_set, answer.temperature)
-        self._failures = 0
+        self._rack.succeeded()
         expectations = self._expectations(taken)
         self._require_plausible(result, expectations, taken)
         measured = self._measured(result, expectations)
@@ -166,11 +166,12 @@ class Runner:
         return verdict.word, result
 
     def _refuse(self, position: Position, error: Exception) -> None:
-        if isinstance(error, HardwareError):
-            self._failures += 1
-            if self._failures >= ATTEMPTS:
-                raise error
+        if isinstance(error, BayError) and not self._rack.failed(error):
+            raise error
         self._tell(lambda: self._operator.refused(position, str(error)))
+        if isinstance(error, BayError) and error.serial in self._rack.lost:
+            serial = error.serial
+            self._tell(lambda: self._operator.lost(serial, self._rack.lost[serial]))
         if isinstance(error, HardwareError):
             self._clock.sleep(RECOVERY)
 
@@ -190,17 +191,16 @@ class Runner:
         if self._fixture is not None:
             self._fixture.move(position.gravity, position.temperature)
 
-    def _read(self) -> Sample:
-        return tuple(bay.sensor.read() for bay in self._bays)
-
-    def _live(self) -> Mapping[str, Reading]:
-        return {bay.serial: reading for bay, reading in zip(self._bays, self._fresh(), strict=True)}
-
     def _fresh(self) -> Sample:
         """A sample of now: what sensors sent while nobody listened is dropped."""
-        for bay in self._bays:
-            bay.sensor.discard()
-        return self._read()
+        self._rack.discard()
+        return self._rack.read()
+
+    def _live(self) -> Mapping[str, Reading]:
+        return self._by_serial(self._fresh())
+
+    def _by_serial(self, sample: Sample) -> dict[str, Reading]:
+        return {bay.serial: reading for bay, reading in zip(self._rack.bays, sample, strict=True)}
 
     def _settle(self, position: Position, before: Position | None, typed: float | None) -> None:
         """Wait until still; until the temperature is, where this position changes it."""
@@ -210,75 +210,82 @@ class Runner:
             target = position.temperature if typed is None else None
             window = Window(self._settings.soak, self._procedure.soak_drift, target)
         wait_until_still(
-            self._fresh, self._models, self._clock, window, lambda sample, why: self._look(position, sample, why)
+            self._fresh, self._rack.models, self._clock, window, lambda sample, why: self._look(position, sample, why)
         )
 
     def _sample(self, position: Position, typed: float | None) -> Taken:
         held: list[tuple[float, Sample]] = []
-        interval = max(model.interval for model in self._models)
+        models = self._rack.models
+        interval = max(model.interval for model in models)
         for number in range(self._settings.samples):
-            sample = self._read()
+            sample = self._rack.read()
             held.append((self._clock.now_ns() / 1e9, sample))
             self._look(position, sample, f"sample {number + 1} of {self._settings.samples}")
             self._clock.sleep(interval)
-        moved = movement(held, self._models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(held) > 2 else None
+        moved = movement(held, models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(held) > 2 else None
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
-        summaries, temperatures = [], []
-        for index, model in enumerate(self._models):
+        summaries, temperatures = {}, {}
+        for index, bay in enumerate(self._rack.bays):
             readings = [sample[index] for _, sample in held]
-            summaries.append(
-                {
-                    channel: summarise([reading.values[place] for reading in readings], model.resolution)
-                    for place, channel in enumerate(model.channels)
-                }
-            )
-            temperatures.append(_temperature(readings, typed, position.temperature))
-            _require_off_rails(readings, model.channels, model.rails)
-        return Taken(position, self._tape.now_ns(), tuple(summaries), tuple(temperatures))
+            _require_off_rails(readings, bay.model)
+            temperatures[bay.serial] = _temperature(readings, typed, position.temperature)
+            summaries[bay.serial] = {
+                channel: summarise([reading.values[place] for reading in readings], bay.model.resolution)
+                for place, channel in enumerate(bay.model.channels)
+            }
+        return Taken(position, self._tape.now_ns(), summaries, temperatures)
 
     def _look(self, position: Position, sample: Sample, why: str) -> None:
-        readings = {bay.serial: reading for bay, reading in zip(self._bays, sample, strict=True)}
-        self._tell(lambda: self._operator.look(position, readings, why))
+        self._tell(lambda: self._operator.look(position, self._by_serial(sample), why))
 
-    def _expectations(self, taken: Sequence[Taken]) -> list[Expectation]:
+    def _expectations(self, taken: Sequence[Taken]) -> dict[str, Expectation]:
         """What each sensor should read, from its model and the positions accepted so far."""
-        expectations = []
-        for index, model in enumerate(self._models):
+        expectations = {}
+        for bay in self._rack.bays:
+            model = bay.model
             expectation = Expectation(
                 model.channels, model.offset, model.sensitivity, model.offset_spread, model.sensitivity_spread
             )
             for one in taken:
-                expectation.learn(one.position.gravity, _means(one, index), one.temperatures[index])
-            expectations.append(expectation)
+                seen = bay.orientation.seen(one.position.gravity)
+                expectation.learn(seen, one.mean(bay.serial), one.temperatures[bay.serial])
+            expectations[bay.serial] = expectation
         return expectations
 
-    def _require_plausible(self, result: Taken, expectations: Sequence[Expectation], taken: Sequence[Taken]) -> None:
+    def _require_plausible(
+        self, result: Taken, expectations: Mapping[str, Expectation], taken: Sequence[Taken]
+    ) -> None:
+        """Refuse a position that a sensor sees as another one."""
         positions = {position.name: position.gravity for position in self._procedure.positions}
         positions |= {one.position.name: one.position.gravity for one in taken}
         positions[result.position.name] = result.position.gravity
-        for index, expectation in enumerate(expectations):
-            if not self._models[index].scaled:
+        for bay in self._rack.bays:
+            if not bay.model.scaled:
                 continue
-            why = expectation.objection(
-                result.position.name, positions, _means(result, index), result.temperatures[index]
+            seen = {name: bay.orientation.seen(gravity) for name, gravity in positions.items()}
+            why = expectations[bay.serial].objection(
+                result.position.name, seen, result.mean(bay.serial), result.temperatures[bay.serial]
             )
             if why:
-                raise Unsettled(why if len(self._bays) == 1 else f"{self._bays[index].serial}: {why}")
+                raise Unsettled(why if len(self._rack.bays) == 1 else f"{bay.serial}: {why}")
 
-    def _measured(self, result: Taken, expectations: Sequence[Expectation]) -> list[Measured]:
-        return [
-            Measured(
-                serial=bay.serial,
-                unit=bay.model.unit,
-                mean={channel: summary.mean for channel, summary in result.summaries[index].items()},
-                std={channel: summary.std for channel, summary in result.summaries[index].items()},
-                expected=expectations[index].expected(result.position.gravity) if bay.model.scaled else {},
-                n=self._settings.samples,
-                temperature=result.temperatures[index],
-            )
-            for index, bay in enumerate(self._bays)
-        ]
+    def _measured(self, result: Taken, expectations: Mapping[str, Expectation]) -> list[Measured]:
+        """A position as the operator is shown it."""
+        return [self._shown(bay, result, expectations[bay.serial]) for bay in self._rack.bays]
+
+    def _shown(self, bay: Bay, result: Taken, expectation: Expectation) -> Measured:
+        summaries = result.summaries[bay.serial]
+        seen = bay.orientation.seen(result.position.gravity)
+        return Measured(
+            serial=bay.serial,
+            unit=bay.model.unit,
+            mean={channel: summary.mean for channel, summary in summaries.items()},
+            std={channel: summary.std for channel, summary in summaries.items()},
+            expected=expectation.expected(seen) if bay.model.scaled else {},
+            n=self._settings.samples,
+            temperature=result.temperatures[bay.serial],
+        )
 
 
 def _as_set(position: Position, answer: Answer) -> Position:
@@ -301,9 +308,9 @@ def _temperature(readings: Sequence[Reading], typed: float | None, asked: float 
     return summarise(own).mean if own else asked
 
 
-def _require_off_rails(readings: Sequence[Reading], channels: Sequence[str], rails: tuple[float, float]) -> None:
-    low, high = rails
-    for place, channel in enumerate(channels):
+def _require_off_rails(readings: Sequence[Reading], model: Model) -> None:
+    low, high = model.rails
+    for place, channel in enumerate(model.channels):
         for reading in readings:
             if not low < reading.values[place] < high:
                 raise Unsettled(
@@ -312,21 +319,17 @@ def _require_off_rails(readings: Sequence[Reading], channels: Sequence[str], rai
                 )
 
 
-def _means(taken: Taken, index: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    return np.array([summary.mean for summary in taken.summaries[index].values()])
-
-
 def _record(taken: Taken) -> dict[str, object]:
     """An accepted position as the journal notes it."""
     return {
         "position": taken.position.name,
-        "sensors": [
-            {
+        "sensors": {
+            serial: {
                 "mean": {channel: summary.mean for channel, summary in summaries.items()},
                 "std": {channel: summary.std for channel, summary in summaries.items()},
                 "n": next(iter(summaries.values())).n,
-                "temperature": temperature,
+                "temperature": taken.temperatures[serial],
             }
-            for summaries, temperature in zip(taken.summaries, taken.temperatures, strict=True)
-        ],
+            for serial, summaries in taken.summaries.items()
+        },
     }

@@ -7,9 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
+from tiltcal.bench.rack import Sample
 from tiltcal.core.statistics import drift
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.device import Model
 
 LOOKS, SOAK_LOOKS = 40, 200
 """Readings in one window: to see a movement, and to show that a slow drift is not there."""
@@ -47,9 +48,6 @@ PATIENCE = 60.0
 
 OVERNIGHT = 12 * 3600.0
 """How long a chamber may take to its temperature, seconds."""
-
-Sample = tuple[Reading, ...]
-"""One reading of each sensor."""
 
 Timed = tuple[float, Sample]
 """A sample with its time in seconds."""

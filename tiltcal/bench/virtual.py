@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
-from tiltcal.drivers.bus.address import Address
+from tiltcal.bench.plan import Place
+from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.device import Model
@@ -21,24 +22,20 @@ class VirtualBench:
     ----------
     clock : Clock
         Session time.
-    addresses : sequence of Address
-        Of all sensors; ``sim:`` takes ``twin=FILE`` and ``seed=N``.
-    models : iterable of Model
-        Of the same sensors.
+    places : sequence of Place
+        The devices; ``sim:`` addresses take ``twin=FILE`` and ``seed=N``.
     """
 
-    def __init__(self, clock: Clock, addresses: Sequence[Address], models: Iterable[Model]) -> None:
+    def __init__(self, clock: Clock, places: Sequence[Place]) -> None:
         self._clock = clock
-        self._first = next(
-            ((address, model) for address, model in zip(addresses, models, strict=True) if address.simulated), None
-        )
+        self._first = next((place for place in places if parse_address(place.address).simulated), None)
 
     @cached_property
     def fixture(self) -> Fixture:
         """The jig and the chamber; the first virtual sensor's truth says how good they are."""
-        truth = truth_of(*self._first) if self._first else None
-        if truth is None:
+        if self._first is None:
             return Fixture(self._clock)
+        truth = truth_of(parse_address(self._first.address), self._first.fitted)
         return Fixture(
             self._clock,
             seed=truth.seed,
@@ -47,9 +44,10 @@ class VirtualBench:
             time_constant=truth.time_constant,
         )
 
-    def twin(self, address: Address, model: Model) -> Link:
+    def twin(self, place: Place) -> Link:
         """The virtual sensor behind a ``sim:`` address."""
-        return model.twin(truth_of(address, model), self.fixture, self._clock)
+        truth = truth_of(parse_address(place.address), place.fitted)
+        return place.fitted.twin(truth, self.fixture.turned(place.orientation.seen), self._clock)
 
 
 def truth_of(address: Address, model: Model) -> Truth:

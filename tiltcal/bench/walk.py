@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import asin, degrees, pi, radians, sin
 
+from tiltcal.bench.plan import Place
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.drivers.bus.address import Address
@@ -59,8 +60,9 @@ def walk(
     Row
     """
     clock = VirtualClock()
-    bench = VirtualBench(clock, [address], [model])
-    sensor = model.driver(bench.twin(address, model), clock)
+    place = Place(model.name, "", str(address))
+    bench = VirtualBench(clock, [place])
+    sensor = model.driver(bench.twin(place), clock)
     first, last = temperatures
     for number in range(rows):
         share = number / max(rows - 1, 1)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from tiltcal.files.bench import read_bench
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
@@ -45,10 +46,13 @@ def _checked(path: Path) -> tuple[str, list[str]]:
     named = document.entries().get("kind")
     if named is None:
         raise document.error("the key 'kind' is missing: this is no tiltcal file")
-    kind = named.choice(("tilt", "procedure", "twin"))
+    kind = named.choice(("tilt", "procedure", "bench", "twin"))
     if kind == "procedure":
         read_procedure(path)
         return "procedure", []
+    if kind == "bench":
+        read_bench(path)
+        return "bench", []
     if kind == "twin":
         read_twin(path)
         return "twin", []
@@ -96,8 +100,9 @@ def _of_calibration(path: Path) -> list[str]:
 def _against_journal(path: Path, journal: Path) -> list[str]:
     """Replay the journal that lies beside a calibration file."""
     from tiltcal.bench.operators.sim import SimOperator
-    from tiltcal.bench.session import Plan, Session
+    from tiltcal.bench.plan import Plan
+    from tiltcal.bench.session import Session
 
     captured = read_journal(journal)
-    texts = Session(Plan.from_journal(captured), journal, captured).replay(SimOperator(lambda line: None))
-    return [] if path.read_text(encoding="utf-8") in texts else [f"{journal} does not give this file"]
+    texts = Session(Plan.from_journal(captured), journal, captured).replay(SimOperator(lambda line: None)).texts
+    return [] if path.read_text(encoding="utf-8") in texts.values() else [f"{journal} does not give this file"]

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.session import Session, plan_session
+from tiltcal.bench.plan import plan_session, single
+from tiltcal.bench.session import Session
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.device import Model
@@ -47,7 +48,7 @@ def command(folder: Path, seed: int) -> None:
     click.echo("1. measure, on the virtual bench (no real sensor)")
     journal.unlink(missing_ok=True)
     plan = plan_session(
-        find_procedure(PROCEDURE), [(MODEL, SERIAL, str(address), calibration)], journal, operator="sim"
+        find_procedure(PROCEDURE), single(MODEL, SERIAL, str(address)), [calibration], journal, lead="sim"
     )
     Session(plan, journal).measure(SimOperator(lambda line: click.echo(f"   {line}")))
     click.echo("\n2. the calibration file")

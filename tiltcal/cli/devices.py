@@ -21,8 +21,9 @@ def command(as_json: bool) -> None:
         return
     for model in known:
         click.echo(f"{model.name}  {model.title}")
-        click.echo(f"  reads      {', '.join(model.channels)} in {model.unit}{_thermometer(model)}")
-        click.echo(f"  nominal    {model.offset:g} {model.unit} at 0 g, {model.sensitivity:g} {model.unit}/g")
+        click.echo(f"  reads      {_readings(model)}")
+        if model.channels:
+            click.echo(f"  nominal    {model.offset:g} {model.unit} at 0 g, {model.sensitivity:g} {model.unit}/g")
         click.echo(f"  address    {model.address}   or sim: (twin=FILE, seed=N) for the virtual twin")
         click.echo("  the twin does not model")
         for one in model.not_modelled:
@@ -30,8 +31,11 @@ def command(as_json: bool) -> None:
         click.echo()
 
 
-def _thermometer(model: Model) -> str:
-    return ", and its temperature" if model.thermometer else ""
+def _readings(model: Model) -> str:
+    if not model.channels:
+        return f"the temperature in {model.unit}"
+    own = ", and its temperature" if model.thermometer else ""
+    return f"{', '.join(model.channels)} in {model.unit}{own}"
 
 
 def _facts(model: Model) -> dict[str, Any]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from tiltcal.bench.operators.operator import Operator
-from tiltcal.bench.session import Plan, Session, plan_session
+from tiltcal.bench.plan import Plan, plan_session, single
+from tiltcal.bench.session import Session
 from tiltcal.drivers.device import in_words
 from tiltcal.errors import HardwareError, JournalError, Stopped, TiltcalError, UsageError
+from tiltcal.files.bench import BenchFile, read_bench
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import find_procedure
 
@@ -21,10 +24,15 @@ from tiltcal.files.procedure import find_procedure
     "-o S-0042.yaml"
 )
 @click.argument("procedure", required=False)
+@click.option(
+    "--bench", type=click.Path(path_type=Path), metavar="FILE", help="Several sensors at once, named in a bench file."
+)
 @click.option("--sensor", metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
 @click.option("--address", help="Where it is connected, such as spi:///dev/spidev0.0, or sim: for its virtual twin.")
 @click.option("--serial", help="Its serial number, for the calibration file.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="The calibration file to write.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="The calibration file to write; with --bench the folder."
+)
 @click.option(
     "--operator",
     type=click.Choice(["terminal", "json", "sim"]),
@@ -51,6 +59,7 @@ from tiltcal.files.procedure import find_procedure
 @click.option("--plain", is_flag=True, help="Lines only: no live reading, no single keys.")
 def command(
     procedure: str | None,
+    bench: Path | None,
     sensor: str | None,
     address: str | None,
     serial: str | None,
@@ -74,39 +83,53 @@ def command(
         if captured.torn:
             click.echo(f"{resume}: the last line was torn off and is dropped", err=True)
         session = Session(Plan.from_journal(captured), resume, captured)
-        operator = session.plan.operator if _left_at_default("operator") else operator
+        operator = session.plan.lead if _left_at_default("operator") else operator
     else:
-        wanted = {"PROCEDURE": procedure, "--sensor": sensor, "--address": address, "--serial": serial, "-o": output}
+        wanted: dict[str, object] = {"PROCEDURE": procedure}
+        if bench is None:
+            wanted |= {"--sensor": sensor, "--address": address, "--serial": serial, "-o": output}
         missing = [name for name, value in wanted.items() if value is None]
         if resume is not None and missing:
             raise JournalError("no such journal; nothing was captured there", file=resume)
         if missing:
             raise UsageError(f"measure needs {', '.join(missing)} (or --resume JOURNAL); see tiltcal measure --help")
-        place = (str(sensor), str(serial), str(address), Path(str(output)))
-        path = resume or journal or _free_journal(Path(str(output)))
-        plan = plan_session(
-            find_procedure(str(procedure), tilt),
-            [place],
-            path,
-            operator=operator,
-            samples=samples,
-            settle=settle,
-            jig=jig,
-        )
+        if bench is not None and (sensor or address or serial):
+            raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
+        steps = find_procedure(str(procedure), tilt)
+        sensors = read_bench(bench) if bench is not None else single(str(sensor), str(serial), str(address))
+        sensors = sensors if jig is None else replace(sensors, jig=jig)
+        outputs, beside = _outputs(sensors, bench, output)
+        path = resume or journal or _free_journal(beside)
+        plan = plan_session(steps, sensors, outputs, path, lead=operator, samples=samples, settle=settle)
         session = Session(plan, path)
     session.preflight()
     with ExitStack() as stack:
         try:
-            session.measure(_operator(operator, session, plain, stack))
-            for name, reception in session.receptions.items():
-                click.echo(f"{name}: {in_words(reception)}", err=True)
+            result = session.measure(_operator(operator, session, plain, stack))
         except KeyboardInterrupt:
             raise Stopped(f"interrupted; {_how_to_go_on(session)}") from None
-        except (Stopped, HardwareError) as error:
-            raise type(error)(f"{error}; {_how_to_go_on(session)}") from None
+        except Stopped as error:
+            raise Stopped(f"{error}; {_how_to_go_on(session)}") from None
+        except HardwareError as error:
+            raise HardwareError(f"{error}; {_how_to_go_on(session)}") from None
         except TiltcalError:
             click.echo(_how_to_go_on(session), err=True)
             raise
+    for name, reception in result.receptions.items():
+        click.echo(f"{name}: {in_words(reception)}", err=True)
+
+
+def _outputs(sensors: BenchFile, bench: Path | None, output: Path | None) -> tuple[list[Path], Path]:
+    """The calibration files, and the file beside which the journal lies.
+
+    A bench file's sensors each have a file of their own, named for their serial number, in the folder that -o names.
+    """
+    if bench is None and output is not None:
+        return [output], output
+    folder = output or Path()
+    if not folder.is_dir():
+        raise UsageError(f"with --bench, -o names the folder for the calibration files; {folder} is no folder")
+    return [folder / f"{sensor.serial}.yaml" for sensor in sensors.sensors], folder / str(bench and bench.name)
 
 
 def _left_at_default(option: str) -> bool:

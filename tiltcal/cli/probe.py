@@ -6,6 +6,7 @@ import json
 
 import click
 
+from tiltcal.bench.plan import Place
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
@@ -34,7 +35,8 @@ def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
     where = parse_address(address)
     model = find_model(sensor).at(where)
     clock: Clock = VirtualClock() if where.simulated else SystemClock(time.time_ns())
-    link = VirtualBench(clock, [where], [model]).twin(where, model) if where.simulated else open_link(where, model)
+    place = Place(sensor, "", address)
+    link = VirtualBench(clock, [place]).twin(place) if where.simulated else open_link(where, model)
     try:
         driver = model.driver(link, clock)
         said = dict(driver.probe())

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.session import Plan, Session
+from tiltcal.bench.plan import Plan
+from tiltcal.bench.session import Session
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.journal import read_journal
 from tiltcal.files.whole import check_writable, write_whole
@@ -18,17 +19,18 @@ JUDGED_FAILING = 1
 @click.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")
 @click.argument("journal", type=click.Path(path_type=Path))
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Where to write the calibration file [standard output]."
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="Where to write the calibration file [standard output]; of several sensors the folder.",
 )
 @click.option(
     "--golden",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="Compare with this calibration file, byte for byte; exit code 1 where they differ.",
+    type=click.Path(path_type=Path, exists=True),
+    help="Compare with this calibration file, or folder of them, byte for byte; exit code 1 where they differ.",
 )
 def command(journal: Path, output: Path | None, golden: Path | None) -> int:
     """Run a captured session again, without hardware, and make its calibration file, identical to the byte."""
-    if output is not None:
-        check_writable(output)
     captured = read_journal(journal)
     if captured.torn:
         click.echo(f"{journal}: the last line was torn off and is dropped", err=True)
@@ -39,17 +41,29 @@ def command(journal: Path, output: Path | None, golden: Path | None) -> int:
             line=len(captured.events) + 2,
         )
     session = Session(Plan.from_journal(captured), journal, captured)
-    texts = session.replay(SimOperator(lambda line: None))
-    if len(texts) != 1:
-        raise UsageError(f"{journal} is of {len(texts)} sensors")
-    if golden is not None:
-        if texts[0].encode() != golden.read_bytes():
-            click.echo(f"{journal} does not give {golden}", err=True)
-            return JUDGED_FAILING
-        click.echo(f"{journal} gives {golden} to the byte", err=True)
     if output is not None:
-        write_whole(output, texts[0])
-        click.echo(f"wrote {output}", err=True)
+        for path in _targets(output, session.outputs):
+            check_writable(path)
+    texts = session.replay(SimOperator(lambda line: None)).texts
+    if golden is not None:
+        for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
+            if not path.is_file() or text.encode() != path.read_bytes():
+                click.echo(f"{journal} does not give {path}", err=True)
+                return JUDGED_FAILING
+            click.echo(f"{journal} gives {path} to the byte", err=True)
+    if output is not None:
+        for path, text in zip(_targets(output, list(texts)), texts.values(), strict=True):
+            write_whole(path, text)
+            click.echo(f"wrote {path}", err=True)
     elif golden is None:
-        click.echo(texts[0], nl=False)
+        click.echo("---\n".join(texts.values()), nl=False)
     return 0
+
+
+def _targets(named: Path, outputs: list[Path]) -> list[Path]:
+    """The files that one name stands for: itself, or one in that folder per sensor."""
+    if named.is_dir():
+        return [named / path.name for path in outputs]
+    if len(outputs) > 1:
+        raise UsageError(f"the session was of {len(outputs)} sensors: name a folder instead of {named}")
+    return [named]

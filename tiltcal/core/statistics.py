@@ -59,7 +59,7 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     Parameters
     ----------
     times : sequence of float
-        Seconds, increasing, at least three.
+        Seconds, not decreasing, at least three. Where all are one instant nothing can have changed.
     samples : sequence of float
 
     Returns
@@ -70,6 +70,8 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     n = len(samples)
     middle, mean = fsum(times) / n, fsum(samples) / n
     spread = fsum((time - middle) ** 2 for time in times)
+    if spread == 0.0:
+        return 0.0, 0.0
     slope = fsum((time - middle) * (sample - mean) for time, sample in zip(times, samples, strict=True)) / spread
     rest = fsum((sample - mean - slope * (time - middle)) ** 2 for time, sample in zip(times, samples, strict=True))
     span = times[-1] - times[0]

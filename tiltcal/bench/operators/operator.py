@@ -108,6 +108,10 @@ class Operator(Protocol):
         """The position does not count; it is asked for again."""
         ...
 
+    def lost(self, serial: str, why: str) -> None:
+        """A sensor is given up; the others go on."""
+        ...
+
     def write(self, files: list[Path]) -> Answer:
         """May the calibration files be written: ``yes`` or ``no``."""
         ...

@@ -8,6 +8,7 @@ One object a line. The bench asks, the program answers; the bench tells what bec
        or {"answer": "redo" | "back" | "quit"}
     → {"event": "accepted", "position": "y-tilt1", "mean": {...}, "std": {...}, "n": 100}
     → {"event": "refused", "position": "y-tilt1", "why": "..."}      (followed by the same ask)
+    → {"event": "lost", "sensor": "A-1006", "why": "..."}           (of several sensors one is given up)
     → {"event": "done", "calibrations": ["S-0042.yaml"], "journal": "..."}
 
 ``redo`` asks for the same position again; ``back`` gives up the position before it and asks for that one.
@@ -93,6 +94,9 @@ class JsonOperator:
 
     def refused(self, position: Position, why: str) -> None:
         self._tell(event="refused", position=position.name, why=why)
+
+    def lost(self, serial: str, why: str) -> None:
+        self._tell(event="lost", sensor=serial, why=why)
 
     def write(self, files: list[Path]) -> Answer:
         return Answer("yes")

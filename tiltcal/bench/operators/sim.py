@@ -47,6 +47,9 @@ class SimOperator:
     def refused(self, position: Position, why: str) -> None:
         self._say(f"  {position.name} refused: {why}")
 
+    def lost(self, serial: str, why: str) -> None:
+        self._say(f"  {serial} is given up, the others go on: {why}")
+
     def write(self, files: list[Path]) -> Answer:
         return Answer("yes")
 

@@ -116,6 +116,9 @@ class TerminalOperator:
         self._clear()
         self._console.print(Text(f"  refused: {why}", style="bold red"))
 
+    def lost(self, serial: str, why: str) -> None:
+        self._console.print(Text(f"  {serial} is given up, the others go on: {why}", style="bold red"))
+
     def write(self, files: list[Path]) -> Answer:
         """Ask once more before the files are written."""
         named = ", ".join(f"{path} (replaces the one there)" if path.exists() else str(path) for path in files)

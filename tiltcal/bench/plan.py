@@ -1,0 +1,258 @@
+"""The plan of a session: everything that is decided before the first prompt.
+
+It is the journal's header, so a journal alone is enough to resume the session or to make its calibration files again.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import tiltcal
+from tiltcal.bench.runner import Settings
+from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.device import Model
+from tiltcal.errors import InputError, JournalError, UsageError
+from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
+from tiltcal.files.journal import Journal
+from tiltcal.files.procedure import Procedure, procedure_from_record
+
+VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
+"""When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """One device of a plan.
+
+    Attributes
+    ----------
+    model, serial, address : str
+    output : str
+        The calibration file, relative to the journal's folder; empty for a thermometer.
+    orientation : Orientation
+        How the sensor sits on the fixture.
+    """
+
+    model: str
+    serial: str
+    address: str
+    output: str = ""
+    orientation: Orientation = STRAIGHT
+
+    @property
+    def fitted(self) -> Model:
+        """The model as it is wired at the address."""
+        return find_model(self.model).at(parse_address(self.address))
+
+    def record(self) -> dict[str, Any]:
+        """As plain data, for the journal."""
+        straight = self.orientation.straight
+        return {
+            "model": self.model,
+            "serial": self.serial,
+            "address": self.address,
+            "output": self.output,
+            **({} if straight else {"axes": list(self.orientation.names)}),
+        }
+
+    @classmethod
+    def from_record(cls, record: dict[str, Any]) -> Place:
+        """The inverse of :meth:`record`."""
+        turned = orientation(record["axes"]) if "axes" in record else STRAIGHT
+        return cls(record["model"], record["serial"], record["address"], record["output"], turned)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that is decided before the first prompt.
+
+    Attributes
+    ----------
+    procedure : Procedure
+    places : tuple of Place
+        The sensors.
+    settings : Settings
+    jig : float or None
+        Standard uncertainty of a set angle, degrees.
+    lead : str
+        Who leads: ``terminal``, ``json`` or ``sim``.
+    person : str or None
+        Who stands at the bench.
+    started : datetime
+        UTC.
+    software : str
+    journal : str
+        The journal's file name.
+    thermometer : Place or None
+    """
+
+    procedure: Procedure
+    places: tuple[Place, ...]
+    settings: Settings
+    jig: float | None
+    lead: str
+    person: str | None
+    started: datetime
+    software: str
+    journal: str
+    thermometer: Place | None = None
+
+    @property
+    def devices(self) -> tuple[Place, ...]:
+        """The sensors, and the thermometer behind them; a journal numbers them in this order."""
+        return self.places if self.thermometer is None else (*self.places, self.thermometer)
+
+    @property
+    def virtual(self) -> bool:
+        """Whether every device is a virtual twin; the clock is virtual then too."""
+        return all(parse_address(place.address).simulated for place in self.devices)
+
+    def header(self) -> dict[str, Any]:
+        """As plain data, for the journal."""
+        return {
+            "software": self.software,
+            "journal": self.journal,
+            "started": stamp(self.started),
+            "virtual": self.virtual,
+            "operator": self.lead,
+            **({} if self.person is None else {"person": self.person}),
+            "sensors": [place.record() for place in self.places],
+            **({} if self.thermometer is None else {"thermometer": self.thermometer.record()}),
+            "settings": {
+                "samples": self.settings.samples,
+                "settle": self.settings.settle,
+                "soak": self.settings.soak,
+                "jig": self.jig,
+                "angle": self.procedure.angle,
+            },
+            "procedure": dict(self.procedure.record),
+        }
+
+    @classmethod
+    def from_journal(cls, journal: Journal) -> Plan:
+        """The plan of a captured session.
+
+        Raises
+        ------
+        JournalError
+            The header lacks something.
+        """
+        header = journal.header
+        try:
+            settings = header["settings"]
+            return cls(
+                procedure=procedure_from_record(header["procedure"], settings["angle"], file=str(journal.path), line=1),
+                places=tuple(Place.from_record(sensor) for sensor in header["sensors"]),
+                settings=Settings(settings["samples"], settings["settle"], settings["soak"]),
+                jig=settings["jig"],
+                lead=header["operator"],
+                person=header.get("person"),
+                started=datetime.fromisoformat(header["started"]),
+                software=header["software"],
+                journal=header["journal"],
+                thermometer=Place.from_record(header["thermometer"]) if "thermometer" in header else None,
+            )
+        except (KeyError, TypeError, ValueError, InputError) as error:
+            raise JournalError(f"the header cannot be used: {error}", file=journal.path, line=1) from None
+
+
+def plan_session(
+    procedure: Procedure,
+    bench: BenchFile,
+    outputs: Sequence[Path],
+    journal: Path,
+    *,
+    lead: str,
+    samples: int | None = None,
+    settle: float | None = None,
+) -> Plan:
+    """Lay down a session from what the command line and the bench file say.
+
+    Parameters
+    ----------
+    procedure : Procedure
+    bench : BenchFile
+        The sensors; :func:`single` makes one of a single sensor.
+    outputs : sequence of Path
+        Calibration files, one per sensor.
+    journal : Path
+    lead : str
+    samples, settle
+        In place of the procedure's; the soaking window is scaled with ``settle``.
+
+    Raises
+    ------
+    UsageError
+        An unknown model, a bad address, or an angle that the model cannot read.
+    """
+    scale = 1.0 if settle is None else settle / procedure.settle
+    places = tuple(_place(sensor, output, journal) for sensor, output in zip(bench.sensors, outputs, strict=True))
+    for place in places:
+        _require_in_range(procedure, place)
+    plan = Plan(
+        procedure=procedure,
+        places=places,
+        settings=Settings(samples or procedure.samples, settle or procedure.settle, procedure.soak_seconds * scale),
+        jig=bench.jig,
+        lead=lead,
+        person=bench.operator,
+        started=VIRTUAL_START,
+        software=f"tiltcal {tiltcal.__version__}",
+        journal=journal.name,
+        thermometer=None if bench.thermometer is None else _thermometer(bench.thermometer),
+    )
+    return plan if plan.virtual else replace(plan, started=_to_the_millisecond(datetime.now(UTC)))
+
+
+def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:
+    """A bench of one sensor, which needs no file."""
+    return BenchFile((BenchSensor(serial, model, address),), jig=jig)
+
+
+def stamp(moment: datetime) -> str:
+    """ISO 8601, UTC, to the millisecond."""
+    return moment.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _place(sensor: BenchSensor, output: Path, journal: Path) -> Place:
+    relative = os.path.relpath(output, journal.parent)
+    return Place(sensor.model, sensor.serial, sensor.address, relative, sensor.orientation)
+
+
+def _thermometer(thermometer: BenchThermometer) -> Place:
+    place = Place(thermometer.model, "thermometer", thermometer.address)
+    if not place.fitted.thermometer:
+        raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
+    return place
+
+
+def _require_in_range(procedure: Procedure, place: Place) -> None:
+    """Refuse positions that the model can only answer with its rail, and a scale that nobody has stated."""
+    model = place.fitted
+    if not model.scaled and not procedure.determines.axes:
+        raise UsageError(
+            f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
+            "address (sensitivity=..., unit per g)"
+        )
+    for position in procedure.positions:
+        gravity = place.orientation.seen(position.gravity)
+        for channel in model.channels:
+            expected = model.offset + model.sensitivity * gravity["xyz".index(channel)]
+            if not model.rails[0] < expected < model.rails[1]:
+                hint = "; a smaller --tilt brings it in range" if procedure.angle is not None else ""
+                raise UsageError(
+                    f"position {position.name} is outside the range of {model.name}: {channel} would read about "
+                    f"{expected:.5g} {model.unit}, between {model.rails[0]:g} and {model.rails[1]:g} it can{hint}"
+                )
+
+
+def _to_the_millisecond(moment: datetime) -> datetime:
+    """What a stamp can hold, so that a replay counts from the same instant."""
+    return moment.replace(microsecond=moment.microsecond // 1000 * 1000)

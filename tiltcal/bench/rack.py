@@ -1,0 +1,133 @@
+"""The rack: the sensors of a bench, read together, and the thermometer beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+from tiltcal.core.orientation import STRAIGHT, Orientation
+from tiltcal.drivers.device import Model, Reading, Sensor
+from tiltcal.errors import BayError, HardwareError
+from tiltcal.files.calibration import SensorIdentity
+
+Sample = tuple[Reading, ...]
+"""One reading of each sensor of a rack, in its order."""
+
+ATTEMPTS = 5
+"""Failures in a row after which a sensor is given up."""
+
+
+@dataclass(frozen=True)
+class Bay:
+    """One sensor at the bench.
+
+    Attributes
+    ----------
+    model : Model
+        As it is wired.
+    serial : str
+        The serial number that goes on the calibration file.
+    sensor : Sensor
+        The driver at work on the taped link.
+    orientation : Orientation
+        How it sits on the fixture.
+    """
+
+    model: Model
+    serial: str
+    sensor: Sensor
+    orientation: Orientation = STRAIGHT
+
+    @property
+    def identity(self) -> SensorIdentity:
+        """What the calibration file says the sensor is."""
+        return SensorIdentity(self.model.name, self.serial, self.model.unit, self.model.channels)
+
+
+class Rack:
+    """Reads several sensors as one, and gives up those that fail for good.
+
+    Parameters
+    ----------
+    bays : sequence of Bay
+    thermometer : Sensor, optional
+        Its temperature stands for that of every sensor.
+    """
+
+    THERMOMETER = "thermometer"
+
+    def __init__(self, bays: Sequence[Bay], thermometer: Sensor | None = None) -> None:
+        self._bays = tuple(bays)
+        self._thermometer = thermometer
+        self._failures: dict[str, int] = {}
+        self.lost: dict[str, str] = {}
+
+    @property
+    def bays(self) -> tuple[Bay, ...]:
+        """Those that were not given up."""
+        return tuple(bay for bay in self._bays if bay.serial not in self.lost)
+
+    @property
+    def models(self) -> tuple[Model, ...]:
+        """Of the same sensors."""
+        return tuple(bay.model for bay in self.bays)
+
+    def read(self) -> Sample:
+        """One sample of every sensor.
+
+        Raises
+        ------
+        BayError
+            One of them failed.
+        """
+        readings = []
+        for bay in self.bays:
+            with self._named(bay.serial):
+                readings.append(bay.sensor.read())
+        if self._thermometer is None:
+            return tuple(readings)
+        with self._named(self.THERMOMETER):
+            temperature = self._thermometer.read().temperature
+        return tuple(replace(reading, temperature=temperature) for reading in readings)
+
+    def discard(self) -> None:
+        """Drop what sensors sent while nobody listened.
+
+        Raises
+        ------
+        BayError
+            One of them failed.
+        """
+        for bay in self.bays:
+            with self._named(bay.serial):
+                bay.sensor.discard()
+        if self._thermometer is not None:
+            with self._named(self.THERMOMETER):
+                self._thermometer.discard()
+
+    def succeeded(self) -> None:
+        """All went well: failures from here on count anew."""
+        self._failures.clear()
+
+    def failed(self, error: BayError) -> bool:
+        """Count a failure; whether the session can go on.
+
+        A sensor that fails :data:`ATTEMPTS` times in a row is given up where others remain.
+        """
+        count = self._failures[error.serial] = self._failures.get(error.serial, 0) + 1
+        if count < ATTEMPTS:
+            return True
+        if error.serial == self.THERMOMETER or len(self.bays) == 1:
+            return False
+        self.lost[error.serial] = str(error)
+        return True
+
+    @contextmanager
+    def _named(self, serial: str) -> Iterator[None]:
+        """Say which device an error is of."""
+        try:
+            yield
+        except HardwareError as error:
+            alone = len(self._bays) == 1 and serial != self.THERMOMETER
+            raise BayError(serial, str(error) if alone else f"{serial}: {error}") from error
