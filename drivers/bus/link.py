@@ -23,8 +23,8 @@ class Link(Protocol):
             SPI: the frame shifted out while chip select is low. I2C: the bytes written, may be empty.
             Serial: the bytes sent, may be empty.
         count : int
-            I2C: bytes to read after a repeated start. Serial and edges: the most bytes to take of what has
-            arrived, waiting for the first; with 0 and nothing to send, what has arrived is dropped. SPI: unused, a frame reads
+            I2C: bytes to read after a repeated start. Serial and edges: the most bytes to take of what has arrived,
+            waiting for the first; with 0 and nothing to send, what has arrived is dropped. SPI: unused, a frame reads
             as many bytes as it writes.
 
         Returns

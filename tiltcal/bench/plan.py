@@ -211,6 +211,12 @@ def plan_session(
     return plan if plan.virtual else replace(plan, started=_to_the_millisecond(datetime.now(UTC)))
 
 
+def places_of(bench: BenchFile) -> tuple[tuple[Place, ...], Place | None]:
+    """The devices of a bench where no calibration is made: its sensors, and its thermometer."""
+    sensors = tuple(Place(s.model, s.serial, s.address, orientation=s.orientation) for s in bench.sensors)
+    return sensors, None if bench.thermometer is None else _thermometer(bench.thermometer)
+
+
 def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:
     """A bench of one sensor, which needs no file."""
     return BenchFile((BenchSensor(serial, model, address),), jig=jig)

@@ -91,6 +91,27 @@ class Rack:
             temperature = self._thermometer.read().temperature
         return tuple(replace(reading, temperature=temperature) for reading in readings)
 
+    def try_each(self) -> tuple[list[Reading | None], list[str]]:
+        """One sample of every sensor that answers, None for the others, and why they did not."""
+        readings: list[Reading | None] = []
+        reasons = []
+        for bay in self.bays:
+            try:
+                with self._named(bay.serial):
+                    readings.append(bay.sensor.read())
+            except BayError as error:
+                readings.append(None)
+                reasons.append(str(error))
+        if self._thermometer is not None:
+            try:
+                with self._named(self.THERMOMETER):
+                    temperature = self._thermometer.read().temperature
+            except BayError as error:
+                temperature = None
+                reasons.append(str(error))
+            readings = [None if one is None else replace(one, temperature=temperature) for one in readings]
+        return readings, reasons
+
     def discard(self) -> None:
         """Drop what sensors sent while nobody listened.
 

@@ -7,21 +7,18 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tiltcal.bench.operators.operator import Operator
 from tiltcal.bench.plan import Place, Plan, stamp
-from tiltcal.bench.rack import Bay, Rack
+from tiltcal.bench.rack import Bay
 from tiltcal.bench.runner import Runner, Taken
 from tiltcal.bench.tape import Tape, TapedClock
 from tiltcal.bench.virtual import VirtualBench
+from tiltcal.bench.wiring import open_place, wired
 from tiltcal.calibrate import Measurement, Nominal, calibrate
-from tiltcal.drivers.bus import link_letter, open_link
-from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.device import Model, Talking
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import Calibration, dump_calibration
@@ -90,7 +87,7 @@ class Session:
         for path in (*self.outputs, self.path):
             check_writable(path)
         for place in self.plan.devices:
-            with closing(self._open(place)) as link:
+            with closing(open_place(place, self._virtual)) as link:
                 place.fitted.driver(link, self._clock).probe()
         self._clock.seek(0)
 
@@ -135,28 +132,16 @@ class Session:
         """Walk through the procedure and make the calibration files' texts."""
         tape = Tape(self._clock, self._journal, writer)
         clock = TapedClock(tape, self._clock)
-        links = [
-            tape.link(partial(self._open, place), link_letter(parse_address(place.address), place.fitted), number)
-            for number, place in enumerate(self.plan.devices)
-        ]
-        try:
-            sensors = [place.fitted.driver(link, clock) for place, link in zip(self.plan.devices, links, strict=True)]
-            bays = [
-                Bay(place.fitted, place.serial, sensor, place.orientation)
-                for place, sensor in zip(self.plan.places, sensors, strict=False)
-            ]
-            rack = Rack(bays, sensors[-1] if self.plan.thermometer is not None else None)
-            fixture = self._virtual.fixture if self.plan.virtual and writer is not None else None
-            runner = Runner(self.plan.procedure, rack, operator, tape, clock, self.plan.settings, fixture)
+        plan = self.plan
+        fixture = self._virtual.fixture if plan.virtual and writer is not None else None
+        with wired(plan.places, plan.thermometer, tape, clock, self._virtual) as rack:
+            runner = Runner(plan.procedure, rack, operator, tape, clock, plan.settings, fixture)
             taken = runner.run()
             calibrations = {bay.serial: self._calibration(bay, taken) for bay in rack.bays}
-            places = [place for place in self.plan.places if place.serial in calibrations]
+            places = [place for place in plan.places if place.serial in calibrations]
             runner.confirm_write(lambda: operator.write([self._output(place) for place in places]))
-            ended = self.plan.started + timedelta(microseconds=tape.now_ns() / 1000)
+            ended = plan.started + timedelta(microseconds=tape.now_ns() / 1000)
             sha256 = tape.finish()
-        finally:
-            for link in links:
-                link.close()
         receptions = {bay.serial: bay.sensor.reception() for bay in rack.bays if isinstance(bay.sensor, Talking)}
         texts = {}
         for place in places:
@@ -168,11 +153,6 @@ class Session:
 
     def _output(self, place: Place) -> Path:
         return Path(os.path.normpath(self.path.parent / place.output))
-
-    def _open(self, place: Place) -> Link:
-        """The live link of one device."""
-        address = parse_address(place.address)
-        return self._virtual.twin(place) if address.simulated else open_link(address, place.fitted)
 
     def _calibration(self, bay: Bay, taken: Sequence[Taken]) -> Calibration:
         """The calibration of one sensor, without its provenance."""

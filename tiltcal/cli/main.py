@@ -15,6 +15,7 @@ COMMANDS = {
     "procedures": "list the procedures, or show one",
     "probe": "see whether a sensor answers, and test it",
     "measure": "walk a sensor through a procedure and write its calibration file",
+    "record": "log the readings of a sensor, or of a whole bench",
     "replay": "run a captured session again, without hardware",
     "fit": "calibrate from a recorded log",
     "apply": "turn a recorded log of readings into compensated tilt",

@@ -19,7 +19,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,7 +174,18 @@ def _plain_lines(data: bytes) -> pl.Series:
     separator = next((mark for mark in _UNUSED if mark.encode() not in data), None)
     if separator is None:
         return _series(data.decode().split("\n")[:-1])
-    return pl.read_csv(data, has_header=False, separator=separator, quote_char=None, schema={"": pl.String})[""]
+    return _engine(data, separator=separator, schema={"": pl.String})[""]
+
+
+def _engine(data: bytes, **options: Any) -> pl.DataFrame:
+    """Read rows without quotes.
+
+    The engine takes bytes that begin as a compressed file does (a cell ``x`` and a control character will do) for one;
+    behind an empty line, which is skipped, they are what they are.
+    """
+    import polars as pl
+
+    return pl.read_csv(b"\n" + data, skip_lines=1, has_header=False, quote_char=None, **options)
 
 
 def _plain_values(
@@ -186,7 +197,7 @@ def _plain_values(
     def read(kind: type[pl.Float64] | type[pl.String]) -> pl.DataFrame:
         schema = {str(index): kind if index in columns else pl.String for index in range(len(names))}
         wanted = sorted(set(columns))
-        return pl.read_csv(data, has_header=False, quote_char=None, schema=schema, columns=wanted)
+        return _engine(data, schema=schema, columns=wanted)
 
     if not _has_open_points(data):
         try:
