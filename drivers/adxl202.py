@@ -344,7 +344,12 @@ def _model(name: str, title: str, variant: Variant) -> Model:
         channels=("x", "y"),
         unit="duty",
         schemes=("serial", "gpio", "vcd"),
-        address="serial:///dev/ttyUSB0?baudrate=115200",
+        addresses=(
+            "serial:///dev/ttyUSB0?baudrate=115200",
+            "gpio:///dev/gpiochip0?x=17&y=27",
+            "vcd:capture.vcd?x=D0&y=D1",
+            "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2",
+        ),
         offset=ZERO,
         sensitivity=variant.duty_per_g,
         offset_spread=OFFSET_SPREAD,

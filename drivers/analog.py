@@ -213,7 +213,10 @@ def _model(part: Part, address: Address) -> Model:
         channels=CHANNELS,
         unit="V",
         schemes=front_end.schemes,
-        address="ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2",
+        addresses=(
+            "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2",
+            "mcp3208+spi:///dev/spidev0.1?x=0&y=1&vref=5.0",
+        ),
         offset=ZERO,
         sensitivity=part.sensitivity,
         offset_spread=part.digital.offset_spread,

@@ -238,7 +238,7 @@ _MODEL = Model(
     channels=_ANY.channels,
     unit="g",
     schemes=("serial",),
-    address="serial:///dev/ttyUSB0?columns=x,y,temperature",
+    addresses=("serial:///dev/ttyUSB0?columns=x,y,temperature",),
     offset=0.0,
     sensitivity=1.0,
     offset_spread=OFFSET_SPREAD,

@@ -111,8 +111,8 @@ class Model:
         Unit of a reading: ``count``, ``V`` or ``duty``.
     schemes : tuple of str
         Address schemes that reach it.
-    address : str
-        An example address.
+    addresses : tuple of str
+        An example address for each way to reach it, the first one foremost.
     offset : float
         Nominal reading at 0 g, in unit.
     sensitivity : float
@@ -153,7 +153,7 @@ class Model:
     channels: tuple[str, ...]
     unit: str
     schemes: tuple[str, ...]
-    address: str
+    addresses: tuple[str, ...]
     offset: float
     sensitivity: float
     offset_spread: float

@@ -170,7 +170,7 @@ _MODEL = replace(
     name="dfrobot-sca100t",
     title="DFRobot TOY0048 module with a Murata SCA100T-D02, ±90°, serial",
     schemes=("serial",),
-    address="serial:///dev/ttyUSB0?baudrate=9600",
+    addresses=("serial:///dev/ttyUSB0?baudrate=9600",),
     driver=DfrobotSca100t,
     twin=_twin,
     not_modelled=(

@@ -308,7 +308,7 @@ def _model(name: str, title: str, variant: Variant) -> Model:
         channels=("x", "y"),
         unit="count",
         schemes=("spi",),
-        address="spi:///dev/spidev0.0",
+        addresses=("spi:///dev/spidev0.0",),
         offset=float(ZERO),
         sensitivity=variant.counts_per_g,
         offset_spread=sin(radians(variant.offset_limit)) / sqrt(3.0),

@@ -225,7 +225,8 @@ class Entry:
 
     Attributes
     ----------
-    name, title, address : str
+    name, title : str
+    addresses : tuple of str
     schemes : tuple of str
     part : Part
         As far as it is known.
@@ -235,7 +236,7 @@ class Entry:
 
     name: str
     title: str
-    address: str
+    addresses: tuple[str, ...]
     schemes: tuple[str, ...]
     part: Part
     any_range: bool = False
@@ -290,7 +291,7 @@ def _model(entry: Entry, part: Part) -> Model:
         channels=("x", "y", "z"),
         unit="count",
         schemes=entry.schemes,
-        address=entry.address,
+        addresses=entry.addresses,
         offset=0.0,
         sensitivity=part.counts_per_g,
         # No tolerance of the family is known: wide enough for any part, narrow enough to tell the faces of a cube.
@@ -321,9 +322,14 @@ def _model(entry: Entry, part: Part) -> Model:
     )
 
 
+ADDRESSES = {"spi": "spi:///dev/spidev0.0", "i2c": "i2c:///dev/i2c-1?address=0x1d"}
+"""Examples; the I2C address is the user's to give."""
+
+
 def _named(variant: str, extent: str, part: Part, schemes: tuple[str, ...] = ("spi",)) -> Model:
     title = f"VTI (Murata) SCA3000-{variant} three-axis accelerometer, {extent}"
-    return _model(Entry(f"sca3000-{variant.lower()}", title, "spi:///dev/spidev0.0", schemes, part), part)
+    addresses = tuple(ADDRESSES[scheme] for scheme in schemes)
+    return _model(Entry(f"sca3000-{variant.lower()}", title, addresses, schemes, part), part)
 
 
 # The D01 has a bit that switches its I2C off, so it has I2C as well.
@@ -338,7 +344,7 @@ I2C = _model(
     Entry(
         "sca3000-i2c",
         "VTI (Murata) SCA3000 three-axis accelerometer of any range, I2C",
-        "i2c:///dev/i2c-1?address=0x1d&counts_per_g=1333",
+        (ADDRESSES["i2c"] + "&counts_per_g=1333",),
         ("i2c",),
         _ANY,
         any_range=True,

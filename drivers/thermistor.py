@@ -267,7 +267,10 @@ def _model(address: Address) -> Model:
         channels=(),
         unit="°C",
         schemes=front_end.schemes,
-        address="ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&supply=2&beta=3950&r0=10000&t0=25&fixed=10000",
+        addresses=(
+            "ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&supply=2&beta=3950&r0=10000&t0=25&fixed=10000",
+            "mcp3208+spi:///dev/spidev0.1?channel=3&vref=5.0&beta=3950&r0=10000&t0=25&fixed=10000",
+        ),
         # It has no channel, so nothing is compared with these.
         offset=0.0,
         sensitivity=1.0,

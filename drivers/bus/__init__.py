@@ -55,7 +55,7 @@ def open_link(address: Address, model: Model) -> Link:
     """
     if address.scheme not in model.schemes:
         ways = " or ".join(f"{scheme}:" for scheme in (*model.schemes, "sim"))
-        address.refuse(f"{model.name} is reached by {ways} (such as {model.address}), not by {address.scheme}:")
+        address.refuse(f"{model.name} is reached by {ways} (such as {model.addresses[0]}), not by {address.scheme}:")
     bus = address.scheme.rpartition("+")[2]
     if bus not in _OPENERS:
         address.refuse(f"this version of tiltcal cannot open {address.scheme}: yet")

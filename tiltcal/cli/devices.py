@@ -24,7 +24,9 @@ def command(as_json: bool) -> None:
         click.echo(f"  reads      {_readings(model)}")
         if model.channels:
             click.echo(f"  nominal    {model.offset:g} {model.unit} at 0 g, {model.sensitivity:g} {model.unit}/g")
-        click.echo(f"  address    {model.address}   or sim: (twin=FILE, seed=N) for the virtual twin")
+        for number, address in enumerate(model.addresses):
+            click.echo(f"  {'' if number else 'address':<10} {address}")
+        click.echo("             sim: for the virtual twin (sim:?twin=FILE&seed=N)")
         click.echo("  the twin does not model")
         for one in model.not_modelled:
             click.echo(f"    - {one}")
@@ -47,6 +49,6 @@ def _facts(model: Model) -> dict[str, Any]:
         "offset": model.offset,
         "sensitivity": model.sensitivity,
         "thermometer": model.thermometer,
-        "addresses": [model.address, "sim:"],
+        "addresses": [*model.addresses, "sim:"],
         "twin_does_not_model": list(model.not_modelled),
     }
