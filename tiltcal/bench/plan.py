@@ -35,7 +35,7 @@ class Place:
     ----------
     model, serial, address : str
     output : str
-        The calibration file, relative to the journal's folder; empty for a thermometer.
+        The calibration file, relative to the journal's folder; empty where none is made.
     orientation : Orientation
         How the sensor sits on the fixture.
     """
@@ -166,7 +166,7 @@ class Plan:
 def plan_session(
     procedure: Procedure,
     bench: BenchFile,
-    outputs: Sequence[Path],
+    outputs: Sequence[Path | None],
     journal: Path,
     *,
     lead: str,
@@ -180,8 +180,8 @@ def plan_session(
     procedure : Procedure
     bench : BenchFile
         The sensors; :func:`single` makes one of a single sensor.
-    outputs : sequence of Path
-        Calibration files, one per sensor.
+    outputs : sequence of Path or None
+        Calibration files, one per sensor; None where none is made.
     journal : Path
     lead : str
     samples, settle
@@ -227,8 +227,8 @@ def stamp(moment: datetime) -> str:
     return moment.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def _place(sensor: BenchSensor, output: Path, journal: Path) -> Place:
-    relative = os.path.relpath(output, journal.parent)
+def _place(sensor: BenchSensor, output: Path | None, journal: Path) -> Place:
+    relative = "" if output is None else os.path.relpath(output, journal.parent)
     return Place(sensor.model, sensor.serial, sensor.address, relative, sensor.orientation)
 
 

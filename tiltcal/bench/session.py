@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tiltcal.bench.operators.operator import Operator
 from tiltcal.bench.plan import Place, Plan, stamp
@@ -24,6 +24,8 @@ from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import Calibration, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter
 from tiltcal.files.whole import check_writable, write_whole
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,44 @@ class Result:
     """
 
     texts: dict[Path, str]
+    lost: dict[str, str]
+    receptions: dict[str, Mapping[str, int]]
+
+
+@dataclass(frozen=True)
+class Walked:
+    """What was measured.
+
+    Attributes
+    ----------
+    bays : tuple of Bay
+        The sensors that held out.
+    taken : tuple of Taken
+        Every position, in the procedure's order.
+    """
+
+    bays: tuple[Bay, ...]
+    taken: tuple[Taken, ...]
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a session ended.
+
+    Attributes
+    ----------
+    ended : datetime
+        UTC.
+    sha256 : str
+        Of its journal.
+    lost : dict of str to str
+        Why sensors were given up, by serial number.
+    receptions : dict of str to mapping of str to int
+        By serial number: what became of what a sensor said that talks by itself.
+    """
+
+    ended: datetime
+    sha256: str
     lost: dict[str, str]
     receptions: dict[str, Mapping[str, int]]
 
@@ -67,7 +107,7 @@ class Session:
     @property
     def outputs(self) -> list[Path]:
         """Where the calibration files go, one per sensor."""
-        return [self._output(place) for place in self.plan.places]
+        return [self._output(place) for place in self.plan.places if place.output]
 
     @property
     def models(self) -> dict[str, Model]:
@@ -101,16 +141,7 @@ class Session:
         TiltcalError
             What stopped it; everything that was measured is in the journal.
         """
-        writer = None
-        if self._journal is None:
-            writer = JournalWriter.create(self.path, self.plan.header())
-        elif self._journal.end is None:
-            writer = JournalWriter.resume(self._journal)
-        try:
-            result = self._run(operator, writer)
-        finally:
-            if writer is not None:
-                writer.close()
+        result = self._concluded(operator, self._live_writer())
         for path, text in result.texts.items():
             write_whole(path, text)
         operator.done(list(result.texts), self.path)
@@ -126,30 +157,66 @@ class Session:
         JournalError
             The journal does not fit, or ends before the session did.
         """
-        return self._run(operator, None)
+        return self._concluded(operator, None)
 
-    def _run(self, operator: Operator, writer: JournalWriter | None) -> Result:
+    def walk(self, operator: Operator, conclude: Callable[[Walked], T]) -> tuple[T, Ending]:
+        """Take the positions, or go on with them, and draw a conclusion from them that is no calibration file.
+
+        Parameters
+        ----------
+        operator : Operator
+        conclude : callable
+            Told what was measured, before the journal ends; its errors leave the session to be resumed.
+
+        Returns
+        -------
+        conclusion
+            What ``conclude`` returned.
+        ending : Ending
+        """
+        return self._walk(operator, self._live_writer(), lambda walked, runner: conclude(walked))
+
+    def _live_writer(self) -> JournalWriter | None:
+        """Where live events go; None for a journal that has its end."""
+        if self._journal is None:
+            return JournalWriter.create(self.path, self.plan.header())
+        return JournalWriter.resume(self._journal) if self._journal.end is None else None
+
+    def _concluded(self, operator: Operator, writer: JournalWriter | None) -> Result:
         """Walk through the procedure and make the calibration files' texts."""
+
+        def conclude(walked: Walked, runner: Runner) -> dict[Place, Calibration]:
+            found = {bay.serial: self._calibration(bay, walked.taken) for bay in walked.bays}
+            kept = {place: found[place.serial] for place in self.plan.places if place.serial in found}
+            runner.confirm_write(lambda: operator.write([self._output(place) for place in kept]))
+            return kept
+
+        calibrations, ending = self._walk(operator, writer, conclude)
+        texts = {
+            self._output(place): dump_calibration(replace(one, provenance=self._provenance(place, ending)))
+            for place, one in calibrations.items()
+        }
+        return Result(texts, ending.lost, ending.receptions)
+
+    def _walk(
+        self, operator: Operator, writer: JournalWriter | None, conclude: Callable[[Walked, Runner], T]
+    ) -> tuple[T, Ending]:
         tape = Tape(self._clock, self._journal, writer)
         clock = TapedClock(tape, self._clock)
         plan = self.plan
         fixture = self._virtual.fixture if plan.virtual and writer is not None else None
-        with wired(plan.places, plan.thermometer, tape, clock, self._virtual) as rack:
-            runner = Runner(plan.procedure, rack, operator, tape, clock, plan.settings, fixture)
-            taken = runner.run()
-            calibrations = {bay.serial: self._calibration(bay, taken) for bay in rack.bays}
-            places = [place for place in plan.places if place.serial in calibrations]
-            runner.confirm_write(lambda: operator.write([self._output(place) for place in places]))
-            ended = plan.started + timedelta(microseconds=tape.now_ns() / 1000)
-            sha256 = tape.finish()
+        try:
+            with wired(plan.places, plan.thermometer, tape, clock, self._virtual) as rack:
+                runner = Runner(plan.procedure, rack, operator, tape, clock, plan.settings, fixture)
+                taken = runner.run()
+                conclusion = conclude(Walked(rack.bays, tuple(taken)), runner)
+                ended = plan.started + timedelta(microseconds=tape.now_ns() / 1000)
+                sha256 = tape.finish()
+        finally:
+            if writer is not None:
+                writer.close()
         receptions = {bay.serial: bay.sensor.reception() for bay in rack.bays if isinstance(bay.sensor, Talking)}
-        texts = {}
-        for place in places:
-            provenance = self._provenance(place, ended, sha256)
-            if place.serial in receptions:
-                provenance["reception"] = dict(receptions[place.serial])
-            texts[self._output(place)] = dump_calibration(replace(calibrations[place.serial], provenance=provenance))
-        return Result(texts, rack.lost, receptions)
+        return conclusion, Ending(ended, sha256, rack.lost, receptions)
 
     def _output(self, place: Place) -> Path:
         return Path(os.path.normpath(self.path.parent / place.output))
@@ -177,7 +244,7 @@ class Session:
             settings={"samples": settings.samples, "settle_seconds": settings.settle},
         )
 
-    def _provenance(self, place: Place, ended: datetime, sha256: str) -> dict[str, Any]:
+    def _provenance(self, place: Place, ending: Ending) -> dict[str, Any]:
         plan = self.plan
         axes = {} if place.orientation.straight else {"axes": list(place.orientation.names)}
         thermometer = {} if plan.thermometer is None else {"thermometer": plan.thermometer.address}
@@ -187,6 +254,7 @@ class Session:
             "bench": {"address": place.address, **axes, **thermometer},
             "software": plan.software,
             "started": stamp(plan.started),
-            "ended": stamp(ended),
-            "journal": {"name": plan.journal, "sha256": sha256},
+            "ended": stamp(ending.ended),
+            "journal": {"name": plan.journal, "sha256": ending.sha256},
+            **({"reception": dict(ending.receptions[place.serial])} if place.serial in ending.receptions else {}),
         }

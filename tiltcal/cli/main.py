@@ -16,6 +16,8 @@ COMMANDS = {
     "probe": "see whether a sensor answers, and test it",
     "measure": "walk a sensor through a procedure and write its calibration file",
     "record": "log the readings of a sensor, or of a whole bench",
+    "verify": "judge a calibration by positions that it was not fitted to",
+    "diff": "tell whether two calibrations of one sensor differ",
     "replay": "run a captured session again, without hardware",
     "fit": "calibrate from a recorded log",
     "apply": "turn a recorded log of readings into compensated tilt",

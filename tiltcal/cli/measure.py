@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from tiltcal.bench.operators.operator import Operator
 from tiltcal.bench.plan import Plan, plan_session, single
 from tiltcal.bench.session import Session
+from tiltcal.cli.leading import LEADERS, captured, free_journal, led, left_at_default
 from tiltcal.drivers.device import in_words
-from tiltcal.errors import HardwareError, JournalError, Stopped, TiltcalError, UsageError
+from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.bench import BenchFile, read_bench
-from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import find_procedure
 
 
@@ -35,7 +32,7 @@ from tiltcal.files.procedure import find_procedure
 )
 @click.option(
     "--operator",
-    type=click.Choice(["terminal", "json", "sim"]),
+    type=LEADERS,
     default="terminal",
     show_default=True,
     help="Who brings the sensor into position: a person, a program over JSON Lines, or the virtual jig.",
@@ -79,11 +76,9 @@ def command(
     happens: after a crash, a power cut or Ctrl-C, `--resume JOURNAL` goes on from the last byte.
     """
     if resume is not None and resume.exists():
-        captured = read_journal(resume)
-        if captured.torn:
-            click.echo(f"{resume}: the last line was torn off and is dropped", err=True)
-        session = Session(Plan.from_journal(captured), resume, captured)
-        operator = session.plan.lead if _left_at_default("operator") else operator
+        journal_before = captured(resume)
+        session = Session(Plan.from_journal(journal_before), resume, journal_before)
+        operator = session.plan.lead if left_at_default("operator") else operator
     else:
         wanted: dict[str, object] = {"PROCEDURE": procedure}
         if bench is None:
@@ -99,22 +94,11 @@ def command(
         sensors = read_bench(bench) if bench is not None else single(str(sensor), str(serial), str(address))
         sensors = sensors if jig is None else replace(sensors, jig=jig)
         outputs, beside = _outputs(sensors, bench, output)
-        path = resume or journal or _free_journal(beside)
+        path = resume or journal or free_journal(beside)
         plan = plan_session(steps, sensors, outputs, path, lead=operator, samples=samples, settle=settle)
         session = Session(plan, path)
-    session.preflight()
-    with ExitStack() as stack:
-        try:
-            result = session.measure(_operator(operator, session, plain, stack))
-        except KeyboardInterrupt:
-            raise Stopped(f"interrupted; {_how_to_go_on(session)}") from None
-        except Stopped as error:
-            raise Stopped(f"{error}; {_how_to_go_on(session)}") from None
-        except HardwareError as error:
-            raise HardwareError(f"{error}; {_how_to_go_on(session)}") from None
-        except TiltcalError:
-            click.echo(_how_to_go_on(session), err=True)
-            raise
+    with led(session, operator, plain=plain, again="measure") as leader:
+        result = session.measure(leader)
     for name, reception in result.receptions.items():
         click.echo(f"{name}: {in_words(reception)}", err=True)
 
@@ -130,47 +114,3 @@ def _outputs(sensors: BenchFile, bench: Path | None, output: Path | None) -> tup
     if not folder.is_dir():
         raise UsageError(f"with --bench, -o names the folder for the calibration files; {folder} is no folder")
     return [folder / f"{sensor.serial}.yaml" for sensor in sensors.sensors], folder / str(bench and bench.name)
-
-
-def _left_at_default(option: str) -> bool:
-    context = click.get_current_context()
-    return context.get_parameter_source(option) is click.core.ParameterSource.DEFAULT
-
-
-def _free_journal(output: Path) -> Path:
-    """A journal's name beside the calibration file; an earlier session's journal is never touched."""
-    path = output.with_name(f"{output.stem}.journal.jsonl")
-    number = 2
-    while path.exists():
-        path = output.with_name(f"{output.stem}.{number}.journal.jsonl")
-        number += 1
-    if number > 2:
-        click.echo(f"an earlier journal is kept; this session is captured in {path}", err=True)
-    return path
-
-
-def _how_to_go_on(session: Session) -> str:
-    return f"what was measured is kept; go on with: tiltcal measure --resume {session.path}"
-
-
-def _operator(kind: str, session: Session, plain: bool, stack: ExitStack) -> Operator:
-    if kind == "json":
-        from tiltcal.bench.operators.program import JsonOperator
-
-        return JsonOperator(sys.stdin, sys.stdout)
-    if kind == "sim":
-        from tiltcal.bench.operators.sim import SimOperator
-
-        if not session.plan.virtual:
-            raise UsageError("--operator sim moves virtual sensors only; give --address sim:")
-        return SimOperator(lambda line: click.echo(line, err=True))
-    from rich.console import Console
-
-    from tiltcal.bench.operators.keys import Keys, LineKeys, TerminalKeys
-    from tiltcal.bench.operators.terminal import TerminalOperator
-
-    live = sys.stdin.isatty() and sys.stderr.isatty() and not plain
-    keys: Keys = stack.enter_context(TerminalKeys()) if live else LineKeys(sys.stdin)
-    return TerminalOperator(
-        Console(stderr=True, highlight=False, no_color=plain or None), keys, session.models, live=live
-    )

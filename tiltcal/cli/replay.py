@@ -9,8 +9,8 @@ import click
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.plan import Plan
 from tiltcal.bench.session import Session
+from tiltcal.cli.leading import captured
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.files.journal import read_journal
 from tiltcal.files.whole import check_writable, write_whole
 
 JUDGED_FAILING = 1
@@ -31,16 +31,14 @@ JUDGED_FAILING = 1
 )
 def command(journal: Path, output: Path | None, golden: Path | None) -> int:
     """Run a captured session again, without hardware, and make its calibration file, identical to the byte."""
-    captured = read_journal(journal)
-    if captured.torn:
-        click.echo(f"{journal}: the last line was torn off and is dropped", err=True)
-    if captured.end is None:
+    before = captured(journal)
+    if before.end is None:
         raise JournalError(
             f"the session was interrupted; go on with it: tiltcal measure --resume {journal}",
             file=journal,
-            line=len(captured.events) + 2,
+            line=len(before.events) + 2,
         )
-    session = Session(Plan.from_journal(captured), journal, captured)
+    session = Session(Plan.from_journal(before), journal, before)
     if output is not None:
         for path in _targets(output, session.outputs):
             check_writable(path)

@@ -1,0 +1,131 @@
+"""``tiltcal verify``"""
+
+from __future__ import annotations
+
+import json
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tiltcal.bench.plan import Plan, plan_session, single
+from tiltcal.bench.session import Session, Walked
+from tiltcal.bench.verification import Check, checks
+from tiltcal.cli.leading import LEADERS, captured, free_journal, led, left_at_default
+from tiltcal.errors import UsageError
+from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.procedure import find_procedure
+
+JUDGED_FAILING = 1
+
+
+@click.command(epilog="Example: tiltcal verify S-0042.yaml --address spi:///dev/spidev0.0 --limit 0.3")
+@click.argument("calibration", type=click.Path(path_type=Path))
+@click.option("--address", help="Where the sensor is connected, or sim: for its virtual twin.")
+@click.option(
+    "--procedure", default="verify", show_default=True, help="The positions to take: a name, or your own file."
+)
+@click.option(
+    "--limit",
+    type=click.FloatRange(0.0, min_open=True),
+    default=0.5,
+    show_default=True,
+    metavar="DEGREES",
+    help="The largest error of a tilt that passes.",
+)
+@click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
+@click.option(
+    "--operator", type=LEADERS, default="terminal", show_default=True, help="Who brings the sensor into position."
+)
+@click.option("--samples", type=click.IntRange(2), help="Samples per position, in place of the procedure's.")
+@click.option(
+    "--settle", type=click.FloatRange(0.0, min_open=True), metavar="SECONDS", help="How long a reading must hold still."
+)
+@click.option(
+    "--journal", type=click.Path(path_type=Path), help="Where the session is captured [beside the calibration]."
+)
+@click.option("--resume", type=click.Path(path_type=Path), metavar="JOURNAL", help="Go on with an interrupted session.")
+@click.option("--plain", is_flag=True, help="Lines only: no live reading, no single keys.")
+@click.option("--json", "as_json", is_flag=True, help="Print an object for a program, after the session.")
+def command(
+    calibration: Path,
+    address: str | None,
+    procedure: str,
+    limit: float,
+    tilt: float | None,
+    operator: str,
+    samples: int | None,
+    settle: float | None,
+    journal: Path | None,
+    resume: Path | None,
+    plain: bool,
+    as_json: bool,
+) -> int:
+    """Measure positions that CALIBRATION was not fitted to, and judge it by them.
+
+    Exit code 1 where a tilt is off by more than the limit.
+    """
+    judged = read_calibration(calibration)
+    if resume is not None:
+        before = captured(resume)
+        session = Session(Plan.from_journal(before), resume, before)
+        operator = session.plan.lead if left_at_default("operator") else operator
+    elif address is None:
+        raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
+    else:
+        path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"))
+        bench = single(judged.sensor.model, judged.sensor.serial, address)
+        steps = find_procedure(procedure, tilt)
+        session = Session(plan_session(steps, bench, [None], path, lead=operator, samples=samples, settle=settle), path)
+
+    def conclude(walked: Walked) -> list[Check]:
+        return checks(judged, walked.bays[0], walked.taken)
+
+    with led(session, operator, plain=plain, again=f"verify {calibration}") as leader:
+        found, _ = session.walk(leader, conclude)
+        leader.done([], session.path)
+    passed = all(check.error <= limit for check in found)
+    if as_json:
+        click.echo(json.dumps(_as_data(judged, found, limit), ensure_ascii=False))
+    else:
+        _tell(judged, found, limit)
+    return 0 if passed else JUDGED_FAILING
+
+
+def _tell(calibration: Calibration, found: list[Check], limit: float) -> None:
+    click.echo(f"{calibration.sensor.model} {calibration.sensor.serial}, limit {limit:g}°")
+    for check in found:
+        angles = "  ".join(
+            f"{axis} {angle:+8.3f}° read {check.measured[axis]:+8.3f}°" for axis, angle in check.expected.items()
+        )
+        verdict = "good" if check.error <= limit else "FAILS"
+        click.echo(f"  {check.position:<12} {angles}   off by {check.error:.3f}°   {verdict}")
+    worst = max(found, key=lambda check: check.error)
+    click.echo(f"{'passed' if worst.error <= limit else 'FAILED'}: worst {worst.error:.3f}° at {worst.position}")
+
+
+def _as_data(calibration: Calibration, found: list[Check], limit: float) -> dict[str, Any]:
+    worst = max(found, key=lambda check: check.error)
+    return {
+        "sensor": calibration.sensor.serial,
+        "limit": limit,
+        "passed": worst.error <= limit,
+        "worst": {"position": worst.position, "error": _finite(worst.error)},
+        "positions": [
+            {
+                "position": check.position,
+                "expected": check.expected,
+                "measured": {axis: _finite(angle) for axis, angle in check.measured.items()},
+                "error": _finite(check.error),
+                "flag": check.flag,
+                "passed": check.error <= limit,
+            }
+            for check in found
+        ],
+    }
+
+
+def _finite(value: float) -> float | None:
+    """What JSON can hold."""
+    return value if isfinite(value) else None
