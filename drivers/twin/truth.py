@@ -49,6 +49,8 @@ class Truth:
         What the sensor's own thermometer reads too high, °C.
     supply : float
         What an analog sensor is supplied with, V; its coefficients are referred to 5 V whatever the supply.
+    mounting : tuple of float
+        How the sensor sits on the fixture: roll, pitch, yaw, degrees.
     seed : int
     jig, ambient, time_constant : float
         Of the fixture that holds it: see :class:`tiltcal.drivers.twin.fixture.Fixture`.
@@ -65,6 +67,7 @@ class Truth:
     noise: Mapping[str, float] = field(default_factory=dict)
     thermometer_error: float = 0.0
     supply: float = 5.0
+    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
     seed: int = 0
     jig: float = 0.0
     ambient: float = 24.0

@@ -91,6 +91,8 @@ class Plan:
     journal : str
         The journal's file name.
     thermometer : Place or None
+    base : str or None
+        The text of the calibration file that a mounting completes.
     """
 
     procedure: Procedure
@@ -103,6 +105,7 @@ class Plan:
     software: str
     journal: str
     thermometer: Place | None = None
+    base: str | None = None
 
     @property
     def devices(self) -> tuple[Place, ...]:
@@ -133,6 +136,7 @@ class Plan:
                 "angle": self.procedure.angle,
             },
             "procedure": dict(self.procedure.record),
+            **({} if self.base is None else {"base": self.base}),
         }
 
     @classmethod
@@ -158,6 +162,7 @@ class Plan:
                 software=header["software"],
                 journal=header["journal"],
                 thermometer=Place.from_record(header["thermometer"]) if "thermometer" in header else None,
+                base=header.get("base"),
             )
         except (KeyError, TypeError, ValueError, InputError) as error:
             raise JournalError(f"the header cannot be used: {error}", file=journal.path, line=1) from None
@@ -172,6 +177,7 @@ def plan_session(
     lead: str,
     samples: int | None = None,
     settle: float | None = None,
+    base: str | None = None,
 ) -> Plan:
     """Lay down a session from what the command line and the bench file say.
 
@@ -186,6 +192,8 @@ def plan_session(
     lead : str
     samples, settle
         In place of the procedure's; the soaking window is scaled with ``settle``.
+    base : str, optional
+        The text of the calibration file that a mounting completes.
 
     Raises
     ------
@@ -207,6 +215,7 @@ def plan_session(
         software=f"tiltcal {tiltcal.__version__}",
         journal=journal.name,
         thermometer=None if bench.thermometer is None else _thermometer(bench.thermometer),
+        base=base,
     )
     return plan if plan.virtual else replace(plan, started=_to_the_millisecond(datetime.now(UTC)))
 

@@ -261,7 +261,7 @@ class Runner:
         positions |= {one.position.name: one.position.gravity for one in taken}
         positions[result.position.name] = result.position.gravity
         for bay in self._rack.bays:
-            if not bay.model.scaled:
+            if not bay.model.scaled or self._procedure.determines.mounting:
                 continue
             seen = {name: bay.orientation.seen(gravity) for name, gravity in positions.items()}
             why = expectations[bay.serial].objection(

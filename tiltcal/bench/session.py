@@ -21,9 +21,11 @@ from tiltcal.calibrate import Measurement, Nominal, calibrate
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import Model, Talking
 from tiltcal.errors import HardwareError
-from tiltcal.files.calibration import Calibration, dump_calibration
+from tiltcal.files.calibration import Calibration, calibration_of, dump_calibration
+from tiltcal.files.document import checked_kind, parse_document
 from tiltcal.files.journal import Journal, JournalWriter
 from tiltcal.files.whole import check_writable, write_whole
+from tiltcal.mount import mount
 
 T = TypeVar("T")
 
@@ -235,6 +237,9 @@ class Session:
             for one in taken
         ]
         model, settings = bay.model, self.plan.settings
+        if self.plan.base is not None:
+            base = calibration_of(checked_kind(parse_document(self.plan.base, "the base calibration"), "tilt"))
+            return mount(base, measurements, jig=self.plan.jig, settings={"samples": settings.samples})
         return calibrate(
             bay.identity,
             self.plan.procedure,

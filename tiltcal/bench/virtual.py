@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from math import radians
 
 from tiltcal.bench.plan import Place
+from tiltcal.core.frames import Vector
+from tiltcal.core.model import Mounting
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
@@ -47,7 +50,24 @@ class VirtualBench:
     def twin(self, place: Place) -> Link:
         """The virtual sensor behind a ``sim:`` address."""
         truth = truth_of(parse_address(place.address), place.fitted)
-        return place.fitted.twin(truth, self.fixture.turned(place.orientation.seen), self._clock)
+        return place.fitted.twin(truth, self.fixture.turned(_seat(place, truth)), self._clock)
+
+
+def _seat(place: Place, truth: Truth) -> Callable[[Vector], Vector]:
+    """What takes a vector of the fixture's frame into the sensor's."""
+    if truth.mounting == (0.0, 0.0, 0.0):
+        return place.orientation.seen
+    from tiltcal.core.mounting import mounting_matrix
+
+    roll, pitch, yaw = map(radians, truth.mounting)
+    to_sensor = mounting_matrix(Mounting(roll, pitch, yaw)).T.tolist()
+
+    def seen(vector: Vector) -> Vector:
+        straight = place.orientation.seen(vector)
+        x, y, z = (sum(a * b for a, b in zip(row, straight, strict=True)) for row in to_sensor)
+        return x, y, z
+
+    return seen
 
 
 def truth_of(address: Address, model: Model) -> Truth:

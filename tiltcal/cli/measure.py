@@ -13,7 +13,9 @@ from tiltcal.cli.leading import LEADERS, captured, free_journal, led, left_at_de
 from tiltcal.drivers.device import in_words
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.bench import BenchFile, read_bench
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.document import read_text
+from tiltcal.files.procedure import Procedure, find_procedure
 
 
 @click.command(
@@ -51,6 +53,12 @@ from tiltcal.files.procedure import find_procedure
     help="Standard uncertainty of a set angle; where it is not stated, the positions' scatter says it.",
 )
 @click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
+@click.option(
+    "--base",
+    type=click.Path(path_type=Path),
+    metavar="CAL",
+    help="The sensor's calibration file, which the mounting procedure completes.",
+)
 @click.option("--journal", type=click.Path(path_type=Path), help="Where the session is captured [beside the output].")
 @click.option("--resume", type=click.Path(path_type=Path), metavar="JOURNAL", help="Go on with an interrupted session.")
 @click.option("--plain", is_flag=True, help="Lines only: no live reading, no single keys.")
@@ -66,6 +74,7 @@ def command(
     settle: float | None,
     jig: float | None,
     tilt: float | None,
+    base: Path | None,
     journal: Path | None,
     resume: Path | None,
     plain: bool,
@@ -93,14 +102,29 @@ def command(
         steps = find_procedure(str(procedure), tilt)
         sensors = read_bench(bench) if bench is not None else single(str(sensor), str(serial), str(address))
         sensors = sensors if jig is None else replace(sensors, jig=jig)
+        mounted = _base(steps, base, sensors)
         outputs, beside = _outputs(sensors, bench, output)
         path = resume or journal or free_journal(beside)
-        plan = plan_session(steps, sensors, outputs, path, lead=operator, samples=samples, settle=settle)
+        plan = plan_session(steps, sensors, outputs, path, lead=operator, samples=samples, settle=settle, base=mounted)
         session = Session(plan, path)
     with led(session, operator, plain=plain, again="measure") as leader:
         result = session.measure(leader)
     for name, reception in result.receptions.items():
         click.echo(f"{name}: {in_words(reception)}", err=True)
+
+
+def _base(procedure: Procedure, base: Path | None, sensors: BenchFile) -> str | None:
+    """The text of the calibration that a mounting completes."""
+    if not procedure.determines.mounting:
+        if base is not None:
+            raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
+        return None
+    if base is None:
+        raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor that is mounted")
+    serial, named = read_calibration(base).sensor.serial, [sensor.serial for sensor in sensors.sensors]
+    if named != [serial]:
+        raise UsageError(f"{base} is of {serial}, and the sensor to measure is {' and '.join(named)}")
+    return read_text(base)
 
 
 def _outputs(sensors: BenchFile, bench: Path | None, output: Path | None) -> tuple[list[Path], Path]:

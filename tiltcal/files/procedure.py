@@ -35,11 +35,14 @@ class Determines:
         Columns of the sensitivity matrix.
     drift, gain : int
         Orders of the temperature polynomials of offset and sensitivity; 0 where there is none.
+    mounting : bool
+        Whether the positions are the application's, and show how a calibrated sensor sits in it.
     """
 
     axes: tuple[str, ...]
     drift: int = 0
     gain: int = 0
+    mounting: bool = False
 
 
 @dataclass(frozen=True)
@@ -244,14 +247,17 @@ def _read_temperature(node: Node) -> float:
 
 
 def _read_determines(node: Node, has_reference: bool) -> Determines:
-    section = node.mapping(required=("axes",), optional=("drift", "gain"))
+    section = node.mapping(required=("axes",), optional=("drift", "gain", "mounting"))
     axes = tuple(item.choice(("x", "y", "z")) for item in section["axes"].items())
     if len(set(axes)) < len(axes):
         raise section["axes"].error("an axis is named twice")
     drift, gain = (_read_order(section[name]) if name in section else 0 for name in ("drift", "gain"))
     if (drift or gain) and not has_reference:
         raise node.error("temperature terms need the key 'reference', the temperature that they are counted from")
-    return Determines(tuple(sorted(axes)), drift, gain)
+    mounting = section["mounting"].flag() if "mounting" in section else False
+    if mounting and (axes or drift or gain):
+        raise node.error("a procedure that determines the mounting determines nothing else: axes is [] there")
+    return Determines(tuple(sorted(axes)), drift, gain, mounting)
 
 
 def _read_order(node: Node) -> int:

@@ -19,6 +19,7 @@
       jig: 0.01                               # standard deviation of a set angle, degrees
       ambient: 24.0                           # °C
       time_constant: 300                      # of the chamber, seconds
+      mounting: {roll: 90, pitch: 0, yaw: 0}  # how it sits on the fixture, degrees
       faults:
         - {kind: parity, start: 12.0, end: 12.5}   # seconds after the session began
 """
@@ -68,7 +69,7 @@ def _read_truth(node: Node, seed: int) -> Truth:
         required=("offset", "sensitivity"),
         optional=(
             *("temperature", "nonlinearity", "noise", "thermometer_error", "supply"),
-            *("jig", "ambient", "time_constant", "faults"),
+            *("jig", "ambient", "time_constant", "mounting", "faults"),
         ),
     )
     channels = _read_channels(section["offset"])
@@ -79,6 +80,9 @@ def _read_truth(node: Node, seed: int) -> Truth:
         given["nonlinearity"] = _read_polynomials(section["nonlinearity"], channels)
     if "noise" in section:
         given["noise"] = _read_noise(section["noise"], channels)
+    if "mounting" in section:
+        angles = section["mounting"].mapping(optional=("roll", "pitch", "yaw"))
+        given["mounting"] = tuple(angles[n].number() if n in angles else 0.0 for n in ("roll", "pitch", "yaw"))
     if "faults" in section:
         given["faults"] = tuple(_read_fault(item) for item in section["faults"].items())
     given.update((name, section[name].number()) for name in ("thermometer_error", "ambient") if name in section)

@@ -1,0 +1,123 @@
+"""The mounting rotation from readings in known positions: Wahba's problem.
+
+Directions of gravity are known in the application's frame, as the positions were set, and read in the sensor's. The
+rotation between the two minimises the weighted squares of what is left between them.
+
+Source: G. Wahba, "A least squares estimate of satellite attitude", SIAM Review 7 (1965), problem 65-1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiltcal.core.model import Array, Mounting
+from tiltcal.core.mounting import mounting_angles
+from tiltcal.errors import EstimateError
+
+ONE_LINE = 1e-3
+"""Second singular value of the directions, relative to the first, below which they all lie on one line (0.06°)."""
+
+STEP = 1e-6
+"""Turn by which the angles' derivatives are taken, radians."""
+
+
+@dataclass(frozen=True)
+class MountingEstimate:
+    """How a sensor sits in its application.
+
+    Attributes
+    ----------
+    mounting : Mounting
+        Radians.
+    gimbal_lock : bool
+        At a pitch of ±90° only one turn about the vertical is determined; all of it is reported as roll.
+    covariance : ndarray, shape (3, 3)
+        Of the rotation vector in the application's frame, rad².
+    u : Mounting or None
+        Standard uncertainty of each angle, radians; None in gimbal lock, where the angles have none of their own.
+    residuals : ndarray, shape (positions,)
+        Angle between each direction as set and as read, radians.
+    dof : int
+    stated : bool
+        Whether the covariance stands on the stated jig, or on the residuals.
+    """
+
+    mounting: Mounting
+    gimbal_lock: bool
+    covariance: Array
+    u: Mounting | None
+    residuals: Array
+    dof: int
+    stated: bool
+
+
+def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> MountingEstimate:
+    """The rotation that takes directions in the sensor's frame to those in the application's.
+
+    Parameters
+    ----------
+    read : ndarray, shape (positions, 3)
+        Up in the sensor's frame, as its calibration reads it.
+    known : ndarray, shape (positions, 3)
+        Up in the application's frame, as set.
+    sigma : ndarray, shape (positions,), optional
+        Standard uncertainty of each direction, radians; where it is left out the residuals say it.
+
+    Returns
+    -------
+    MountingEstimate
+
+    Raises
+    ------
+    EstimateError
+        All directions lie on one line: the turn about it is undetermined.
+    """
+    from scipy.spatial.transform import Rotation
+
+    read = read / np.linalg.norm(read, axis=1, keepdims=True)
+    known = known / np.linalg.norm(known, axis=1, keepdims=True)
+    spread = np.linalg.svd(known, compute_uv=False)
+    if len(known) < 2 or spread[1] < ONE_LINE * spread[0]:
+        raise EstimateError(
+            "gravity has the same line in every position, so the turn about it is undetermined: add a position in "
+            "which another axis points up"
+        )
+    weights = np.ones(len(known)) if sigma is None else 1.0 / np.maximum(sigma, 1e-12) ** 2
+    rotation, _ = Rotation.align_vectors(known, read, weights=weights)
+    matrix = rotation.as_matrix()
+    turned = read @ matrix.T
+    residuals = np.arctan2(np.linalg.norm(np.cross(turned, known), axis=1), np.sum(turned * known, axis=1))
+    dof = 2 * len(known) - 3
+    stated = sigma is not None
+    variance = 1.0 if stated else float(np.sum(residuals**2)) / dof
+    information = np.einsum("p,pij->ij", weights, np.eye(3) - np.einsum("pi,pj->pij", known, known))
+    covariance = variance * np.linalg.inv(information)
+    angles = mounting_angles(matrix)
+    u = None if angles.gimbal_lock else _angle_uncertainty(matrix, covariance)
+    return MountingEstimate(angles.mounting, angles.gimbal_lock, covariance, u, residuals, dof, stated)
+
+
+def _angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
+    """Standard uncertainty of roll, pitch and yaw, by their derivatives with respect to a small turn."""
+    columns = []
+    for axis in range(3):
+        turn = np.zeros(3)
+        turn[axis] = STEP
+        ends = [_angles(_small(sign * turn) @ matrix) for sign in (1.0, -1.0)]
+        columns.append((np.angle(np.exp(1j * (ends[0] - ends[1])))) / (2 * STEP))
+    jacobian = np.stack(columns, axis=1)
+    roll, pitch, yaw = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T)).tolist()
+    return Mounting(roll, pitch, yaw)
+
+
+def _angles(matrix: Array) -> Array:
+    mounting = mounting_angles(matrix).mounting
+    return np.array([mounting.roll, mounting.pitch, mounting.yaw])
+
+
+def _small(turn: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(turn).as_matrix())
