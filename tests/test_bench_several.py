@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from command import tiltcal
+
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.journal import read_journal
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import json
+import signal
 import sys
 from math import cos, radians
 from pathlib import Path
@@ -16,6 +17,9 @@ import numpy as np
 import pytest
 from realbus.bench import Bench, Part, run_on_spi
 
+from tiltcal.bench.operators.sim import SimOperator
+from tiltcal.bench.plan import Plan
+from tiltcal.bench.session import Session
 from tiltcal.files.calibration import Calibration, read_calibration
 from tiltcal.files.journal import read_journal
 
@@ -160,3 +164,27 @@ def test_a_captured_real_session_replays_to_the_byte(tmp_path: Path) -> None:
     with run_on_spi([sys.executable, "-m", "tiltcal", "replay", str(tmp_path / "S-0042.journal.jsonl")]) as bench:
         text = bench.process.stdout.read()
     assert text.encode() == (tmp_path / "S-0042.yaml").read_bytes()
+
+
+def test_killed_on_the_real_bus_and_resumed(tmp_path: Path) -> None:
+    with run_on_spi(program("plane", tmp_path, "--samples", "30"), FLAT) as bench:
+        for _ in range(2):
+            answer(bench, json.dumps(read_line(bench)))
+            assert read_line(bench)["event"] == "accepted"
+        answer(bench, json.dumps(read_line(bench)))
+        bench.kill(signal.SIGKILL)
+        assert bench.exit_code == 128 + signal.SIGKILL
+    journal = tmp_path / "S-0042.journal.jsonl"
+    before = journal.read_bytes()
+    with run_on_spi([sys.executable, "-m", "tiltcal", "measure", "--resume", str(journal)], FLAT) as bench:
+        told = bench.lead()
+        assert bench.exit_code == 0, bench.errors()
+    # The third position was being measured; nobody knows how the bench stands now, so it is asked for again.
+    assert [message["position"] for message in told if "ask" in message] == ["y-tilt1", "y-tilt2"]
+    assert told[-1]["event"] == "done"
+    assert journal.read_bytes()[: before.rfind(b"\n") + 1] == before[: before.rfind(b"\n") + 1]
+    found = read_calibration(tmp_path / "S-0042.yaml").coefficients
+    np.testing.assert_allclose(found.offset, FLAT.offset, atol=0.7)
+    assert [event.kind for event in read_journal(journal).events].count("resumed") == 1
+    texts = Session(Plan.from_journal(read_journal(journal)), journal, read_journal(journal)).replay(SimOperator(print))
+    assert next(iter(texts.texts.values())).encode() == (tmp_path / "S-0042.yaml").read_bytes()

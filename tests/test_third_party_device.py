@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from command import TILTCAL
+
 from tiltcal.files.calibration import read_calibration
 
 EXAMPLE = Path(__file__).parent / "example_device"

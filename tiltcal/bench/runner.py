@@ -15,7 +15,7 @@ import numpy as np
 from tiltcal.bench.operators.operator import Answer, Measured, Operator
 from tiltcal.bench.rack import Bay, Rack, Sample
 from tiltcal.bench.settle import Unsettled, Window, movement, wait_until_still
-from tiltcal.bench.tape import Tape, TapedClock
+from tiltcal.bench.tape import Resumed, Tape, TapedClock
 from tiltcal.core.expectation import Expectation
 from tiltcal.core.frames import gravity_from_tilt, normalised
 from tiltcal.core.model import Array
@@ -130,6 +130,8 @@ class Runner:
             position = positions[len(taken)]
             try:
                 word, result = self._attempt(position, taken)
+            except Resumed:
+                continue
             except (Unsettled, InputError, HardwareError) as error:
                 self._refuse(position, error)
                 continue
@@ -178,7 +180,7 @@ class Runner:
     def _ask(self, question: str, live: Callable[[], Answer]) -> Answer:
         """An answer from the tape or the operator; live readings that were shown meanwhile are played first."""
         while self._tape.playing and not self._tape.next_is_answer():
-            with suppress(HardwareError):
+            with suppress(HardwareError, Resumed):
                 self._live()
         return Answer.from_record(self._tape.answer(question, lambda: live().record()))
 

@@ -14,12 +14,16 @@ from typing import Any
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link, Recalling
 from tiltcal.errors import BusError, JournalError
-from tiltcal.files.journal import ANSWER, HARDWARE_ERROR, POSITION, Event, Journal, JournalWriter
+from tiltcal.files.journal import ANSWER, HARDWARE_ERROR, POSITION, RESUMED, Event, Journal, JournalWriter
 
 Answer = dict[str, Any]
 
 REMEMBERED = 32
 """Transactions that a part's registers may depend on: none polls a conversion more often."""
+
+
+class Resumed(Exception):
+    """The session was interrupted here."""
 
 
 class Tape:
@@ -42,6 +46,8 @@ class Tape:
         self._next = 0
         self._writer = writer
         self._now_ns = 0
+        # Virtual sensors and their jig stand as they stood; at a real bench anything may have happened meanwhile.
+        self._resuming = clock.real and writer is not None and journal is not None
 
     @property
     def playing(self) -> bool:
@@ -69,7 +75,11 @@ class Tape:
             It failed, now or when it was captured.
         JournalError
             The journal has something else here.
+        Resumed
+            The session was interrupted here, and the bench may have been touched since.
         """
+        if self._paused():
+            raise Resumed
         sent = out.hex()
         device = (number,) if number else ()
         if self.playing:
@@ -90,6 +100,7 @@ class Tape:
 
     def answer(self, question: str, live: Callable[[], Answer]) -> Answer:
         """What the operator answers to a question (``position``, ``review``, ``write``)."""
+        self._pass_pauses()
         if self.playing:
             event = self._play()
             if event.kind != ANSWER or event.payload[0].get("to") != question:
@@ -103,6 +114,7 @@ class Tape:
 
     def position(self, summary: dict[str, Any]) -> None:
         """Note an accepted position, and have all before it on the disk."""
+        self._pass_pauses()
         if self.playing:
             event = self._play()
             if event.kind != POSITION or event.payload[0] != summary:
@@ -115,12 +127,30 @@ class Tape:
 
     def finish(self) -> str:
         """End the session; the SHA-256 of its journal."""
+        self._pass_pauses()
         if self._journal is not None and self._journal.end is not None:
             if self.playing:
                 raise self._mismatch(self._events[self._next], "the procedure is at its end")
             return self._journal.sha256
         self._require_writer()
         return self._writer.finish(0) if self._writer is not None else ""
+
+    def _paused(self) -> bool:
+        """Whether the session was interrupted at this point; a live one notes that it goes on here."""
+        if self.playing:
+            if self._events[self._next].kind != RESUMED:
+                return False
+            self._play()
+            return True
+        if self._resuming:
+            self._resuming = False
+            self._record(RESUMED)
+            return True
+        return False
+
+    def _pass_pauses(self) -> None:
+        while self._paused():
+            pass
 
     def _play(self) -> Event:
         event = self._events[self._next]

@@ -8,6 +8,7 @@
     [0, "!", "100000", "why", "…"]                        a bus transaction that failed
     [0, "a", {"to": "position", "answer": "ready"}, "…"]  what the operator answered
     [0, "p", {"position": "x-tilt1", …}, "…"]             an accepted position
+    [9, "resumed", "…"]                                   the session was interrupted, and goes on from here
     [0, "end", {"events": 812, "sha256": "…"}, "…"]       the session came to its end
 
 The last element of each line is the CRC-32 of all lines up to and including it, without the checks themselves, so a
@@ -32,6 +33,7 @@ VERSION = 1
 HARDWARE_ERROR = "!"
 ANSWER = "a"
 POSITION = "p"
+RESUMED = "resumed"
 END = "end"
 
 _ARRAY_CHECK = len(',"00000000"]')
