@@ -22,7 +22,7 @@ from tiltcal.core.model import Array
 from tiltcal.core.statistics import Summary, summarise
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.drivers.twin.fixture import Fixture
-from tiltcal.errors import BayError, HardwareError, InputError
+from tiltcal.errors import BayError, HardwareError, InputError, JournalError
 from tiltcal.files.procedure import Position, Procedure
 
 RECOVERY = 1.0
@@ -132,6 +132,8 @@ class Runner:
                 word, result = self._attempt(position, taken)
             except Resumed:
                 continue
+            except JournalError:
+                raise
             except (Unsettled, InputError, HardwareError) as error:
                 self._refuse(position, error)
                 continue
