@@ -65,10 +65,15 @@ class TestRecordedSession:
         np.testing.assert_allclose(found.coefficients.sensitivity, self.SENSITIVITY, atol=5.1e-6)
         assert np.abs(found.residuals).max() == pytest.approx(0.026, abs=5e-4)
 
-    def test_a_jig_worse_than_the_noise_gives_the_two_face_offset(self, observations) -> None:
-        """With the angles in doubt only the face pair along an axis says its offset, as in imucal's formula."""
+    def test_with_a_stated_placement_the_published_offsets_are_inside_the_95_percent_intervals(
+        self, observations
+    ) -> None:
+        """With the angles in doubt the face pair along an axis says its offset, as in imucal's formula."""
         found = estimate(observations, Design(("x", "y", "z"), ("x", "y", "z"), jig=0.2))
-        np.testing.assert_allclose(found.coefficients.offset, self.TWO_FACE_OFFSET, atol=1e-4)
+        u, factors = found.uncertainty(), found.coverage_factors()
+        for axis, offset, published in zip("xyz", found.coefficients.offset, self.TWO_FACE_OFFSET, strict=True):
+            assert abs(offset - published) < factors[f"offset.{axis}"] * u[f"offset.{axis}"]
+            assert u[f"offset.{axis}"] < 0.001
 
 
 class TestClosedForms:

@@ -9,14 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.derived import cross_axis, misalignment
-from tiltcal.core.estimate import Design, Estimate, Observation, estimate
-from tiltcal.core.model import AXES, Array, Coefficients, Limits, Thermal
+from tiltcal.core.design import STRAIGHT, Design, Observation, Prior, Sensor
+from tiltcal.core.estimate import estimate_jointly
+from tiltcal.core.model import AXES, Array, Limits
+from tiltcal.core.pooling import pooled
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import Summary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration, SensorIdentity
 from tiltcal.files.procedure import Procedure
+from tiltcal.findings import derived_record, fit_record, rounded, uncertainty_record
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class Measurement:
         Per channel of the sensor.
     when : mapping of str to Any
         How the position is found again: its time, or its rows of a log.
+    heading : float or None
+        How far the fixture was turned about the vertical, degrees.
     """
 
     position: str
@@ -44,6 +48,7 @@ class Measurement:
     temperature: float | None
     summaries: Mapping[str, Summary]
     when: Mapping[str, Any] = field(default_factory=dict)
+    heading: float | None = None
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,26 @@ class Nominal:
     rails: tuple[float, float]
 
 
+@dataclass(frozen=True)
+class Subject:
+    """One sensor of a fixture with what was measured of it.
+
+    Attributes
+    ----------
+    sensor : SensorIdentity
+    measurements : sequence of Measurement
+    nominal : Nominal or None
+        Of the sensor's model.
+    orientation : sequence of sequence of float
+        3 by 3; takes a vector of the fixture's frame to the sensor's.
+    """
+
+    sensor: SensorIdentity
+    measurements: Sequence[Measurement]
+    nominal: Nominal | None = None
+    orientation: Sequence[Sequence[float]] = STRAIGHT
+
+
 def calibrate(
     sensor: SensorIdentity,
     procedure: Procedure,
@@ -70,201 +95,174 @@ def calibrate(
     *,
     nominal: Nominal | None = None,
     jig: float | None = None,
+    thermometer: float | None = None,
     settings: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> Calibration:
-    """Calibrate one sensor from its positions.
+    """Calibrate one sensor from its positions; the arguments are those of :func:`calibrate_jointly`."""
+    return calibrate_jointly(
+        [Subject(sensor, measurements, nominal)],
+        procedure,
+        jig=jig,
+        thermometer=thermometer,
+        settings=settings,
+        provenance=provenance,
+    )[0]
+
+
+def calibrate_jointly(
+    subjects: Sequence[Subject],
+    procedure: Procedure,
+    *,
+    jig: float | None = None,
+    thermometer: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> list[Calibration]:
+    """Calibrate all sensors of a fixture: they share its attitude in every position.
 
     Parameters
     ----------
-    sensor : SensorIdentity
+    subjects : sequence of Subject
     procedure : Procedure
         Says which coefficients to determine.
-    measurements : sequence of Measurement
-    nominal : Nominal, optional
-        Of the sensor's model.
     jig : float, optional
-        Standard uncertainty of a set angle, degrees; None where it was not stated.
+        Standard uncertainty of a set angle, degrees; None where it was not stated. Infinite where nobody set any: the
+        directions of the measurements are a first guess, and unit gravity alone determines the coefficients.
+    thermometer : float, optional
+        Standard uncertainty of a temperature, °C; None where it was not stated, and counts as nothing.
     settings, provenance : mapping, optional
-        Records for the file.
+        Records for the files.
 
     Returns
     -------
-    Calibration
-        With its numbers rounded to what their uncertainty warrants.
+    list of Calibration
+        One a subject, their numbers rounded to what their uncertainty warrants.
 
     Raises
     ------
     EstimateError
         The positions cannot determine the coefficients.
     """
-    determines = procedure.determines
+    designs = [design_of(subject, procedure, jig, thermometer) for subject in subjects]
+    found = estimate_jointly(
+        [
+            Sensor(design, observations_of(subject.measurements, design.channels), subject.orientation)
+            for subject, design in zip(subjects, designs, strict=True)
+        ]
+    )
+    calibrations = []
+    for subject, design, one in zip(subjects, designs, found, strict=True):
+        calibrations.append(
+            Calibration(
+                sensor=replace(subject.sensor, channels=design.channels),
+                coefficients=rounded(one),
+                uncertainty=uncertainty_record(one),
+                limits=_limits(design, subject.measurements, subject.nominal, one.coefficients.thermal is not None),
+                derived=derived_record(one, design),
+                fit=fit_record(one, design, _largest_noise(subject.measurements, design.channels)),
+                procedure=_procedure(procedure, subject.measurements, settings or {}),
+                positions=[_position(measurement, design.channels) for measurement in subject.measurements],
+                provenance=provenance or {},
+            )
+        )
+    return calibrations
+
+
+def design_of(subject: Subject, procedure: Procedure, jig: float | None, thermometer: float | None) -> Design:
+    """What a procedure determines of a sensor, and how well the bench sets what it sets.
+
+    Raises
+    ------
+    EstimateError
+        The sensor has none of the procedure's axes, or a sensitivity must stand in that nobody knows.
+    """
+    determines, sensor = procedure.determines, subject.sensor
     channels = tuple(c for c in sensor.channels if not determines.axes or c in determines.axes)
     if not channels:
         raise EstimateError(
             f"{procedure.name} determines the axes {', '.join(determines.axes)}; {sensor.model} has none of them"
         )
-    known = _known_sensitivity(procedure, channels, nominal)
-    design = Design(channels, determines.axes, determines.drift, determines.gain, procedure.reference or 0.0, jig)
-    observations = [_observation(measurement, channels, known) for measurement in measurements]
-    found = estimate(observations, design)
-    uncertainty = found.uncertainty()
-    coefficients = _rounded(found.coefficients, uncertainty)
-    spread = nominal.spread if nominal else 0.0
-    if known is not None:
-        coefficients = replace(coefficients, axes=channels, sensitivity=_square(known, channels))
-        uncertainty |= {f"sensitivity.{c}.{a}": spread if c == a else 0.0 for c in channels for a in channels}
-    return Calibration(
-        sensor=replace(sensor, channels=channels),
-        coefficients=coefficients,
-        uncertainty=_uncertainty(coefficients, uncertainty),
-        limits=_limits(coefficients, measurements, nominal),
-        derived=_derived(coefficients) if known is None else {"assumed": ["sensitivity: nominal of the model"]},
-        fit=_fit(found, measurements, channels, jig),
-        procedure=_procedure(procedure, measurements, settings or {}),
-        positions=[_position(measurement, channels) for measurement in measurements],
-        provenance=provenance or {},
+    return Design(
+        channels,
+        determines.axes or channels,
+        determines.drift,
+        determines.gain,
+        procedure.reference or 0.0,
+        jig,
+        thermometer=thermometer or 0.0,
+        nonlinearity=determines.nonlinearity,
+        priors={} if determines.axes else _assumed(procedure, channels, subject.nominal),
     )
 
 
-def _known_sensitivity(procedure: Procedure, channels: Sequence[str], nominal: Nominal | None) -> Array | None:
-    """The nominal matrix (channels, 3), where the procedure determines no sensitivity."""
-    if procedure.determines.axes:
-        return None
+def _assumed(procedure: Procedure, channels: Sequence[str], nominal: Nominal | None) -> dict[str, Prior]:
+    """The model's sensitivity, where the procedure determines none."""
     if nominal is None:
         raise EstimateError(
             f"{procedure.name} determines no sensitivity: name a --sensor model whose nominal one may stand in"
         )
-    matrix = np.zeros((len(channels), 3))
-    for row, channel in enumerate(channels):
-        matrix[row, AXES.index(channel)] = nominal.sensitivity
-    return matrix
-
-
-def _square(matrix: Array, channels: Sequence[str]) -> Array:
-    return matrix[:, [AXES.index(channel) for channel in channels]]
-
-
-def _observation(measurement: Measurement, channels: Sequence[str], known: Array | None) -> Observation:
-    gravity = np.array(measurement.gravity)
-    mean = np.array([measurement.summaries[channel].mean for channel in channels])
-    return Observation(
-        measurement.position,
-        gravity,
-        mean if known is None else mean - known @ gravity,
-        np.array([measurement.summaries[channel].u for channel in channels]),
-        measurement.temperature,
-    )
-
-
-def _rounded(coefficients: Coefficients, u: Mapping[str, float]) -> Coefficients:
-    """The coefficients with the digits that their uncertainties warrant."""
-    thermal = coefficients.thermal
-    if thermal is not None:
-        thermal = Thermal(
-            reference=thermal.reference,
-            range=None if thermal.range is None else (round(thermal.range[0], 3), round(thermal.range[1], 3)),
-            drift=_rounded_rows(thermal.drift, coefficients.channels, "temperature.offset", u),
-            gain=_rounded_rows(thermal.gain, coefficients.channels, "temperature.sensitivity", u),
-        )
-    return replace(
-        coefficients,
-        offset=np.array(
-            [round_to(v, u[f"offset.{c}"]) for c, v in zip(coefficients.channels, coefficients.offset, strict=True)]
-        ),
-        sensitivity=np.array(
-            [
-                [round_to(v, u[f"sensitivity.{c}.{a}"]) for a, v in zip(coefficients.axes, row, strict=True)]
-                for c, row in zip(coefficients.channels, coefficients.sensitivity, strict=True)
-            ]
-        ).reshape(coefficients.sensitivity.shape),
-        thermal=thermal,
-    )
-
-
-def _rounded_rows(table: Array, channels: Sequence[str], name: str, u: Mapping[str, float]) -> Array:
-    rows = [
-        [round_to(value, u[f"{name}.{channel}.{power}"]) for power, value in enumerate(row, start=1)]
-        for channel, row in zip(channels, table, strict=True)
-    ]
-    return np.array(rows).reshape(table.shape)
-
-
-def _uncertainty(coefficients: Coefficients, u: Mapping[str, float]) -> dict[str, Any]:
-    """Standard uncertainties in the shape of the file's ``calibration`` section, to four digits."""
-    channels = coefficients.channels
-    shaped: dict[str, Any] = {
-        "offset": {c: significant(u[f"offset.{c}"], 4) for c in channels},
-        "sensitivity": {c: {a: significant(u[f"sensitivity.{c}.{a}"], 4) for a in coefficients.axes} for c in channels},
+    return {
+        f"sensitivity.{channel}.{axis}": Prior(nominal.sensitivity, nominal.spread) if axis == channel else Prior(0.0)
+        for channel in channels
+        for axis in channels
     }
-    if coefficients.thermal is not None:
-        orders = {"offset": coefficients.thermal.drift.shape[1], "sensitivity": coefficients.thermal.gain.shape[1]}
-        shaped["temperature"] = {
-            name: {c: [significant(u[f"temperature.{name}.{c}.{k + 1}"], 4) for k in range(order)] for c in channels}
-            for name, order in orders.items()
-            if order
-        }
-    return shaped
 
 
-def _limits(coefficients: Coefficients, measurements: Sequence[Measurement], nominal: Nominal | None) -> Limits:
+def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]) -> list[Observation]:
+    """The positions for the estimator, each one's noise made better known by that of the others."""
+    noise = [pooled(*_noise(measurements, channel)) for channel in channels]
+    observations = []
+    before: Measurement | None = None
+    for number, measurement in enumerate(measurements):
+        summaries = [measurement.summaries[channel] for channel in channels]
+        adc = np.array([summary.quantisation for summary in summaries])
+        observations.append(
+            Observation(
+                measurement.position,
+                np.array(measurement.gravity),
+                np.array([summary.mean for summary in summaries]),
+                np.sqrt(np.array([variance[number] for variance, _ in noise]) + adc**2),
+                measurement.temperature,
+                measurement.heading,
+                held=before is not None and _stands(before) == _stands(measurement),
+                dof=np.array([dof[number] for _, dof in noise]),
+                adc=adc,
+            )
+        )
+        before = measurement
+    return observations
+
+
+def _noise(measurements: Sequence[Measurement], channel: str) -> tuple[Array, Array]:
+    """Variance of each position's mean, and its degrees of freedom."""
+    summaries = [measurement.summaries[channel] for measurement in measurements]
+    return np.array([summary.noise**2 for summary in summaries]), np.array([summary.dof for summary in summaries])
+
+
+def _stands(measurement: Measurement) -> tuple[object, ...]:
+    """How the fixture was set; what is set like the position before was not touched."""
+    return measurement.gravity, measurement.heading
+
+
+def _largest_noise(measurements: Sequence[Measurement], channels: Sequence[str]) -> float:
+    return max(measurement.summaries[channel].u for measurement in measurements for channel in channels)
+
+
+def _limits(design: Design, measurements: Sequence[Measurement], nominal: Nominal | None, thermal: bool) -> Limits:
     """Tilt to either side as far as any position went, the temperatures that were met, the model's rails."""
     tilt = {}
-    for axis in coefficients.channels:
+    for axis in design.channels:
         reach = max(abs(measurement.gravity[AXES.index(axis)]) for measurement in measurements)
         if reach > 0.0:
             furthest = radians(round(degrees(asin(min(reach, 1.0))), 6))
             tilt[axis] = (-furthest, furthest)
+    met = [round(measurement.temperature, 3) for measurement in measurements if measurement.temperature is not None]
     return Limits(
         tilt=tilt,
-        temperature=coefficients.thermal.range if coefficients.thermal else None,
-        reading=dict.fromkeys(coefficients.channels, nominal.rails) if nominal else {},
+        temperature=(min(met), max(met)) if thermal else None,
+        reading=dict.fromkeys(design.channels, nominal.rails) if nominal else {},
     )
-
-
-def _derived(coefficients: Coefficients) -> dict[str, Any]:
-    return {
-        "cross_axis_percent": {c: significant(v, 4) for c, v in cross_axis(coefficients).items()},
-        "misalignment_degrees": {c: significant(v, 4) for c, v in misalignment(coefficients).items()},
-    }
-
-
-def _fit(
-    found: Estimate, measurements: Sequence[Measurement], channels: Sequence[str], jig: float | None
-) -> dict[str, Any]:
-    scale = max(
-        max(measurement.summaries[channel].u for measurement in measurements for channel in channels),
-        float(np.max(np.abs(found.residuals))),
-    )
-    residuals = {
-        measurement.position: {c: round_to(float(r), scale) for c, r in zip(channels, row, strict=True)}
-        for measurement, row in zip(measurements, found.residuals, strict=True)
-    }
-    record: dict[str, Any] = {"residuals": residuals}
-    if found.dof:
-        record["worst"] = _worst(residuals)
-    record["degrees_of_freedom"] = found.dof
-    if found.chi_square is not None and found.stated:
-        record["chi_square"] = significant(found.chi_square, 4)
-    record["uncertainty_from"] = _source_of_uncertainty(found, jig)
-    if jig is not None:
-        record["jig_degrees"] = jig
-    return record
-
-
-def _source_of_uncertainty(found: Estimate, jig: float | None) -> str:
-    if not found.stated:
-        return "residuals"
-    return "noise alone: no jig is stated, and no position is left over" if jig is None else "stated noise and jig"
-
-
-def _worst(residuals: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """The largest residual; the rounded ones are compared, so that a tie falls alike on every processor."""
-    position, channel = max(
-        ((position, channel) for position, row in residuals.items() for channel in row),
-        key=lambda place: abs(residuals[place[0]][place[1]]),
-    )
-    return {"position": position, "channel": channel, "residual": residuals[position][channel]}
 
 
 def _procedure(

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from math import atan2, degrees, hypot
 
+import numpy as np
+
 from tiltcal.core.closed_forms import cross_axis_sensitivity
-from tiltcal.core.model import AXES, Coefficients
+from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.propagation import propagated, vector_of, with_vector
 
 
 def cross_axis(coefficients: Coefficients) -> dict[str, float]:
@@ -29,6 +33,36 @@ def misalignment(coefficients: Coefficients) -> dict[str, float]:
             own, others = _row(coefficients, channel)
             angles[channel] = degrees(atan2(hypot(*others), own))
     return angles
+
+
+def derived_uncertainty(
+    quantity: Callable[[Coefficients], dict[str, float]],
+    coefficients: Coefficients,
+    names: Sequence[str],
+    covariance: Array,
+) -> dict[str, float]:
+    """Standard uncertainty of what follows from the coefficients.
+
+    Parameters
+    ----------
+    quantity : callable
+        :func:`cross_axis` or :func:`misalignment`.
+    coefficients : Coefficients
+    names : sequence of str
+        Dotted names of the uncertain coefficients.
+    covariance : ndarray, shape (k, k)
+
+    Returns
+    -------
+    dict of str to float
+        Per channel, in the unit of the quantity.
+    """
+
+    def values(vector: Array) -> Array:
+        return np.array(list(quantity(with_vector(coefficients, names, vector)).values()))
+
+    u = propagated(values, vector_of(coefficients, names), covariance)
+    return dict(zip(quantity(coefficients), u.tolist(), strict=True))
 
 
 def _row(coefficients: Coefficients, channel: str) -> tuple[float, list[float]]:

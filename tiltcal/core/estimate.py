@@ -1,131 +1,144 @@
-"""The one estimator: weighted least squares under the measurement model.
+"""The one estimator: from positions to coefficients, jointly over all sensors and channels of a fixture.
 
-The model of :mod:`tiltcal.core.model`, written as the vector that is solved for, per channel i::
+One least-squares system (:mod:`tiltcal.core.system`) serves every bench; what is stated of the jig chooses how far its
+attitudes are unknowns:
 
-    u_i(g, dT) = offset + sum_k drift_k dT^k + (1 + sum_k gain_k dT^k) * sum_j S_j g_j
-
-It is linear but for the gain, so Gauss-Newton steps with the analytic Jacobian reach the minimum in one step where no
-gain is asked for, and in a few where it is.
+- **stated**, any angle from 0 up: each attitude is an unknown with the jig's uncertainty as its prior. At 0 it is
+  ordinary weighted least squares.
+- **not stated** (None): the attitudes are taken as set, all positions count the same, and the residuals say how
+  uncertain the result is.
+- **infinite**: the attitudes are free, and unit gravity alone determines the coefficients. The mounting rotation is
+  then undetermined; the gauge is an upper-triangular sensitivity matrix of the first sensor with three channels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import radians
+from dataclasses import dataclass, replace
+from math import degrees
 
 import numpy as np
-from numpy.linalg import lstsq, svd
 
-from tiltcal.core.model import AXES, Array, Coefficients, Thermal
+from tiltcal.core.attitude import rotation_vectors
+from tiltcal.core.budget import Budget
+from tiltcal.core.design import Design, Observation, Prior, Sensor, require_sound
+from tiltcal.core.determined import require_determined, undetermined
+from tiltcal.core.free import triangular_gauge
+from tiltcal.core.minimum import minimise
+from tiltcal.core.model import Array, Coefficients, Thermal
+from tiltcal.core.scatter import scatter_of
+from tiltcal.core.second_order import attitude_lever, second_order
+from tiltcal.core.system import System, system_of
+from tiltcal.core.uncertainty import Levers, Linear, linear, scaled_budget, scattered_budget, stated_budget
 from tiltcal.errors import EstimateError
 
-STEPS = 20
-"""Most Gauss-Newton steps; a gain of a few per cent needs three."""
+__all__ = ["Design", "Estimate", "Observation", "Prior", "Sensor", "estimate", "estimate_jointly"]
 
-UNDETERMINED = 1e-9
-"""A singular value below this share of the largest, with columns scaled to one, counts as zero."""
+NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
+GAUGE = (
+    "unit gravity alone says nothing of the mounting: the sensor's x axis is taken along its x channel's sensitive "
+    "direction turned so that the sensitivity matrix is upper triangular"
+)
+HELD = (
+    "the jig is not stated, and no position shows the angle in which the sensor was held: it is not in the uncertainty"
+)
+EXCEEDS = "the residuals are more than noise and attitudes explain: is the sensor straight, was it still?"
 
 
 @dataclass(frozen=True)
-class Observation:
-    """The mean reading in one position.
+class Attitude:
+    """How far a position was off, as the readings show it.
 
     Attributes
     ----------
     position : str
-    gravity : ndarray, shape (3,)
-        Up in the sensor frame as set, g.
-    mean : ndarray, shape (channels,)
-        In the sensor's unit.
-    u : ndarray, shape (channels,)
-        Standard uncertainty of the mean from noise and quantisation, same unit.
-    temperature : float or None
-        °C.
+    turn : ndarray, shape (3,)
+        Rotation vector of gravity in the fixture's frame, degrees.
+    chi_square : float
+        The turn, squared, over the variance that it should have if the jig is as stated.
+    p : float
+        Probability of that much or more.
     """
 
     position: str
-    gravity: Array
-    mean: Array
-    u: Array
-    temperature: float | None = None
-
-
-@dataclass(frozen=True)
-class Design:
-    """Which coefficients are to be determined.
-
-    Attributes
-    ----------
-    channels : tuple of str
-    axes : tuple of str
-        Columns of the sensitivity matrix.
-    drift, gain : int
-        Orders of the temperature polynomials; 0 leaves them out.
-    reference : float
-        Reference temperature, °C; used where an order is above 0.
-    jig : float or None
-        Standard uncertainty of each set angle, degrees. None: not stated, all positions count the same and their
-        scatter says how uncertain they are.
-    """
-
-    channels: tuple[str, ...]
-    axes: tuple[str, ...]
-    drift: int = 0
-    gain: int = 0
-    reference: float = 0.0
-    jig: float | None = None
-
-    @property
-    def thermal(self) -> bool:
-        """Whether temperature terms are asked for."""
-        return bool(self.drift or self.gain)
-
-    def parameters(self, channel: str) -> list[str]:
-        """Dotted names of one channel's coefficients, in the order of the parameter vector."""
-        return (
-            [f"offset.{channel}"]
-            + [f"sensitivity.{channel}.{axis}" for axis in self.axes]
-            + [f"temperature.offset.{channel}.{k + 1}" for k in range(self.drift)]
-            + [f"temperature.sensitivity.{channel}.{k + 1}" for k in range(self.gain)]
-        )
+    turn: Array
+    chi_square: float
+    p: float
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the positions say.
+    """What the positions say of one sensor.
 
     Attributes
     ----------
     coefficients : Coefficients
     names : tuple of str
         The parameters, in the order of ``covariance``.
-    covariance : ndarray, shape (parameters, parameters)
+    budget : Budget
+        Covariance of the parameters, its sources, and degrees of freedom of each.
+    positions : tuple of str
     residuals : ndarray, shape (positions, channels)
-        Measured minus modelled, in the sensor's unit.
+        Measured minus modelled in the positions as they were set, in the sensor's unit.
+    remainders : ndarray, shape (positions, channels)
+        What is left of them with each position's attitude and temperature as estimated.
     dof : int
-        Degrees of freedom left, over all channels.
+        Degrees of freedom left, over all channels of all sensors of the fixture.
     chi_square : float or None
-        Sum of squared residuals over their stated variance; None where nothing is left over to judge.
+        Sum of squares of all that was stated, over the same; None where nothing is left over to judge.
+    p : float or None
+        Probability of such a chi-square or a greater one, if what was stated is true.
     stated : bool
         True where the covariance stands on stated uncertainties, False where the residuals gave it.
+    attitudes : tuple of Attitude
+        One a position, where the jig is stated; empty otherwise.
+    scatter_jig : float or None
+        Standard deviation of a set angle that the residuals show where the jig is not stated, degrees.
+    notes : tuple of str
+        What the reader of the numbers should know.
     """
 
     coefficients: Coefficients
     names: tuple[str, ...]
-    covariance: Array
+    budget: Budget
+    positions: tuple[str, ...]
     residuals: Array
+    remainders: Array
     dof: int
     chi_square: float | None
+    p: float | None
     stated: bool
+    attitudes: tuple[Attitude, ...] = ()
+    scatter_jig: float | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def covariance(self) -> Array:
+        """Of the parameters, shape (parameters, parameters)."""
+        return self.budget.covariance
 
     def uncertainty(self) -> dict[str, float]:
         """Standard uncertainty of each parameter by its dotted name."""
-        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        return dict(zip(self.names, self.budget.u.tolist(), strict=True))
+
+    def coverage_factors(self) -> dict[str, float]:
+        """What each standard uncertainty is multiplied with for an interval of 95 %."""
+        return dict(zip(self.names, self.budget.factors.tolist(), strict=True))
+
+    def suspects(self, doubt: float = 0.01) -> list[Attitude]:
+        """Positions that were further off than the stated jig allows, the worst first.
+
+        Parameters
+        ----------
+        doubt : float
+            Probability, over all positions together, of suspecting one of a jig that is as stated.
+        """
+        worst = [one for one in self.attitudes if one.p < doubt / len(self.attitudes)]
+        return sorted(worst, key=lambda one: one.chi_square, reverse=True)
 
 
 def estimate(observations: Sequence[Observation], design: Design) -> Estimate:
-    """Determine the coefficients from positions.
+    """Determine the coefficients of one sensor from positions.
 
     Parameters
     ----------
@@ -140,150 +153,245 @@ def estimate(observations: Sequence[Observation], design: Design) -> Estimate:
     ------
     EstimateError
         The positions leave coefficients undetermined (they are named), or a temperature is missing.
-
-    Notes
-    -----
-    Where the jig is stated, a position's variance is that of its mean plus jig² |g x S_i|²: a small turn of the
-    sensor moves the reading only by the part of S_i that is perpendicular to gravity. The variances of one channel
-    depend on its own sensitivities, so the weights are renewed with each step.
     """
-    gravity, dt = _conditions(observations, design)
-    mean = np.array([observation.mean for observation in observations])
-    noise = np.array([observation.u for observation in observations])
-    solved = [
-        _solve(design, channel, gravity, dt, mean[:, i], noise[:, i]) for i, channel in enumerate(design.channels)
-    ]
-    residuals = np.stack([mean[:, i] - fit.modelled for i, fit in enumerate(solved)], axis=1)
-    sigma = np.stack([fit.sigma for fit in solved], axis=1)
-    dof = residuals.size - sum(len(fit.theta) for fit in solved)
-    stated = design.jig is not None or dof == 0
-    scatter = np.full(len(mean), np.sqrt(np.sum(residuals**2) / dof)) if dof else np.zeros(len(mean))
-    covariance = _block_diagonal([_covariance(fit.jacobian, fit.sigma if stated else scatter) for fit in solved])
-    return Estimate(
-        coefficients=_coefficients(design, [fit.theta for fit in solved], dt),
-        names=tuple(name for channel in design.channels for name in design.parameters(channel)),
-        covariance=covariance,
-        residuals=residuals,
-        dof=dof,
-        chi_square=float(np.sum((residuals / sigma) ** 2)) if dof and np.all(sigma > 0) else None,
-        stated=stated,
+    return estimate_jointly([Sensor(design, observations)])[0]
+
+
+def estimate_jointly(sensors: Sequence[Sensor]) -> tuple[Estimate, ...]:
+    """Determine the coefficients of all sensors of a fixture: what one feels of its attitude the others know.
+
+    Parameters
+    ----------
+    sensors : sequence of Sensor
+        With the same jig, table and thermometer. Positions belong together by their names.
+
+    Returns
+    -------
+    tuple of Estimate
+        One a sensor, in their order.
+
+    Raises
+    ------
+    EstimateError
+        The positions leave coefficients undetermined (they are named), or a temperature is missing.
+    """
+    require_sound(sensors)
+    design = sensors[0].design
+    system = system_of(sensors)
+    if design.free:
+        return _free(sensors, system)
+    return _unstated(sensors, system) if design.jig is None else _stated(sensors, system)
+
+
+def _stated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
+    """All errors of the bench are unknowns, with what was stated of them."""
+    z = _settled(system, _first(system))
+    near = linear(system, z)
+    second = second_order(system, z, near.jacobian, near.gain, system.jig**2) if system.jig > 0 else None
+    budget = stated_budget(system, near, second)
+    residual = system.at(z).residual
+    if second is not None:
+        z = z.copy()
+        z[: system.coefficients] -= second.bias
+    dof = system.readings - int(np.sum(~system.fixed[: system.coefficients])) + _known_coefficients(system)
+    chi_square = float(residual @ residual) if dof else None
+    attitudes = _attitudes(sensors, system, z, near) if system.jig > 0 else ()
+    found = _Found(z, budget, dof, chi_square, True, notes=() if dof else (NO_FREEDOM,))
+    return _estimates(sensors, system, found, attitudes)
+
+
+def _unstated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
+    """Plain least squares; the residuals say the rest."""
+    plain = system.unweighted()
+    z = _first(plain)
+    near = linear(plain, z)
+    moving = int(np.sum(~plain.fixed[: plain.coefficients]))
+    dof = plain.readings - moving + _known_coefficients(plain)
+    if dof == 0:
+        exact = replace(system, jig=0.0)
+        budget = stated_budget(exact, linear(exact, np.append(z, np.zeros(exact.unknowns - len(z)))), None)
+        return _estimates(sensors, system, _Found(z, budget, 0, None, True, notes=(NO_FREEDOM,)))
+    levers = _levers(system, plain, z)
+    unit = plain.sigma
+    scatter = scatter_of(
+        plain.unexplained(z) / unit,
+        near.jacobian[: plain.readings],
+        levers.covariance / np.outer(unit, unit),
+        levers.attitude / unit[:, None],
     )
+    second = second_order(plain, z, near.jacobian, near.gain, scatter.jig) if scatter.jig > 0 else None
+    budget = scattered_budget(plain, near, levers, scatter, second)
+    notes = []
+    if scatter.exceeds:
+        notes.append(EXCEEDS)
+    if scatter.silent and np.any(np.abs(near.gain[: plain.coefficients, : plain.readings] @ levers.attitude) > 0.0):
+        notes.append(HELD)
+    residual = plain.unexplained(z) / system.sigma
+    found = _Found(z, budget, dof, float(residual @ residual), False, degrees(scatter.angle), tuple(notes))
+    return _estimates(sensors, system, found)
+
+
+def _free(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
+    """Directions that are only a first guess, gravity a unit vector, the gauge by an upper-triangular matrix."""
+    even = replace(system.unweighted(), jig=system.jig, thermometer=system.thermometer)
+    even, z = triangular_gauge(even, _first(replace(even, jig=0.0, thermometer=0.0)))
+    moving = int(np.sum(~even.fixed))
+    known = len(even.sources)
+    if even.readings + known < moving:
+        raise EstimateError(
+            f"{len(system.gravity)} free positions give {even.readings} readings for {moving} unknowns (two of each "
+            "position's direction among them): a sensor of three axes needs at least nine positions, well spread"
+        )
+    z = minimise(even.at, z, ~even.fixed)
+    near = linear(even, z)
+    names = [*even.names, *(f"direction {k}" for k in range(even.unknowns - even.coefficients))]
+    moves = ~even.fixed
+    mixed = undetermined(near.jacobian[:, moves], np.array(names)[moves].tolist())
+    if mixed:
+        raise EstimateError(
+            f"the {len(system.gravity)} free positions do not determine {', '.join(mixed[:4])}: add positions that are "
+            "spread over the whole sphere, each axis up and down among them"
+        )
+    dof = even.readings + known - moving
+    residual = even.at(z).residual
+    squares = float(residual @ residual)
+    stated = even.unexplained(z) / system.sigma
+    budget = scaled_budget(even, near, squares / dof, dof) if dof else stated_budget(even, near, None)
+    chi_square = float(stated @ stated) if dof else None
+    notes = (GAUGE,) if dof else (GAUGE, NO_FREEDOM)
+    return _estimates(sensors, even, _Found(z, budget, dof, chi_square, not dof, notes=notes))
 
 
 @dataclass(frozen=True)
-class _Fit:
-    """One channel's solution."""
+class _Found:
+    """A minimum and what is known of it, over all sensors."""
 
-    theta: Array
-    jacobian: Array
-    modelled: Array
-    sigma: Array
-
-
-def _covariance(jacobian: Array, sigma: Array) -> Array:
-    """Covariance of the parameters of one channel for observations with standard deviations ``sigma``."""
-    if not np.any(sigma > 0):
-        return np.zeros((jacobian.shape[1],) * 2)
-    weighted = jacobian / np.where(sigma > 0, sigma, sigma[sigma > 0].min())[:, None]
-    inverse = np.linalg.pinv(weighted)
-    return np.asarray(inverse @ inverse.T)
+    z: Array
+    budget: Budget
+    dof: int
+    chi_square: float | None
+    stated: bool
+    scatter_jig: float | None = None
+    notes: tuple[str, ...] = ()
 
 
-def _conditions(observations: Sequence[Observation], design: Design) -> tuple[Array, Array]:
-    """Gravity along the design's axes, and temperature from the reference."""
-    columns = [AXES.index(axis) for axis in design.axes]
-    gravity = np.array([observation.gravity for observation in observations]).reshape(-1, 3)[:, columns]
-    if not design.thermal:
-        return gravity, np.zeros(len(observations))
-    for observation in observations:
-        if observation.temperature is None:
-            raise EstimateError(f"position {observation.position}: a temperature is needed for the temperature terms")
-    return gravity, np.array([float(o.temperature or 0.0) for o in observations]) - design.reference
+def _first(system: System) -> Array:
+    """The coefficients with the attitudes as set: the answer for a perfect jig, the start for any other."""
+    set_right = replace(system, jig=0.0, thermometer=0.0)
+    z = set_right.start()
+    moving = ~set_right.fixed
+    lever = np.linalg.norm(set_right.at(z).jacobian, axis=0) > 0
+    # Gain and non-linearity have no lever before a sensitivity is known: they join in the second round.
+    z = minimise(set_right.at, z, moving & lever)
+    require_determined(set_right, z)
+    return minimise(set_right.at, z, moving)
 
 
-def _solve(design: Design, channel: str, gravity: Array, dt: Array, mean: Array, noise: Array) -> _Fit:
-    """Gauss-Newton for one channel."""
-    theta = np.zeros(len(design.parameters(channel)))
-    sigma = np.ones_like(noise)
-    for step in range(STEPS):
-        modelled, jacobian = _model(design, theta, gravity, dt)
-        if step == 0:
-            # Before the first step the gain has no lever, all sensitivities being zero: leave it for the second.
-            jacobian = jacobian[:, : len(theta) - design.gain]
-        else:
-            _require_determined(design, channel, jacobian)
-            sigma = _sigma(design, theta, gravity, noise)
-        weight = sigma if design.jig is not None and step > 0 else np.ones_like(sigma)
-        weight = np.where(weight > 0, weight, 1.0)
-        change = lstsq(jacobian / weight[:, None], (mean - modelled) / weight, rcond=None)[0]
-        theta[: len(change)] += change
-        if step > 0 and np.all(np.abs(change) <= 1e-13 * np.max(np.abs(theta), initial=1e-300)):
-            break
-    modelled, jacobian = _model(design, theta, gravity, dt)
-    return _Fit(theta, jacobian, modelled, sigma)
+def _settled(system: System, first: Array) -> Array:
+    """The minimum with all unknowns, from the one with the attitudes as set."""
+    z = np.zeros(system.unknowns)
+    z[: system.coefficients] = first[: system.coefficients]
+    z[system.lean] = first[system.coefficients :]
+    return minimise(system.at, z, ~system.fixed)
 
 
-def _model(design: Design, theta: Array, gravity: Array, dt: Array) -> tuple[Array, Array]:
-    """Readings of one channel and their derivatives by its parameters."""
-    axes, drift, gain = len(design.axes), design.drift, design.gain
-    powers = dt[:, None] ** np.arange(1, max(drift, gain) + 1)
-    signal = gravity @ theta[1 : 1 + axes]
-    scale = 1.0 + powers[:, :gain] @ theta[1 + axes + drift :]
-    modelled = theta[0] + powers[:, :drift] @ theta[1 + axes : 1 + axes + drift] + scale * signal
-    jacobian = np.hstack(
-        [np.ones((len(dt), 1)), scale[:, None] * gravity, powers[:, :drift], powers[:, :gain] * signal[:, None]]
-    )
-    return modelled, jacobian
+def _known_coefficients(system: System) -> int:
+    """How many coefficients have an equation of their own."""
+    return int(np.sum((system.prior_u > 0.0) & np.isfinite(system.prior_u)))
 
 
-def _sigma(design: Design, theta: Array, gravity: Array, noise: Array) -> Array:
-    """Standard deviation of each position's mean: noise, and the jig where it is stated."""
-    if not design.jig:
-        return noise
-    full = np.zeros((len(gravity), 3))
-    row = np.zeros(3)
-    for column, axis in enumerate(design.axes):
-        full[:, AXES.index(axis)] = gravity[:, column]
-        row[AXES.index(axis)] = theta[1 + column]
-    turned = np.linalg.norm(np.cross(full, row), axis=1)
-    return np.asarray(np.hypot(noise, radians(design.jig) * turned))
+def _levers(system: System, plain: System, z: Array) -> Levers:
+    """What noise, attitudes and temperatures do to the readings near a point that was found without them."""
+    attitude, _, _ = attitude_lever(plain, z)
+    warm = replace(system, jig=0.0)
+    z_warm = np.append(z, np.zeros(warm.unknowns - len(z)))
+    by_warmth = warm.at(z_warm).jacobian[: warm.readings, warm.warmth] * warm.sigma[:, None]
+    adc = np.concatenate([block.adc for block in system.blocks])
+    return Levers(system.sigma, adc, attitude, by_warmth * system.thermometer)
 
 
-def _require_determined(design: Design, channel: str, jacobian: Array) -> None:
-    """Refuse positions that leave a combination of coefficients free, and name it."""
-    names = design.parameters(channel)
-    size = np.linalg.norm(jacobian, axis=0)
-    unseen = [name for name, length in zip(names, size, strict=True) if length == 0.0]
-    if unseen:
-        raise EstimateError(f"no position says anything of {', '.join(unseen)}: add positions that excite it")
-    _, values, vectors = svd(jacobian / size, full_matrices=True)
-    rank = int(np.sum(values > UNDETERMINED * values[0]))
-    if rank == len(names):
-        return
-    mixed = [name for name, part in zip(names, vectors[rank], strict=True) if abs(part) > 0.1]
-    raise EstimateError(
-        f"the {len(jacobian)} positions cannot tell {' and '.join(mixed)} apart: "
-        "add a position in which they act differently"
+def _attitudes(sensors: Sequence[Sensor], system: System, z: Array, near: Linear) -> tuple[Attitude, ...]:
+    """Each position's turn, judged against the variance that its estimate has under the stated jig."""
+    from scipy.special import chdtrc
+
+    angles = system.angles(z)
+    turns = rotation_vectors(system.gravity, system.basis, angles)
+    names = list(dict.fromkeys(o.position for sensor in sensors for o in sensor.observations))
+    covariance = near.gain[system.attitudes] @ near.gain[system.attitudes].T
+    own = z[system.attitudes].reshape(-1, 2)
+    judged = []
+    for stand, angle in enumerate(own):
+        pair = slice(2 * stand, 2 * stand + 2)
+        values, vectors = np.linalg.eigh(system.jig**2 * np.eye(2) - covariance[pair, pair])
+        seen = values > 1e-6 * system.jig**2
+        squares = float(np.sum((vectors[:, seen].T @ angle) ** 2 / values[seen]))
+        count = int(np.sum(seen))
+        judged.append((squares, float(chdtrc(count, squares)) if count else 1.0))
+    return tuple(
+        Attitude(name, np.degrees(turn), *judged[stand])
+        for name, turn, stand in zip(names, turns, system.stands, strict=True)
     )
 
 
-def _block_diagonal(blocks: Sequence[Array]) -> Array:
-    size = sum(len(block) for block in blocks)
-    whole = np.zeros((size, size))
-    start = 0
-    for block in blocks:
-        whole[start : start + len(block), start : start + len(block)] = block
-        start += len(block)
-    return whole
+def _estimates(
+    sensors: Sequence[Sensor], system: System, found: _Found, attitudes: Sequence[Attitude] = ()
+) -> tuple[Estimate, ...]:
+    """The result of each sensor."""
+    from scipy.special import chdtrc
+
+    z = np.append(found.z, np.zeros(max(system.unknowns - len(found.z), 0)))
+    p = None if found.chi_square is None else float(chdtrc(found.dof, found.chi_square))
+    as_set = system.unexplained(z if sensors[0].design.free else _as_set(system, found.z))
+    remainders = system.unexplained(z) if len(found.z) == system.unknowns else as_set
+    estimates = []
+    row = 0
+    for number, sensor in enumerate(sensors):
+        mine = np.flatnonzero(system.sensors == number)
+        shape = (len(sensor.design.channels), len(sensor.observations))
+        rows = slice(row, row + shape[0] * shape[1])
+        row = rows.stop
+        here = {observation.position for observation in sensor.observations}
+        estimates.append(
+            Estimate(
+                coefficients=_coefficients(sensor, found.z[mine]),
+                names=sensor.design.names,
+                budget=found.budget.part(mine.tolist()),
+                positions=tuple(observation.position for observation in sensor.observations),
+                residuals=as_set[rows].reshape(shape).T,
+                remainders=remainders[rows].reshape(shape).T,
+                dof=found.dof,
+                chi_square=found.chi_square,
+                p=p,
+                stated=found.stated,
+                attitudes=tuple(one for one in attitudes if one.position in here),
+                scatter_jig=found.scatter_jig,
+                notes=found.notes,
+            )
+        )
+    return tuple(estimates)
 
 
-def _coefficients(design: Design, thetas: Sequence[Array], dt: Array) -> Coefficients:
-    table = np.array(thetas)
-    axes, drift = len(design.axes), design.drift
+def _as_set(system: System, z: Array) -> Array:
+    """The coefficients that were found, in a bench without errors."""
+    perfect = np.zeros(system.unknowns)
+    perfect[: system.coefficients] = z[: system.coefficients]
+    return perfect
+
+
+def _coefficients(sensor: Sensor, theta: Array) -> Coefficients:
+    design = sensor.design
+    table = theta.reshape(len(design.channels), -1)
+    split = [model.split(row) for model, row in zip(design.models, table, strict=True)]
+    sensitivity, drift, gain, bend = (np.array(part) for part in zip(*split, strict=True))
     thermal = None
     if design.thermal:
-        covered = (float(dt.min()) + design.reference, float(dt.max()) + design.reference)
-        thermal = Thermal(
-            design.reference, covered, table[:, 1 + axes : 1 + axes + drift], table[:, 1 + axes + drift :]
-        )
-    return Coefficients(design.channels, design.axes, table[:, 0], table[:, 1 : 1 + axes], thermal)
+        told = [observation.temperature for observation in sensor.observations if observation.temperature is not None]
+        thermal = Thermal(design.reference, (float(min(told)), float(max(told))), drift, gain)
+    return Coefficients(
+        channels=design.channels,
+        axes=design.axes,
+        offset=table[:, 0],
+        sensitivity=sensitivity,
+        thermal=thermal,
+        nonlinearity=bend if design.nonlinearity else None,
+    )

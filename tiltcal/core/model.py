@@ -2,10 +2,13 @@
 
 For channel i at temperature T, with dT = T - T_ref::
 
-    u_i = offset_i + drift_i(dT) + (1 + gain_i(dT)) * sum_j S_ij g_j + noise
+    u_i = offset_i + drift_i(dT) + (1 + gain_i(dT)) * bent_i(sum_j S_ij g_j) + noise
+    bent_i(s) = s + S_ii * (n_i2 (s / S_ii)² + n_i3 (s / S_ii)³)
 
 ``g`` is the unit vector that points UP in the sensor frame: what an ideal sensor at rest reads. Level is (0, 0, 1); an
-axis that points up reads +1 g. ``drift_i`` and ``gain_i`` are polynomials without a constant term.
+axis that points up reads +1 g. ``drift_i`` and ``gain_i`` are polynomials without a constant term. ``bent_i`` is the
+straight line ``s`` unless a procedure determined the non-linearity: ``S_ii`` is the channel's sensitivity to its own
+axis, so that the n are pure numbers.
 """
 
 from __future__ import annotations
@@ -72,6 +75,8 @@ class Coefficients:
         None where temperature was not measured.
     mounting : Mounting or None
         None where the application frame is the sensor frame.
+    nonlinearity : ndarray, shape (channels, order), or None
+        Column k multiplies the (k+2)-nd power of the acceleration along the channel's own axis; pure numbers.
     """
 
     channels: tuple[str, ...]
@@ -80,6 +85,7 @@ class Coefficients:
     sensitivity: Array
     thermal: Thermal | None = None
     mounting: Mounting | None = None
+    nonlinearity: Array | None = None
 
     def predict(self, gravity: Array, temperature: Array | None = None) -> Array:
         """Readings that the model expects.
@@ -97,13 +103,24 @@ class Coefficients:
             In the unit of the offset.
         """
         columns = [AXES.index(axis) for axis in self.axes]
-        signal: Array = np.asarray(gravity, dtype=float)[:, columns] @ self.sensitivity.T
+        signal = self._bent(np.asarray(gravity, dtype=float)[:, columns] @ self.sensitivity.T)
         if self.thermal is None or temperature is None:
             return self.offset + signal
         dt = np.asarray(temperature, dtype=float) - self.thermal.reference
         drift = polynomial(self.thermal.drift, dt)
         gain = polynomial(self.thermal.gain, dt)
         return self.offset + drift + (1.0 + gain) * signal
+
+    def _bent(self, signal: Array) -> Array:
+        """The signal of each channel, shape (n, channels), with its non-linearity."""
+        if self.nonlinearity is None:
+            return signal
+        bent = signal.copy()
+        for i, channel in enumerate(self.channels):
+            own = self.sensitivity[i, self.axes.index(channel)]
+            for power, share in enumerate(self.nonlinearity[i], start=2):
+                bent[:, i] += own * share * (signal[:, i] / own) ** power
+        return bent
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,12 @@ class Orientation:
         """Whether the sensor's frame is the fixture's."""
         return self.names == ("x", "y", "z")
 
+    @property
+    def matrix(self) -> tuple[Vector, Vector, Vector]:
+        """Rows: the sensor's axes in the fixture's frame; takes a vector of that frame to the sensor's."""
+        first, second, third = (_direction(name) for name in self.names)
+        return first, second, third
+
     def seen(self, vector: Vector) -> Vector:
         """A vector of the fixture's frame in the sensor's.
 
@@ -36,7 +42,7 @@ class Orientation:
         vector : tuple of float
             Such as gravity's direction.
         """
-        x, y, z = (sum(a * b for a, b in zip(_direction(name), vector, strict=True)) for name in self.names)
+        x, y, z = (sum(a * b for a, b in zip(row, vector, strict=True)) for row in self.matrix)
         return x, y, z
 
 

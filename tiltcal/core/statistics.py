@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import exp, fsum, pi, sqrt
+from math import exp, fsum, inf, pi, sqrt
 
 BLOCKS = 10
 """Number of blocks whose means show correlation that std/sqrt(n) does not see."""
@@ -25,20 +25,31 @@ class Summary:
         Number of samples.
     u : float
         Standard uncertainty of the mean (type A, and quantisation), same unit.
+    quantisation : float
+        The part of ``u`` that quantisation gives, same unit.
+    dof : float
+        Degrees of freedom of the rest, the noise; infinite where it is known.
     """
 
     mean: float
     std: float
     n: int
     u: float
+    quantisation: float = 0.0
+    dof: float = inf
+
+    @property
+    def noise(self) -> float:
+        """The part of ``u`` that noise gives (type A), same unit."""
+        return sqrt(max(self.u**2 - self.quantisation**2, 0.0))
 
 
 def summarise(samples: Sequence[float], resolution: float = 0.0) -> Summary:
     """Mean, standard deviation and the mean's standard uncertainty.
 
-    The uncertainty is the larger of std/sqrt(n) and what the scatter of ten block means says, because samples of a
-    real record are correlated. Quantisation is added: noise of half a step or more averages it out, a reading that
-    never changes is uncertain by step/sqrt(12).
+    The uncertainty is what the scatter of ten block means says, because samples of a real record are correlated and
+    std/sqrt(n) does not see it; fewer than twenty samples have no blocks, and std/sqrt(n) it is. Quantisation is added:
+    noise of half a step or more averages it out, a reading that never changes is uncertain by step/sqrt(12).
 
     Parameters
     ----------
@@ -50,7 +61,9 @@ def summarise(samples: Sequence[float], resolution: float = 0.0) -> Summary:
     n = len(samples)
     mean = fsum(samples) / n
     std = sqrt(fsum((sample - mean) ** 2 for sample in samples) / (n - 1)) if n > 1 else 0.0
-    return Summary(mean, std, n, sqrt(_type_a(samples, std) ** 2 + _quantisation(std, resolution) ** 2))
+    noise, dof = _type_a(samples, std)
+    step = _quantisation(std, resolution)
+    return Summary(mean, std, n, sqrt(noise**2 + step**2), step, dof)
 
 
 def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:
@@ -78,16 +91,15 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
 
 
-def _type_a(samples: Sequence[float], std: float) -> float:
+def _type_a(samples: Sequence[float], std: float) -> tuple[float, float]:
+    """Standard uncertainty of the mean from the samples' scatter, and its degrees of freedom."""
     n = len(samples)
     size = n // BLOCKS
-    white = std / sqrt(n)
     if size < 2:
-        return white
+        return std / sqrt(n), float(max(n - 1, 1))
     means = [fsum(samples[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
     centre = fsum(means) / BLOCKS
-    blocks = sqrt(fsum((mean - centre) ** 2 for mean in means) / (BLOCKS - 1) / BLOCKS)
-    return max(white, blocks)
+    return sqrt(fsum((mean - centre) ** 2 for mean in means) / (BLOCKS - 1) / BLOCKS), BLOCKS - 1.0
 
 
 def _quantisation(std: float, resolution: float) -> float:

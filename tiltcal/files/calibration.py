@@ -185,7 +185,7 @@ def _read_record(node: Node, name: str) -> Any:
 def _read_uncertainty(node: Node, coefficients: Coefficients) -> dict[str, Any]:
     """Numbers that are not negative, in the shape of the ``calibration`` section; any of them may be absent."""
     channels, axes = coefficients.channels, coefficients.axes
-    section = node.mapping(optional=("offset", "sensitivity", "temperature", "mounting", "covariance"))
+    section = node.mapping(optional=("offset", "sensitivity", "nonlinearity", "temperature", "mounting", "covariance"))
     uncertainty: dict[str, Any] = {}
     for name, value in section.items():
         if name == "offset":
@@ -193,6 +193,8 @@ def _read_uncertainty(node: Node, coefficients: Coefficients) -> dict[str, Any]:
         elif name == "sensitivity":
             rows = value.mapping(optional=channels)
             uncertainty[name] = {channel: _not_negative(row, axes) for channel, row in rows.items()}
+        elif name == "nonlinearity":
+            uncertainty[name] = read_polynomials(value, channels, minimum=0.0)
         elif name == "temperature":
             uncertainty[name] = _read_thermal_uncertainty(value, channels)
         elif name == "mounting":
@@ -269,6 +271,7 @@ def _comments(unit: str) -> dict[str, str]:
     return {
         "calibration.offset": f"{unit}, at the reference temperature",
         "calibration.sensitivity": f"{unit}/g, row = channel, column = axis",
+        "calibration.nonlinearity": "shares of the square and the cube of the own acceleration",
         "calibration.temperature.reference": "°C",
         "calibration.temperature.range": "°C",
         "calibration.temperature.offset": f"{unit}/°C, {unit}/°C², ...",

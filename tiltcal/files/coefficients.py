@@ -19,6 +19,12 @@ _SINGULAR = 1e-9
 """Smallest over largest singular value below which a sensitivity matrix has no inverse worth its name."""
 _ANGLE_DIGITS = 12
 
+NONLINEAR_TERMS = 2
+"""The square and the cube."""
+
+STEEP = 0.1
+"""Least slope of a bent characteristic relative to the straight one."""
+
 
 def read_coefficients(node: Node, channels: Sequence[str]) -> Coefficients:
     """The ``calibration`` section of a calibration file.
@@ -38,7 +44,7 @@ def read_coefficients(node: Node, channels: Sequence[str]) -> Coefficients:
     InputError
         A key or value is wrong, or the sensitivity matrix cannot be inverted.
     """
-    section = node.mapping(required=("offset", "sensitivity"), optional=("temperature", "mounting"))
+    section = node.mapping(required=("offset", "sensitivity"), optional=("nonlinearity", "temperature", "mounting"))
     offset = read_per_channel(section["offset"], channels)
     axes, sensitivity = _read_matrix(section["sensitivity"], channels)
     return Coefficients(
@@ -48,6 +54,7 @@ def read_coefficients(node: Node, channels: Sequence[str]) -> Coefficients:
         sensitivity=sensitivity,
         thermal=_read_thermal(section["temperature"], channels) if "temperature" in section else None,
         mounting=_read_mounting(section["mounting"]) if "mounting" in section else None,
+        nonlinearity=_read_nonlinearity(section["nonlinearity"], channels, axes) if "nonlinearity" in section else None,
     )
 
 
@@ -60,6 +67,8 @@ def write_coefficients(coefficients: Coefficients) -> dict[str, Any]:
             for channel, row in zip(coefficients.channels, coefficients.sensitivity.tolist(), strict=True)
         },
     }
+    if coefficients.nonlinearity is not None:
+        section["nonlinearity"] = _by_name(coefficients.channels, coefficients.nonlinearity.tolist())
     if coefficients.thermal is not None:
         section["temperature"] = _write_thermal(coefficients.thermal, coefficients.channels)
     if coefficients.mounting is not None:
@@ -158,6 +167,23 @@ def _write_thermal(thermal: Thermal, channels: Sequence[str]) -> dict[str, Any]:
         if table.shape[1]:
             section[name] = _by_name(channels, table.tolist())
     return section
+
+
+def _read_nonlinearity(node: Node, channels: Sequence[str], axes: Sequence[str]) -> Array:
+    """Shares of the square and the cube of each channel's own acceleration; a reading must have one angle."""
+    table = _padded(node, channels)
+    if table.shape[1] > NONLINEAR_TERMS:
+        raise node.error(f"a non-linearity has at most {NONLINEAR_TERMS} terms, the square and the cube")
+    if any(channel not in axes for channel in channels):
+        raise node.error("a non-linearity needs every channel's sensitivity to its own axis")
+    for channel, row in zip(channels, table, strict=True):
+        # The derivative 1 + 2 n2 a + 3 n3 a² is smallest at an end of the range or at its own turning point.
+        square, cube = np.pad(row, (0, NONLINEAR_TERMS - len(row)))
+        turning = -square / (3.0 * cube) if cube else 1.0
+        places = [-1.0, 1.0, *([turning] if abs(turning) < 1.0 else [])]
+        if min(1.0 + 2.0 * square * a + 3.0 * cube * a * a for a in places) < STEEP:
+            raise node.error(f"the non-linearity of {channel} is so large that one reading has several angles")
+    return table
 
 
 def _read_mounting(node: Node) -> Mounting:

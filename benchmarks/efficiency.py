@@ -1,0 +1,207 @@
+"""How near is the estimator to the Cramér-Rao bound, and how far are the simpler ways?
+
+    python benchmarks/efficiency.py [--noise 0.0005] [--calibrations 1200] [--seed 1] [--jobs 2]
+
+For every jig, number of positions and number of sensors: the bound over the mean square error (1 is the best there is),
+for offsets, main sensitivities and cross terms. ``*`` marks where the bound itself is out of reach of any estimator: an
+attitude's square moves the readings by more than a twentieth of the bound's variance, and the bound counts only first
+powers. Beside it, from the same readings: ordinary least squares with the angles as set, the six-face formula (half sum
+and half difference of opposite faces, as imucal has it), and unit gravity alone, whose cross terms are not comparable
+because its frame is its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import product
+from math import inf, nan, radians
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
+
+from tiltcal.core.design import Observation
+from tiltcal.core.estimate import Estimate, estimate_jointly
+from tiltcal.core.second_order import second_order
+from tiltcal.core.system import system_of
+from tiltcal.core.uncertainty import linear
+
+Array = NDArray[np.float64]
+
+JIGS, COUNTS, SENSORS = (0.0, 0.02, 0.5), (6, 12, 18, 26), (1, 6)
+
+OFFSET, OWN, CROSS = [0, 4, 8], [1, 6, 11], [2, 3, 5, 7, 9, 10]
+"""Places of the coefficients in their vector of twelve."""
+
+CLASSES = {"offset": OFFSET, "own": OWN, "cross": CROSS}
+
+REACH = 0.05
+"""The share of the bound's variance that second powers may add where the bound counts as attainable."""
+
+
+@dataclass(frozen=True)
+class Regime:
+    """One bench."""
+
+    jig: float
+    count: int
+    sensors: int
+    noise: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """Bound over mean square error by method and class, its Monte Carlo error for the estimator, and the attainable."""
+
+    ratio: Mapping[str, Mapping[str, float]]
+    error: Mapping[str, float]
+    attainable: Mapping[str, float]
+
+
+def simulate(regime: Regime, calibrations: int, seed: int) -> Result:
+    """Many calibrations of one bench."""
+    rng = np.random.default_rng([seed, round(100 * regime.jig), regime.count, regime.sensors])
+    plan = plan_of(regime.count, noise=regime.noise, jig=regime.jig)
+    squares: dict[str, list[Array]] = {}
+    bounds, beyond = [], []
+    for _ in range(max(calibrations // regime.sensors, 1)):
+        parts = [part(rng) for _ in range(regime.sensors)]
+        observations = measured(rng, plan, parts)
+        bound, second = bound_of(plan, parts)
+        bounds.append(bound)
+        beyond.append(second)
+        for method, errors in _errors(plan, parts, observations).items():
+            squares.setdefault(method, []).append(errors**2)
+    bound, second = np.mean(bounds, axis=(0, 1)), np.mean(beyond, axis=(0, 1))
+    ratio = {
+        method: {name: float(_ratio(bound, np.mean(found, axis=(0, 1)), rows)) for name, rows in CLASSES.items()}
+        for method, found in squares.items()
+    }
+    return Result(
+        ratio, _error(squares["joint"], bound), {n: _ratio(bound, bound + second, r) for n, r in CLASSES.items()}
+    )
+
+
+def bound_of(plan: Plan, parts: list[Part]) -> tuple[Array, Array]:
+    """The bound's variances at the truth, shape (sensors, 12), and what second powers of the attitudes add."""
+    exact = measured(np.random.default_rng(0), replace(plan, jig=0.0, noise=1e-12), parts)
+    stated = [[replace(one, u=np.full(3, plan.noise)) for one in sensor] for sensor in exact]
+    system = system_of(fixture(stated, design(plan, jig=plan.jig)))
+    z = np.zeros(system.unknowns)
+    z[: system.coefficients] = np.concatenate([one.truth for one in parts])
+    near = linear(system, z)
+    gain = near.gain[: system.coefficients]
+    variance = np.sum(gain**2, axis=1).reshape(len(parts), -1)
+    if plan.jig == 0.0:
+        return variance, np.zeros_like(variance)
+    second = second_order(system, z, near.jacobian, near.gain, radians(plan.jig) ** 2)
+    return variance, np.diag(second.covariance).reshape(len(parts), -1)
+
+
+def _errors(plan: Plan, parts: list[Part], observations: list[list[Observation]]) -> dict[str, Array]:
+    """Errors of each method, shape (sensors, 12); NaN where it says nothing."""
+    truth = np.array([one.truth for one in parts])
+    stated = estimate_jointly(fixture(observations, design(plan, jig=plan.jig)))
+    plain = estimate_jointly(fixture(observations, design(plan, jig=None)))
+    errors = {"joint": _vectors(stated) - truth, "least squares": _vectors(plain) - truth}
+    errors["six faces"] = np.array([_six_faces(one) for one in observations]) - truth
+    free = np.full_like(truth, nan)
+    if len(plan.gravity) > 9:
+        found = _vectors(estimate_jointly(fixture(observations, design(plan, jig=inf))))
+        free[:, OFFSET] = found[:, OFFSET] - truth[:, OFFSET]
+        # Without a frame of its own only the length of a row is comparable.
+        free[:, OWN] = _lengths(found) - _lengths(truth)
+    errors["unit gravity"] = free
+    return errors
+
+
+def _vectors(found: tuple[Estimate, ...]) -> Array:
+    return np.array(
+        [np.hstack([one.coefficients.offset[:, None], one.coefficients.sensitivity]).ravel() for one in found]
+    )
+
+
+def _lengths(vectors: Array) -> Array:
+    return np.asarray(np.linalg.norm(vectors.reshape(-1, 3, 4)[:, :, 1:], axis=2))
+
+
+def _six_faces(observations: list[Observation]) -> Array:
+    """Half sums and half differences of opposite faces."""
+    by_face = {tuple(one.gravity): one.mean for one in observations}
+    if not all(tuple(face) in by_face for face in FACES):
+        return np.full(12, nan)
+    up, down = (np.array([by_face[tuple(face)] for face in FACES[start::2]]) for start in (0, 1))
+    return np.hstack([np.diag((up + down) / 2)[:, None], (up - down).T / 2]).ravel()
+
+
+def _ratio(bound: Array, squares: Array, rows: list[int]) -> float:
+    return float(np.sum(bound[rows]) / np.sum(squares[rows]))
+
+
+def _error(squares: list[Array], bound: Array) -> dict[str, float]:
+    """Standard deviation of the estimator's ratio, from the scatter over sessions."""
+    table = np.mean(squares, axis=1)
+    found = {}
+    for name, rows in CLASSES.items():
+        sums = table[:, rows].sum(axis=1)
+        found[name] = float(np.sum(bound[rows]) / sums.mean() * sums.std(ddof=1) / sums.mean() / np.sqrt(len(sums)))
+    return found
+
+
+def table(results: Mapping[Regime, Result]) -> list[str]:
+    """A line for each regime."""
+    methods = ("joint", "least squares", "six faces", "unit gravity")
+    head = "jig °  positions  sensors  " + "  ".join(f"{method:^26}" for method in methods)
+    lines = [head, " " * 27 + "  ".join("  offset      own    cross " for _ in methods)]
+    for regime, result in results.items():
+        cells = []
+        for method in methods:
+            for name in CLASSES:
+                value = result.ratio[method][name]
+                told = "    -    " if np.isnan(value) else f"{value:6.3f}   "
+                if method == "joint":
+                    told = f"{value:5.2f}±{result.error[name]:.2f}".replace("±0.", "±.")
+                    told += "*" if result.attainable[name] < 1 - REACH else " "
+                cells.append(told)
+        lines.append(f"{regime.jig:5.2f}  {regime.count:9}  {regime.sensors:7}  " + "".join(cells))
+    return lines
+
+
+def below(results: Mapping[Regime, Result]) -> list[str]:
+    """Where the estimator is below 0.95 by more than twice the Monte Carlo error, and the bound is attainable."""
+    return [
+        f"{regime}: {name} {result.ratio['joint'][name]:.3f}"
+        for regime, result in results.items()
+        for name in CLASSES
+        if result.attainable[name] >= 1 - REACH and result.ratio["joint"][name] + 2 * result.error[name] < 1 - REACH
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--noise", type=float, default=5e-4, help="of a position's mean, g")
+    parser.add_argument("--calibrations", type=int, default=1200, help="for each bench")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    regimes = [Regime(*one, options.noise) for one in product(JIGS, COUNTS, SENSORS)]
+    with ProcessPoolExecutor(options.jobs) as pool:
+        futures = [pool.submit(simulate, regime, options.calibrations, options.seed) for regime in regimes]
+        results = {regime: future.result() for regime, future in zip(regimes, futures, strict=True)}
+    print(f"Cramér-Rao bound over mean square error, noise {1e3 * options.noise:g} mg a position")
+    print("\n".join(table(results)))
+    failing = below(results)
+    print("\n".join(failing) if failing else "nowhere below 0.95 where the bound is attainable")
+    return 1 if failing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

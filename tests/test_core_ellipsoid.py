@@ -1,0 +1,111 @@
+"""The ellipsoid of a three-axis sensor at rest: unit gravity with the attitudes eliminated."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from tiltcal.core.ellipsoid import count_distinct, fit_ellipsoid, misfits
+from tiltcal.errors import EstimateError
+
+OFFSET = np.array([0.3, -0.2, 0.1])
+SENSITIVITY = np.array([[9.9, 0.05, -0.08], [0.0, 9.7, 0.12], [0.0, 0.0, 10.1]])
+
+
+def attitudes(n: int, seed: int = 1) -> NDArray[np.float64]:
+    """Directions all over the sphere."""
+    return np.asarray(Rotation.random(n, random_state=seed).as_matrix()[:, :, 2])
+
+
+def readings(up: NDArray[np.float64], noise: float = 0.0, seed: int = 2) -> NDArray[np.float64]:
+    return up @ SENSITIVITY.T + OFFSET + noise * np.random.default_rng(seed).normal(size=up.shape)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), n=st.integers(14, 40))
+def test_without_noise_it_is_exact(seed: int, n: int) -> None:
+    up = attitudes(n, seed)
+    found = fit_ellipsoid(readings(up), np.zeros((n, 3)))
+    assert found.offset == pytest.approx(OFFSET, abs=1e-8)
+    assert found.sensitivity == pytest.approx(SENSITIVITY, abs=1e-8)
+    assert found.attitudes == pytest.approx(up, abs=1e-8)
+
+
+def test_a_turn_of_all_attitudes_changes_nothing() -> None:
+    up, noise = attitudes(20), np.random.default_rng(3).normal(size=(20, 3)) * 1e-3
+    turn = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
+    plain = fit_ellipsoid(up @ SENSITIVITY.T + OFFSET + noise, np.zeros((20, 3)))
+    turned = fit_ellipsoid((up @ turn.T) @ (SENSITIVITY @ turn.T).T + OFFSET + noise, np.zeros((20, 3)))
+    assert turned.offset == pytest.approx(plain.offset, abs=1e-9)
+    assert turned.sensitivity == pytest.approx(plain.sensitivity, abs=1e-9)
+
+
+def test_it_is_the_minimum_that_scipy_finds() -> None:
+    mean = readings(attitudes(18), noise=0.02)
+
+    def lengths_less_one(theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        inverse = np.array([[theta[0], theta[1], theta[2]], [0, theta[3], theta[4]], [0, 0, theta[5]]])
+        return np.asarray(np.linalg.norm((mean - theta[6:]) @ inverse.T, axis=1) - 1.0)
+
+    start = [0.1, 0, 0, 0.1, 0, 0.1, 0, 0, 0]
+    peer = least_squares(lengths_less_one, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
+    found = fit_ellipsoid(mean, np.full((18, 3), 0.02))
+    assert found.misfit == pytest.approx(peer.fun, abs=1e-7)
+    assert found.offset == pytest.approx(peer.x[6:], abs=1e-6)
+    # Its average uncertainty for misfits of 1 g, from the peer's Jacobian by offsets in units of the sensitivity.
+    covariance = np.linalg.inv(peer.jac.T @ peer.jac)
+    offsets = np.sqrt(np.diag(covariance)[6:]) / np.mean(np.diag(found.sensitivity))
+    assert 0.3 * offsets.min() < found.spread < 3.0 * offsets.max()
+
+
+def test_nine_attitudes_fit_perfectly_and_are_worth_nothing() -> None:
+    found = fit_ellipsoid(readings(attitudes(9, 5), noise=0.05), np.full((9, 3), 0.05))
+    assert found.rms < 1e-9
+    assert found.expanded == inf
+
+
+def test_attitudes_taken_again_do_not_count_twice() -> None:
+    up = np.repeat(attitudes(9, 5), 3, axis=0)
+    found = fit_ellipsoid(readings(up, noise=0.001), np.full((27, 3), 0.001))
+    assert found.distinct == 9
+    assert found.expanded == inf
+
+
+def test_misfits_below_the_noise_are_luck() -> None:
+    found = fit_ellipsoid(readings(attitudes(12), noise=0.001), np.full((12, 3), 0.1))
+    assert found.rms < 0.001
+    # 0.1 of about 9.9 per g
+    assert found.scatter == pytest.approx(0.0101, rel=0.05)
+
+
+def test_count_distinct() -> None:
+    angles = np.radians([0.0, 3.0, 6.0, 90.0])
+    near = np.stack([np.zeros(4), np.sin(angles), np.cos(angles)], axis=1)
+    assert count_distinct(near) == 3
+
+
+def test_misfits_of_known_lengths() -> None:
+    up = attitudes(4) * np.array([[1.0], [1.01], [0.98], [1.0]])
+    assert misfits(readings(up), OFFSET, SENSITIVITY) == pytest.approx([0.0, 0.01, -0.02, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "up",
+    [
+        attitudes(8),
+        np.repeat([[0.0, 0.0, 1.0]], 12, axis=0),
+        # A circle lies on many ellipsoids.
+        np.stack([np.cos(np.arange(20)), np.sin(np.arange(20)), np.zeros(20)], axis=1),
+    ],
+    ids=["too few", "one attitude", "one plane"],
+)
+def test_refused(up: NDArray[np.float64]) -> None:
+    with pytest.raises(EstimateError):
+        fit_ellipsoid(readings(up), np.zeros_like(up))

@@ -1,0 +1,137 @@
+"""Where the uncertainty of each coefficient comes from, and what it is multiplied with for an interval of 95 %.
+
+Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2, 5.1 and annex G (Welch-Satterthwaite).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiltcal.core.model import Array
+
+COVERAGE = 0.95
+"""Probability that a stated interval contains the truth."""
+
+NEGLIGIBLE = 1e-3
+"""A part of a variance below this changes no factor that anyone would see."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Covariance of quantities, and its sources.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (k, k)
+    variance : mapping of str to ndarray, shape (k,)
+        By source; their sum is the diagonal of the covariance.
+    dof : ndarray, shape (k,)
+        Effective degrees of freedom; infinite where nothing was estimated from a scatter.
+    explained : ndarray, shape (k,), or None
+        The part of each variance that is in the very residuals that it was estimated from; None for nothing.
+    """
+
+    covariance: Array
+    variance: Mapping[str, Array]
+    dof: Array
+    explained: Array | None = None
+
+    @property
+    def factors(self) -> Array:
+        """What each standard uncertainty is multiplied with for an interval of 95 %, shape (k,)."""
+        return coverage_factor(self.dof, self.explained)
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainties, shape (k,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def shares(self) -> dict[str, Array]:
+        """The part of each variance that comes from each source, shape (k,) each."""
+        total = np.diag(self.covariance)
+        safe = np.where(total > 0.0, total, 1.0)
+        return {source: variance / safe for source, variance in self.variance.items()}
+
+    def part(self, chosen: Sequence[int]) -> Budget:
+        """The budget of some of the quantities."""
+        rows = np.asarray(chosen, dtype=np.intp)
+        return Budget(
+            self.covariance[np.ix_(rows, rows)],
+            {source: variance[rows] for source, variance in self.variance.items()},
+            self.dof[rows],
+            None if self.explained is None else self.explained[rows],
+        )
+
+
+def coverage_factor(dof: Array, explained: Array | None = None) -> Array:
+    """What a standard uncertainty is multiplied with for an interval of 95 %.
+
+    Parameters
+    ----------
+    dof : ndarray, shape (k,)
+        Effective degrees of freedom.
+    explained : ndarray, shape (k,), optional
+        The part of each variance that is in the residuals that it was estimated from.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        Student's t, 1.96 where ``dof`` is infinite. Less where a part is explained: least squares that does not weigh
+        its positions leaves residuals that follow its error, so that a great error comes with a great uncertainty.
+    """
+    from scipy.special import ndtri, stdtrit
+
+    upper = 0.5 + COVERAGE / 2.0
+    known = ~np.isfinite(dof)
+    factor = np.where(known, ndtri(upper), stdtrit(np.where(known, 1.0, np.maximum(dof, 1.0)), upper))
+    if explained is not None:
+        for k in np.flatnonzero((explained > NEGLIGIBLE) & (dof > 2.0) & ~known):
+            factor[k] = _shared_factor(float(dof[k]), float(min(explained[k], 1.0 - NEGLIGIBLE)), float(factor[k]))
+    return np.asarray(factor)
+
+
+def _shared_factor(dof: float, explained: float, highest: float) -> float:
+    """The factor where a part of the error is among the ``dof`` residuals that say its size.
+
+    With a share r² explained, error and estimate are ``r z + sqrt(1 - r²) w`` and ``(z² + rest) / dof``, where z, w and
+    the rest's components are standard normal. The cosine c between the residuals and z has the density
+    (1 - c²)^((dof - 3) / 2); given c, what is left is Student's t.
+    """
+    from scipy.special import stdtr
+
+    angle = np.linspace(0.0, np.pi, 402)[1:-1]
+    weight = np.sin(angle) ** (dof - 2.0)
+    shift = np.sqrt(explained * dof) * np.cos(angle)
+    width = np.sqrt(1.0 - explained)
+    low, high = 0.0, highest
+    for _ in range(60):
+        factor = (low + high) / 2.0
+        inside = stdtr(dof, (factor - shift) / width) - stdtr(dof, (-factor - shift) / width)
+        low, high = (low, factor) if weight @ inside >= COVERAGE * weight.sum() else (factor, high)
+    return high
+
+
+def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float]]) -> Array:
+    """Effective degrees of freedom of a sum of variances (GUM, eq. G.2b).
+
+    Parameters
+    ----------
+    variance : ndarray, shape (k,)
+        The sums.
+    parts : sequence of (ndarray of shape (k,), float)
+        The parts that were estimated, each with its degrees of freedom.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        Infinite where no part was estimated.
+    """
+    doubt = np.zeros_like(variance)
+    for part, dof in parts:
+        if np.isfinite(dof):
+            doubt += part**2 / dof
+    return np.asarray(np.where(doubt > 0.0, variance**2 / np.where(doubt > 0.0, doubt, 1.0), np.inf))

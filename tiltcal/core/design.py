@@ -1,0 +1,181 @@
+"""What is measured and what is asked: positions with their mean readings, and the coefficients to determine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import inf
+
+from tiltcal.core.channel import Channel
+from tiltcal.core.model import Array
+from tiltcal.errors import EstimateError
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The mean reading in one position.
+
+    Attributes
+    ----------
+    position : str
+    gravity : ndarray, shape (3,)
+        Up in the sensor frame as set, g.
+    mean : ndarray, shape (channels,)
+        In the sensor's unit.
+    u : ndarray, shape (channels,)
+        Standard uncertainty of the mean from noise and quantisation, same unit.
+    temperature : float or None
+        °C.
+    heading : float or None
+        How far the fixture is turned about the vertical, degrees.
+    held : bool
+        The fixture stands as it stood in the position before: it has the same attitude error.
+    dof : ndarray, shape (channels,), or None
+        Degrees of freedom of the noise's part of ``u``; None where it is known.
+    adc : ndarray, shape (channels,), or None
+        The part of ``u`` that quantisation gives; None for nothing.
+    """
+
+    position: str
+    gravity: Array
+    mean: Array
+    u: Array
+    temperature: float | None = None
+    heading: float | None = None
+    held: bool = False
+    dof: Array | None = None
+    adc: Array | None = None
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a coefficient before anything is measured.
+
+    Attributes
+    ----------
+    value : float
+    u : float
+        Standard uncertainty, same unit; 0 holds the coefficient at the value.
+    """
+
+    value: float
+    u: float = 0.0
+
+
+@dataclass(frozen=True)
+class Design:
+    """Which coefficients are to be determined, and how well the bench sets what it sets.
+
+    Attributes
+    ----------
+    channels : tuple of str
+    axes : tuple of str
+        Columns of the sensitivity matrix.
+    drift, gain : int
+        Orders of the temperature polynomials; 0 leaves them out.
+    reference : float
+        Reference temperature, °C; used where an order is above 0.
+    jig : float or None
+        Standard uncertainty of each set angle, degrees, normal and per axis. None: not stated, all positions count the
+        same and their scatter says how uncertain they are. Infinite: the directions are only a first guess, and unit
+        gravity alone determines the coefficients.
+    table : float or None
+        Standard uncertainty of the table's lean, degrees per axis; None where nothing is known of it. It matters where
+        positions differ in heading.
+    thermometer : float
+        Standard uncertainty of each temperature, °C.
+    nonlinearity : int
+        0 for a straight line, 1 for a square, 2 for a square and a cube.
+    priors : mapping of str to Prior
+        By the coefficient's dotted name.
+    """
+
+    channels: tuple[str, ...]
+    axes: tuple[str, ...]
+    drift: int = 0
+    gain: int = 0
+    reference: float = 0.0
+    jig: float | None = None
+    table: float | None = None
+    thermometer: float = 0.0
+    nonlinearity: int = 0
+    priors: Mapping[str, Prior] = field(default_factory=dict)
+
+    @property
+    def thermal(self) -> bool:
+        """Whether temperature terms are asked for."""
+        return bool(self.drift or self.gain)
+
+    @property
+    def free(self) -> bool:
+        """Whether the directions of gravity are unknown."""
+        return self.jig == inf
+
+    @property
+    def models(self) -> tuple[Channel, ...]:
+        """The model of each channel."""
+        return tuple(Channel(name, self.axes, self.drift, self.gain, self.nonlinearity) for name in self.channels)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Dotted names of all coefficients, channel by channel."""
+        return tuple(name for model in self.models for name in model.coefficients)
+
+    def parameters(self, channel: str) -> list[str]:
+        """Dotted names of one channel's coefficients, in the order of the parameter vector."""
+        return list(self.models[self.channels.index(channel)].coefficients)
+
+
+STRAIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One sensor of a fixture.
+
+    Attributes
+    ----------
+    design : Design
+    observations : sequence of Observation
+        Positions are common to the sensors of a fixture by their names, which are unique.
+    orientation : sequence of sequence of float
+        3 by 3; takes a vector of the fixture's frame to the sensor's.
+    """
+
+    design: Design
+    observations: Sequence[Observation]
+    orientation: Sequence[Sequence[float]] = STRAIGHT
+
+
+def require_sound(sensors: Sequence[Sensor]) -> None:
+    """Refuse sensors that do not belong on one fixture, and designs that contradict themselves.
+
+    Raises
+    ------
+    EstimateError
+        Nothing to estimate from, a missing temperature, a position twice, benches that differ, a channel whose
+        non-linearity has no own axis.
+    """
+    if not sensors:
+        raise EstimateError("no sensor, nothing to estimate")
+    first = sensors[0].design
+    for sensor in sensors:
+        design = sensor.design
+        if not sensor.observations:
+            raise EstimateError("no position was measured: measure the procedure's positions first")
+        if (design.jig, design.table, design.thermometer) != (first.jig, first.table, first.thermometer):
+            raise EstimateError("the sensors of one fixture share its jig, its table and its thermometer")
+        names = [observation.position for observation in sensor.observations]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise EstimateError(f"position {twice} is there twice: name each one differently")
+        if design.nonlinearity and not set(design.channels) <= set(design.axes):
+            raise EstimateError("a non-linearity is counted along each channel's own axis: determine that axis too")
+        for observation in sensor.observations:
+            if design.thermal and observation.temperature is None:
+                raise EstimateError(
+                    f"position {observation.position}: a temperature is needed for the temperature terms"
+                )
+        strange = sorted(set(design.priors) - set(design.names))
+        if strange:
+            raise EstimateError(f"a prior names {strange[0]}, which is no coefficient of this design")

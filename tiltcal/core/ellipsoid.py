@@ -1,0 +1,194 @@
+"""The ellipsoid on which the readings of a three-axis sensor at rest lie, whatever way it is held.
+
+With |g| = 1 the attitudes drop out of the model of :mod:`tiltcal.core.model`, and each position leaves one number, by
+how much the length of gravity is missed::
+
+    misfit_n = |S^-1 (u_n - offset)| - 1
+
+``S`` is upper triangular: a turn of all attitudes together changes no length. This is the estimator's unit-gravity fit
+with the attitudes eliminated: nine unknowns instead of nine and two a position. It is quick enough to judge many
+choices of positions; the estimator has the last word.
+
+Source: D. Tedaldi, A. Pretto, E. Menegatti, *A robust and easy to implement method for IMU calibration without external
+equipments* (2014), which minimises the same misfits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, inf, radians, sqrt
+
+import numpy as np
+
+from tiltcal.core.budget import coverage_factor
+from tiltcal.core.free import directions_from_readings
+from tiltcal.core.model import Array
+from tiltcal.errors import EstimateError
+
+APART = 5.0
+"""Attitudes closer than this are one attitude taken again, degrees."""
+
+STEPS = 50
+"""Most Gauss-Newton steps; from the algebraic fit it takes three to five."""
+
+_UPPER = tuple((row, column) for row in range(3) for column in range(row, 3))
+UNKNOWNS = 3 + len(_UPPER)
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """An ellipsoid through readings.
+
+    Attributes
+    ----------
+    offset : ndarray, shape (3,)
+        Its centre, unit.
+    sensitivity : ndarray, shape (3, 3)
+        Upper triangular, unit/g.
+    attitudes : ndarray, shape (n, 3)
+        Unit vectors that point up, one for each reading.
+    misfit : ndarray, shape (n,)
+        By how much each length of gravity differs from 1, g.
+    noise : float
+        Root mean square of the misfits that the uncertainties of the readings explain, g.
+    spread : float
+        Standard uncertainty of the nine unknowns on average, for misfits of 1 g, in units of the sensitivity.
+    """
+
+    offset: Array
+    sensitivity: Array
+    attitudes: Array
+    misfit: Array
+    noise: float
+    spread: float
+
+    @property
+    def distinct(self) -> int:
+        """How many attitudes there are that differ from each other by at least :data:`APART`."""
+        return count_distinct(self.attitudes)
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean squared misfit, g."""
+        return float(np.sqrt(np.mean(self.misfit**2)))
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of a misfit, g: from what is left over, and never less than the noise.
+
+        Misfits below the noise are luck, or too few positions.
+        """
+        dof = len(self.misfit) - UNKNOWNS
+        return max(self.noise, sqrt(float(np.sum(self.misfit**2)) / dof)) if dof > 0 else inf
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty (95 %) of the nine unknowns on average, in units of the sensitivity.
+
+        Infinite unless there are more distinct attitudes than unknowns: nine fit anything.
+        """
+        if self.distinct <= UNKNOWNS:
+            return inf
+        student = float(coverage_factor(np.array([float(len(self.misfit) - UNKNOWNS)]))[0])
+        return student * self.scatter * self.spread
+
+
+def count_distinct(attitudes: Array) -> int:
+    """How many attitudes differ by at least :data:`APART` from each one that was counted before.
+
+    Parameters
+    ----------
+    attitudes : ndarray, shape (n, 3)
+        Unit vectors.
+    """
+    kept: list[Array] = []
+    for attitude in attitudes:
+        if all(float(attitude @ other) < cos(radians(APART)) for other in kept):
+            kept.append(attitude)
+    return len(kept)
+
+
+def misfits(mean: Array, offset: Array, sensitivity: Array) -> Array:
+    """By how much the length of gravity that readings show differs from 1, g.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (n, 3)
+        Readings, unit.
+    offset : ndarray, shape (3,)
+        Unit.
+    sensitivity : ndarray, shape (3, 3)
+        Unit/g.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return np.asarray(np.linalg.norm((mean - offset) @ np.linalg.inv(sensitivity).T, axis=1) - 1.0)
+
+
+def fit_ellipsoid(mean: Array, u: Array) -> Ellipsoid:
+    """The ellipsoid nearest to mean readings, all of them counting the same.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (n, 3)
+        Mean readings of three channels in n positions, unit.
+    u : ndarray, shape (n, 3)
+        Their standard uncertainties, same unit.
+
+    Returns
+    -------
+    Ellipsoid
+
+    Raises
+    ------
+    EstimateError
+        The readings are fewer than nine, or lie on no ellipsoid.
+    """
+    offset, sensitivity = _start(mean)
+    for _ in range(STEPS):
+        gravity, length, lever = _seen(mean, offset, sensitivity)
+        jacobian = _jacobian(gravity, lever)
+        # All unknowns are counted in units of the first sensitivity, so that they are of one size.
+        size = sensitivity[0, 0]
+        change = np.linalg.lstsq(jacobian * size, 1.0 - length, rcond=None)[0] * size
+        offset = offset + change[:3]
+        sensitivity = sensitivity.copy()
+        for place, step in zip(_UPPER, change[3:], strict=True):
+            sensitivity[place] += step
+        if not np.all(np.isfinite(change)) or np.any(np.diag(sensitivity) <= 0.0):
+            raise EstimateError("the readings lie on no ellipsoid: hold the sensor in attitudes that point every way")
+        if np.max(np.abs(change)) <= 1e-12 * size:
+            break
+    gravity, length, lever = _seen(mean, offset, sensitivity)
+    inverse = np.linalg.pinv(_jacobian(gravity, lever) * float(np.mean(np.diag(sensitivity))))
+    return Ellipsoid(
+        offset=offset,
+        sensitivity=sensitivity,
+        attitudes=gravity / length[:, None],
+        misfit=length - 1.0,
+        noise=float(np.sqrt(np.mean(np.sum((lever * u) ** 2, axis=1)))),
+        spread=float(np.sqrt(np.mean(np.sum(inverse**2, axis=1)))),
+    )
+
+
+def _start(mean: Array) -> tuple[Array, Array]:
+    """Offset and sensitivity by linear least squares against the algebraic fit's directions."""
+    directions = directions_from_readings(mean)
+    table = np.linalg.lstsq(np.hstack([np.ones((len(mean), 1)), directions]), mean, rcond=None)[0]
+    return table[0], np.triu(table[1:].T)
+
+
+def _seen(mean: Array, offset: Array, sensitivity: Array) -> tuple[Array, Array, Array]:
+    """Gravity as the ellipsoid sees it, its length, and how the length answers to each channel's reading."""
+    inverse = np.linalg.inv(sensitivity)
+    gravity: Array = (mean - offset) @ inverse.T
+    length: Array = np.linalg.norm(gravity, axis=1)
+    lever: Array = (gravity / length[:, None]) @ inverse
+    return gravity, length, lever
+
+
+def _jacobian(gravity: Array, lever: Array) -> Array:
+    """Derivatives of the lengths by offset and S."""
+    return np.hstack([-lever, np.stack([-lever[:, row] * gravity[:, column] for row, column in _UPPER], axis=1)])

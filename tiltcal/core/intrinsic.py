@@ -1,0 +1,175 @@
+"""What belongs to a sensor itself, and what to the way it was mounted.
+
+The sensitivity matrix is separated by an RQ decomposition, ``S = U R``: ``R`` is the rotation from the frame in which
+the positions were set to the sensor's own, ``U`` is upper triangular with a positive diagonal, so that the sensor's
+own z axis is along its z channel's sensitive direction and its y axis in the plane of y and z. A turn of the sensor
+changes R and nothing else. Nine numbers do not change with the mounting: the three offsets, the lengths of the rows of
+S (how much each channel reads at 1 g along its sensitive direction) and the three angles between those directions.
+
+(A polar decomposition would put the sensor's axes as near to all three sensitive directions as can be; it is the
+triangular form that unit gravity alone determines.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import degrees
+
+import numpy as np
+
+from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.mounting import mounting_angles
+from tiltcal.core.propagation import propagated, vector_of, with_vector
+from tiltcal.errors import EstimateError
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its standard uncertainty, in the same unit.
+
+    Attributes
+    ----------
+    value, u : float
+    """
+
+    value: float
+    u: float
+
+
+@dataclass(frozen=True)
+class Intrinsic:
+    """A sensor of three channels, apart from its mounting.
+
+    Attributes
+    ----------
+    offset : dict of str to Quantity
+        Per channel, unit.
+    sensitivity : dict of str to Quantity
+        Per channel, along its own sensitive direction, unit/g.
+    angle : dict of str to Quantity
+        Between the sensitive directions of two channels, ``xy``, ``xz``, ``yz``, degrees.
+    triangular : ndarray, shape (3, 3)
+        U, unit/g.
+    rotation : ndarray, shape (3, 3)
+        R.
+    mounting : dict of str to Quantity
+        Roll, pitch and yaw of R, degrees. Empty where the positions were free and R means nothing.
+    gimbal_lock : bool
+        At a pitch of ±90°, where only roll and yaw together are determined.
+    """
+
+    offset: dict[str, Quantity]
+    sensitivity: dict[str, Quantity]
+    angle: dict[str, Quantity]
+    triangular: Array
+    rotation: Array
+    mounting: dict[str, Quantity]
+    gimbal_lock: bool
+
+
+def intrinsic(
+    coefficients: Coefficients, names: Sequence[str], covariance: Array, *, mounted: bool = True
+) -> Intrinsic:
+    """Separate a calibration into the sensor and its mounting.
+
+    Parameters
+    ----------
+    coefficients : Coefficients
+        Of three channels over three axes.
+    names : sequence of str
+        Dotted names of the uncertain coefficients.
+    covariance : ndarray, shape (k, k)
+    mounted : bool
+        False where the positions were free: the rotation is then a choice and no finding.
+
+    Raises
+    ------
+    EstimateError
+        Fewer than three channels or axes, or channels that form a left-handed frame.
+    """
+    if len(coefficients.channels) != 3 or set(coefficients.axes) != set(AXES):
+        raise EstimateError("a sensor is separated from its mounting where it has three channels over three axes")
+    channels = coefficients.channels
+    triangular, rotation = separated(_matrix(coefficients))
+
+    def numbers(vector: Array) -> Array:
+        moved = with_vector(coefficients, names, vector)
+        matrix = _matrix(moved)
+        return np.concatenate([moved.offset, _lengths(matrix), _angles(matrix)])
+
+    vector = vector_of(coefficients, names)
+    values, u = numbers(vector), propagated(numbers, vector, covariance)
+    found = [Quantity(float(value), float(doubt)) for value, doubt in zip(values, u, strict=True)]
+    pairs = [first + second for first, second in combinations(channels, 2)]
+    angles = mounting_angles(rotation)
+    turned = (angles.mounting.roll, angles.mounting.pitch, angles.mounting.yaw)
+
+    def roll_pitch_yaw(vector: Array) -> Array:
+        around = mounting_angles(separated(_matrix(with_vector(coefficients, names, vector)))[1]).mounting
+        there = np.array([around.roll, around.pitch, around.yaw])
+        return np.asarray(np.degrees(np.mod(there - turned + np.pi, 2 * np.pi) - np.pi))
+
+    doubt = propagated(roll_pitch_yaw, vector, covariance).tolist() if mounted else []
+    return Intrinsic(
+        offset=dict(zip(channels, found[:3], strict=True)),
+        sensitivity=dict(zip(channels, found[3:6], strict=True)),
+        angle=dict(zip(pairs, found[6:9], strict=True)),
+        triangular=triangular,
+        rotation=rotation,
+        mounting={
+            name: Quantity(degrees(angle), u)
+            for name, angle, u in zip(("roll", "pitch", "yaw"), turned, doubt, strict=False)
+        },
+        gimbal_lock=angles.gimbal_lock,
+    )
+
+
+def separated(matrix: Array) -> tuple[Array, Array]:
+    """The RQ decomposition of a sensitivity matrix.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (3, 3)
+
+    Returns
+    -------
+    triangular : ndarray, shape (3, 3)
+        Upper triangular, positive diagonal.
+    rotation : ndarray, shape (3, 3)
+        ``matrix = triangular @ rotation``.
+
+    Raises
+    ------
+    EstimateError
+        The matrix is singular, or its channels form a left-handed frame: no mounting does that.
+    """
+    # The QR decomposition of the rows in reverse order, read backwards.
+    q, r = np.linalg.qr(matrix[::-1].T)
+    sign = np.where(np.diag(r) < 0.0, -1.0, 1.0)
+    rotation = np.asarray((q * sign).T[::-1])
+    if abs(np.linalg.det(matrix)) == 0.0:
+        raise EstimateError("the sensitivity matrix is singular: two channels measure the same axis")
+    if np.linalg.det(rotation) < 0.0:
+        raise EstimateError("the channels form a left-handed frame, which no mounting does: are they named right?")
+    return np.triu(matrix @ rotation.T), rotation
+
+
+def _matrix(coefficients: Coefficients) -> Array:
+    """S with its columns in the order x, y, z."""
+    return coefficients.sensitivity[:, [coefficients.axes.index(axis) for axis in AXES]]
+
+
+def _lengths(matrix: Array) -> Array:
+    return np.asarray(np.linalg.norm(matrix, axis=1))
+
+
+def _angles(matrix: Array) -> Array:
+    """Between each two rows, degrees."""
+    return np.array(
+        [
+            degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second))
+            for first, second in combinations(matrix, 2)
+        ]
+    )

@@ -1,0 +1,240 @@
+"""What a design will determine, before anything is measured: the covariance of every coefficient from the plan alone.
+
+The same system of equations as the estimator's, at nominal coefficients and with readings that fit exactly: its
+covariance needs no readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from tiltcal.core.budget import Budget
+from tiltcal.core.design import Design, Observation, Sensor, require_sound
+from tiltcal.core.determined import CANDIDATES, WARMER, require_determined
+from tiltcal.core.frames import Vector
+from tiltcal.core.model import AXES, Array
+from tiltcal.core.system import System, system_of
+from tiltcal.core.uncertainty import linear, stated_budget
+from tiltcal.errors import EstimateError
+
+STRONG = 0.9
+"""A correlation from here on is named."""
+
+WORTH = 0.8
+"""A position is proposed where it brings the largest uncertainty below this share of what it was."""
+
+UNSTATED = 0.0
+"""The jig that counts where none was stated: what is predicted is then what noise alone leaves."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A position of a plan.
+
+    Attributes
+    ----------
+    name : str
+    gravity : tuple of float
+        Up in the sensor frame, g.
+    temperature : float or None
+        °C.
+    heading : float or None
+        Degrees.
+    held : bool
+        The fixture stands as in the position before.
+    """
+
+    name: str
+    gravity: Vector
+    temperature: float | None = None
+    heading: float | None = None
+    held: bool = False
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a plan will determine.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the coefficients.
+    budget : Budget
+        Their covariance and its sources.
+    dof : int
+        Degrees of freedom that are left to check the result.
+    correlations : tuple of (str, str, float)
+        Pairs of coefficients that the plan hardly tells apart, the strongest first.
+    worth_adding : tuple of (str, str, float)
+        A position, the coefficient that it helps most, and the share of its uncertainty that is left; best first.
+    """
+
+    names: tuple[str, ...]
+    budget: Budget
+    dof: int
+    correlations: tuple[tuple[str, str, float], ...]
+    worth_adding: tuple[tuple[str, str, float], ...]
+
+    def uncertainty(self) -> dict[str, float]:
+        """Predicted standard uncertainty of each coefficient."""
+        return dict(zip(self.names, self.budget.u.tolist(), strict=True))
+
+
+def predicted_covariance(
+    design: Design,
+    positions: Sequence[Planned],
+    noise: float | Sequence[float],
+    *,
+    sensitivity: float = 1.0,
+    adc: float = 0.0,
+    sensors: int = 1,
+) -> Prediction:
+    """The uncertainty that a plan leaves, at nominal coefficients.
+
+    Parameters
+    ----------
+    design : Design
+        With the jig, the thermometer and the table as they are stated; a jig that is not stated counts as perfect, and
+        what is predicted is then what noise alone leaves.
+    positions : sequence of Planned
+    noise : float or sequence of float
+        Standard uncertainty of a position's mean reading, for all channels or for each, in the sensor's unit.
+    sensitivity : float
+        Nominal, unit/g.
+    adc : float
+        Standard uncertainty that quantisation leaves in a mean, same unit as the noise.
+    sensors : int
+        How many alike sit on the fixture and are estimated together.
+
+    Returns
+    -------
+    Prediction
+        For one of the sensors.
+
+    Raises
+    ------
+    EstimateError
+        The plan leaves coefficients undetermined; they are named, and a position that would determine them.
+    """
+    system = _system(design, positions, noise, sensitivity, adc, sensors)
+    z = _nominal(design, system, sensitivity)
+    require_determined(system, z)
+    budget = _budget(system, z)
+    unknowns = int(np.sum(~system.fixed[: system.coefficients] & ~np.isfinite(system.prior_u)))
+    names = design.names
+    own = budget.part(range(len(names)))
+    return Prediction(
+        names=names,
+        budget=own,
+        dof=system.readings - unknowns,
+        correlations=strong_correlations(names, own.covariance),
+        worth_adding=_worth_adding(design, positions, noise, sensitivity, adc, sensors, own.u),
+    )
+
+
+def strong_correlations(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
+    """Pairs of coefficients that are correlated strongly, the strongest first.
+
+    Parameters
+    ----------
+    names : sequence of str
+    covariance : ndarray, shape (k, k)
+    """
+    u = np.sqrt(np.diag(covariance))
+    found = [
+        (names[i], names[j], round(float(covariance[i, j] / (u[i] * u[j])), 3))
+        for i, j in combinations(range(len(names)), 2)
+        if u[i] * u[j] > 0.0 and abs(covariance[i, j]) >= STRONG * u[i] * u[j]
+    ]
+    return tuple(sorted(found, key=lambda pair: -abs(pair[2])))
+
+
+def _system(
+    design: Design,
+    positions: Sequence[Planned],
+    noise: float | Sequence[float],
+    sensitivity: float,
+    adc: float,
+    sensors: int,
+) -> System:
+    """The equations of a plan, with readings of nothing."""
+    if design.free:
+        raise EstimateError("free positions are unknown until they are taken: there is nothing to predict from them")
+    stated = replace(design, jig=UNSTATED if design.jig is None else design.jig)
+    u = np.hypot(np.broadcast_to(np.asarray(noise, dtype=float), len(design.channels)), adc)
+    zero = np.zeros(len(design.channels))
+    observations = [
+        Observation(
+            one.name,
+            np.array(one.gravity),
+            zero,
+            np.maximum(u, 1e-12 * abs(sensitivity)),
+            one.temperature,
+            one.heading,
+            one.held,
+            adc=np.full(len(design.channels), adc),
+        )
+        for one in positions
+    ]
+    plan = [Sensor(stated, observations)] * sensors
+    require_sound(plan)
+    return system_of(plan)
+
+
+def _nominal(design: Design, system: System, sensitivity: float) -> Array:
+    """Coefficients of a part as the datasheet has it: its own axis and nothing else."""
+    nominal: Mapping[str, float] = {f"sensitivity.{channel}.{channel}": sensitivity for channel in design.channels}
+    z = system.start()
+    for column, name in enumerate(system.names):
+        if name in nominal and not np.isfinite(system.prior_u[column]):
+            z[column] = nominal[name]
+    return z
+
+
+def _budget(system: System, z: Array) -> Budget:
+    return stated_budget(system, linear(system, z), None)
+
+
+def _worth_adding(
+    design: Design,
+    positions: Sequence[Planned],
+    noise: float | Sequence[float],
+    sensitivity: float,
+    adc: float,
+    sensors: int,
+    before: Array,
+) -> tuple[tuple[str, str, float], ...]:
+    """Positions that would make some coefficient much better known."""
+    found = []
+    usual = next((one.temperature for one in positions if one.temperature is not None), None)
+    for name, gravity, temperature in _candidates(design, positions, usual):
+        longer = [*positions, Planned(name, gravity, temperature, positions[0].heading)]
+        system = _system(design, longer, noise, sensitivity, adc, sensors)
+        after = _budget(system, _nominal(design, system, sensitivity)).u[: len(before)]
+        share = after / np.where(before > 0.0, before, np.inf)
+        share[before == 0.0] = 1.0
+        most = int(np.argmin(np.round(share, 6)))
+        if share[most] < WORTH:
+            found.append((name, design.names[most], round(float(share[most]), 3)))
+    return tuple(sorted(found, key=lambda one: one[2]))
+
+
+def _candidates(
+    design: Design, positions: Sequence[Planned], usual: float | None
+) -> list[tuple[str, Vector, float | None]]:
+    """Positions that may be proposed: directions that the sensor can be set to, and other temperatures."""
+    found: list[tuple[str, Vector, float | None]] = [
+        (name, gravity, usual)
+        for name, gravity in CANDIDATES.items()
+        if any(abs(gravity[AXES.index(axis)]) > 0.0 for axis in design.axes) or not design.axes
+    ]
+    if design.thermal and usual is not None:
+        told = [one.temperature for one in positions if one.temperature is not None]
+        level = CANDIDATES["level (+z up)"]
+        found.append((f"level at {max(told) + WARMER:g} °C", level, max(told) + WARMER))
+        found.append((f"level at {min(told) - WARMER:g} °C", level, min(told) - WARMER))
+    return found

@@ -1,0 +1,193 @@
+"""The uncertainty of an estimate: of the bench as it was stated, or as the residuals show it.
+
+Near the minimum every unknown is a linear function of the equations' errors, ``delta = G error`` with ``G`` the
+pseudo-inverse of the weighted Jacobian, so that every equation has its share of every variance. What the attitudes'
+errors do to the coefficients is already in it: the attitudes are unknowns of the same system.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiltcal.core.budget import Budget, welch_satterthwaite
+from tiltcal.core.minimum import column_sizes, pseudo_inverse
+from tiltcal.core.model import Array
+from tiltcal.core.scatter import Scatter
+from tiltcal.core.second_order import SecondOrder
+from tiltcal.core.system import ADC, JIG, NOISE, THERMOMETER, System
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The system near its minimum.
+
+    Attributes
+    ----------
+    jacobian : ndarray, shape (equations, unknowns)
+        Weighted.
+    gain : ndarray, shape (unknowns, equations)
+        What each equation's error, in its standard uncertainties, does to each unknown.
+    """
+
+    jacobian: Array
+    gain: Array
+
+
+def linear(system: System, z: Array) -> Linear:
+    """The system near a point; unknowns that are held do not move."""
+    jacobian = system.at(z).jacobian
+    moving = ~system.fixed
+    size = column_sizes(jacobian)
+    gain = np.zeros(jacobian.T.shape)
+    gain[moving] = pseudo_inverse((jacobian / size)[:, moving]) / size[moving, None]
+    return Linear(jacobian, gain)
+
+
+def stated_budget(system: System, near: Linear, second: SecondOrder | None) -> Budget:
+    """The coefficients' uncertainty where noise and bench are as they were stated.
+
+    Parameters
+    ----------
+    system : System
+    near : Linear
+    second : SecondOrder or None
+        What the squares of the attitudes' errors add.
+    """
+    gain = near.gain[: system.coefficients]
+    squared = gain**2
+    of_readings = squared[:, : system.readings]
+    adc = np.concatenate([(block.adc / block.u) ** 2 for block in system.blocks]).clip(0.0, 1.0)
+    variance = {NOISE: of_readings @ (1.0 - adc), ADC: of_readings @ adc}
+    for source in dict.fromkeys(system.sources):
+        rows = [system.readings + k for k, name in enumerate(system.sources) if name == source]
+        variance[source] = squared[:, rows].sum(axis=1)
+    covariance = gain @ gain.T
+    if second is not None:
+        # The scatter of the squares is in the gain already, which was taken where the errors have led. What it does not
+        # show is that they all go one way: the correction counts as uncertain by its own size.
+        covariance = covariance + np.outer(second.bias, second.bias)
+        variance[JIG] = variance[JIG] + second.bias**2
+    parts = _noise_parts(system, of_readings * (1.0 - adc))
+    return Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), parts))
+
+
+def scaled_budget(system: System, near: Linear, scale: float, dof: int) -> Budget:
+    """The coefficients' uncertainty where nothing was stated and the residuals say the size of the noise.
+
+    Parameters
+    ----------
+    system : System
+    near : Linear
+    scale : float
+        Sum of squares over degrees of freedom.
+    dof : int
+    """
+    gain = near.gain[: system.coefficients]
+    covariance = scale * (gain @ gain.T)
+    return Budget(covariance, {NOISE: np.diag(covariance)}, np.full(len(gain), float(dof)))
+
+
+def scattered_budget(
+    system: System, near: Linear, levers: Levers, scatter: Scatter, second: SecondOrder | None
+) -> Budget:
+    """The coefficients' uncertainty where the jig was not stated.
+
+    Parameters
+    ----------
+    system : System
+        In which all positions counted the same.
+    near : Linear
+    levers : Levers
+        What the errors that it does not know of do to the readings.
+    scatter : Scatter
+        What the residuals say of them.
+    second : SecondOrder or None
+        What the squares of the attitudes' errors add.
+    """
+    count, readings = system.coefficients, system.readings
+    gain = near.gain[:count, :readings] / system.sigma
+    of_readings = gain**2 * levers.noise**2
+    noise = scatter.noise * of_readings.sum(axis=1)
+    adc = scatter.noise * (gain**2) @ levers.adc**2
+    by_angle = gain @ levers.attitude
+    by_warmth = gain @ levers.warmth
+    rest = near.gain[:count, readings:]
+    readings_covariance = scatter.noise * levers.covariance + scatter.jig * levers.attitude @ levers.attitude.T
+    covariance = gain @ readings_covariance @ gain.T + rest @ rest.T
+    angles = np.sum(by_angle**2, axis=1)
+    jig = scatter.jig * angles
+    # A part that goes with the square of the jig's variance is twice as uncertain as one that goes with it.
+    felt = angles
+    if second is not None:
+        squares = second.covariance + np.outer(second.bias, second.bias)
+        covariance = covariance + squares
+        jig = jig + np.diag(squares)
+        felt = felt + 2.0 * np.diag(squares) / scatter.jig
+    variance = {NOISE: noise - adc, ADC: adc, JIG: jig, THERMOMETER: np.sum(by_warmth**2, axis=1)}
+    for source in dict.fromkeys(system.sources):
+        rows = [k for k, name in enumerate(system.sources) if name == source]
+        variance[source] = variance.get(source, np.zeros(count)) + np.sum(rest[:, rows] ** 2, axis=1)
+    parts = [(felt, scatter.information), (noise, scatter.noise_dof)]
+    if not np.isfinite(scatter.noise_dof):
+        parts += _noise_parts(system, of_readings)
+    total = np.diag(covariance)
+    return Budget(
+        covariance,
+        variance,
+        welch_satterthwaite(total, parts),
+        _explained(scatter, gain * system.sigma, readings_covariance / np.outer(system.sigma, system.sigma), total),
+    )
+
+
+def _explained(scatter: Scatter, gain: Array, covariance: Array, variance: Array) -> Array:
+    """The part of each coefficient's variance that is in the residuals which feel the attitudes."""
+    if scatter.silent:
+        return np.zeros(len(variance))
+    seen = scatter.directions
+    shared = gain @ covariance @ seen
+    of_residuals = seen.T @ covariance @ seen
+    part = np.sum(shared * np.linalg.solve(of_residuals, shared.T).T, axis=1)
+    return np.asarray(part / np.where(variance > 0.0, variance, 1.0))
+
+
+@dataclass(frozen=True)
+class Levers:
+    """What errors do to the readings, in their units.
+
+    Attributes
+    ----------
+    noise, adc : ndarray, shape (readings,)
+        Standard uncertainty of each reading, and the part of it that is quantisation.
+    attitude : ndarray, shape (readings, angles)
+        Per radian.
+    warmth : ndarray, shape (readings, temperatures)
+        Per standard uncertainty of the thermometer.
+    """
+
+    noise: Array
+    adc: Array
+    attitude: Array
+    warmth: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Of the readings, without the attitudes."""
+        return np.diag(self.noise**2) + self.warmth @ self.warmth.T
+
+
+def _noise_parts(system: System, shares: Array) -> list[tuple[Array, float]]:
+    """Shares of the noise that were estimated together, each with its degrees of freedom.
+
+    Readings of one channel with the same uncertainty have it from one pooled estimate.
+    """
+    parts = []
+    start = 0
+    for block in system.blocks:
+        stop = start + len(block.u)
+        for u, dof in sorted(set(zip(block.u.tolist(), block.dof.tolist(), strict=True))):
+            rows = start + np.flatnonzero((block.u == u) & (block.dof == dof))
+            parts.append((shares[:, rows].sum(axis=1), dof))
+        start = stop
+    return parts
