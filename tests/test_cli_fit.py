@@ -84,3 +84,17 @@ def test_with_a_stated_jig_the_chi_square_is_told(folder: Path) -> None:
     judged = tiltcal("check", "tight.yaml", cwd=folder)
     assert judged.returncode == 1
     assert "more than the stated noise and jig allow" in judged.stdout
+
+
+def test_with_a_stated_placement_error_imucals_offsets_are_inside_our_intervals(tmp_path: Path) -> None:
+    """imucal's own two-face formula gives offsets 0.5371, -0.6162, 0.3989 m/s² (data/README.md)."""
+    result = tiltcal(
+        *("fit", "six-face", SESSION, "--segments", SEGMENTS, "--columns", COLUMNS, "--jig", "0.2"),
+        *("--unit", "m/s2", "--serial", "IMU1", "-o", "imu1.yaml"),
+        cwd=tmp_path,
+    )
+    assert result.returncode == 0, result.stderr
+    found = read_calibration(tmp_path / "imu1.yaml")
+    for axis, published in {"x": 0.5371, "y": -0.6162, "z": 0.3989}.items():
+        offset = found.coefficients.offset["xyz".index(axis)]
+        assert abs(offset - published) < 1.96 * found.uncertainty["offset"][axis]

@@ -2,39 +2,58 @@
 
 from __future__ import annotations
 
-from hashlib import file_digest
+from collections.abc import Sequence
+from math import inf
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 import tiltcal
-from tiltcal.calibrate import Nominal, calibrate
 from tiltcal.drivers import find_model
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import SensorIdentity, write_calibration
-from tiltcal.files.procedure import find_procedure
-from tiltcal.files.segments import read_segments
 from tiltcal.files.whole import check_writable
-from tiltcal.report.summary import summary
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.device import Model
+    from tiltcal.files.calibration import Calibration
+    from tiltcal.files.procedure import Procedure
+    from tiltcal.files.segments import Segment
+    from tiltcal.logs.source import Source
 
 UNKNOWN_MODEL = "recorded"
+FREE = "free"
+
+_EXAMPLES = """\b
+Examples:
+  tiltcal fit six-face session.csv --segments faces.csv --columns x=acc_x,y=acc_y,z=acc_z \\
+      --unit m/s2 --serial IMU1 -o imu1.yaml
+  tiltcal fit free moved-by-hand.txt --columns x=2,y=3,z=4 --unit count --gravity 9.81744 \\
+      --serial MTI-1 -o mti1.yaml
+  tiltcal fit six-face means.csv --table --unit V --serial S-7 -o S-7.yaml
+"""
 
 
-@click.command(
-    epilog="Example: tiltcal fit six-face session.csv --segments segments.csv --columns x=acc_x,y=acc_y,z=acc_z "
-    "--unit m/s2 --serial IMU1 -o imu1.yaml"
-)
+@click.command(epilog=_EXAMPLES)
 @click.argument("procedure")
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option(
     "--segments",
-    required=True,
     type=click.Path(path_type=Path),
     help="Which rows were taken in which position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz "
-    "where the position is not the procedure's.",
+    "where the position is not the procedure's. With PROCEDURE free the still rows are found where it is left out.",
 )
 @click.option(
-    "--columns", default="", metavar="x=NAME,...", help="Which column holds which reading [x, y, z, temperature]."
+    "--table",
+    is_flag=True,
+    help="LOG is a table of positions already averaged: position, x, y, z, and where known gx, gy, gz, ux, uy, uz (the "
+    "means' standard uncertainties), n, temperature.",
+)
+@click.option(
+    "--columns",
+    default="",
+    metavar="x=NAME,...",
+    help="Which column holds which reading [x, y, z, temperature]; in a log without a header by number from 1.",
 )
 @click.option("--unit", help="The readings' unit, such as m/s2, V or count.")
 @click.option("--serial", required=True, help="The sensor's serial number, for the calibration file.")
@@ -46,51 +65,145 @@ UNKNOWN_MODEL = "recorded"
     help="Standard uncertainty of a set angle; where it is not stated, the positions' scatter says it.",
 )
 @click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
+@click.option(
+    "--gravity",
+    type=click.FloatRange(9.7, 9.9),
+    metavar="M/S2",
+    help="Local gravity, to tell the sensitivity per m/s² beside that per g, and for readings in m/s2 the scale error.",
+)
+@click.option("--window", type=click.IntRange(4), metavar="ROWS", help="How long still is, where the rows are found.")
+@click.option(
+    "--segments-out", type=click.Path(path_type=Path), metavar="FILE", help="Write the still rows that were found."
+)
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The calibration file to write.")
 def command(
     procedure: str,
     log: Path,
-    segments: Path,
+    segments: Path | None,
+    table: bool,
     columns: str,
     unit: str | None,
     serial: str,
     sensor: str | None,
     jig: float | None,
     tilt: float | None,
+    gravity: float | None,
+    window: int | None,
+    segments_out: Path | None,
     output: Path,
 ) -> None:
-    """Calibrate from a recorded LOG (CSV) and its still segments, by the positions of PROCEDURE."""
-    from tiltcal.logs.columns import parse_columns
-    from tiltcal.logs.recorded import measurements_of, read_record
+    """Calibrate from a recorded LOG (CSV) and its still segments, by the positions of PROCEDURE.
 
-    steps = find_procedure(procedure, tilt)
+    With PROCEDURE free nobody has to know the positions: a three-axis sensor is held still in a dozen or more
+    attitudes, whatever they are, and gravity is 1 g in each. How the sensor is mounted stays undetermined.
+    """
+    from tiltcal.calibrate import Nominal, calibrate
+    from tiltcal.files.calibration import SensorIdentity, write_calibration
+    from tiltcal.files.procedure import find_procedure
+    from tiltcal.logs import remarks
+    from tiltcal.logs.source import Source, free_positions, set_positions
+    from tiltcal.report.summary import summary
+
+    free = procedure == FREE
+    source = Source(log, segments, table, columns, window)
+    _refuse_contradictions(source, free, jig, tilt)
+    if (window is not None or segments_out is not None) and not (free and source.finds):
+        raise UsageError("--window and --segments-out are for `tiltcal fit free` without --segments, which finds them")
+    steps = _free_procedure() if free else find_procedure(procedure, tilt)
     model = find_model(sensor) if sensor else None
     if unit is None and model is None:
         raise UsageError("say the readings' --unit (such as m/s2), or the --sensor model that has it")
-    check_writable(output)
-    held = read_segments(segments)
-    channels = model.channels if model else steps.determines.axes or ("x", "y", "z")
-    record = read_record(log, channels, parse_columns(columns, channels))
+    unit = unit or str(model and model.unit)
+    for path in filter(None, (output, segments_out)):
+        check_writable(path)
+    channels = _channels(model, steps, free)
+    positions = (
+        free_positions(source, channels, unit, lambda line: click.echo(line, err=True))
+        if free
+        else set_positions(source, channels, steps)
+    )
     calibration = calibrate(
-        SensorIdentity(sensor or UNKNOWN_MODEL, serial, unit or str(model and model.unit), tuple(channels)),
+        SensorIdentity(sensor or UNKNOWN_MODEL, serial, unit, channels),
         steps,
-        measurements_of(record, held, steps, file=str(segments)),
+        positions.measurements,
         nominal=Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
         if model
         else None,
-        jig=jig,
+        jig=inf if free else jig,
         provenance={
-            "made_by": "fit of a recorded log",
-            "log": {"name": log.name, "rows": record.rows, "sha256": _sha256(log)},
-            "segments": {"name": segments.name, "sha256": _sha256(segments)},
+            "made_by": "fit of a table of positions" if table else "fit of a recorded log",
+            **positions.provenance,
             "software": f"tiltcal {tiltcal.__version__}",
         },
     )
+    if free:
+        calibration = remarks.of_free_positions(calibration, positions.measurements)
+    if table:
+        calibration = remarks.of_table(calibration, positions.measurements)
+    if gravity is not None:
+        calibration = remarks.of_local_gravity(calibration, gravity)
     write_calibration(output, calibration)
+    if segments_out is not None:
+        _write_segments(segments_out, positions.found)
+        click.echo(f"wrote {segments_out}", err=True)
     click.echo(summary(calibration))
+    if free:
+        _tell_free(calibration)
     click.echo(f"wrote {output}", err=True)
 
 
-def _sha256(path: Path) -> str:
-    with open(path, "rb") as stream:
-        return file_digest(stream, "sha256").hexdigest()
+def _refuse_contradictions(source: Source, free: bool, jig: float | None, tilt: float | None) -> None:
+    if source.table and source.segments is not None:
+        raise UsageError("a --table has its positions already: leave --segments out")
+    if source.table and source.columns:
+        raise UsageError("a --table names its columns itself (position, x, y, z, ...): leave --columns out")
+    if not free and source.finds:
+        raise UsageError(
+            "say with --segments which rows were taken in which position (or that LOG is a --table of positions); only "
+            "`tiltcal fit free` finds them itself, because it need not know the positions"
+        )
+    if free and jig is not None:
+        raise UsageError("free positions trust no jig: leave --jig out, or name a procedure whose positions were set")
+    if free and tilt is not None:
+        raise UsageError("free positions have no angle: leave --tilt out")
+
+
+def _channels(model: Model | None, steps: Procedure, free: bool) -> tuple[str, ...]:
+    channels = tuple(model.channels) if model else steps.determines.axes or ("x", "y", "z")
+    if free and channels != ("x", "y", "z"):
+        raise UsageError(
+            f"unit gravity alone needs three channels x, y and z; {model.name if model else 'it'} has "
+            f"{', '.join(channels)}: name a procedure whose positions were set"
+        )
+    return channels
+
+
+def _free_procedure() -> Procedure:
+    from tiltcal.files.procedure import Determines, Procedure
+
+    return Procedure(
+        FREE,
+        "Offset and sensitivity of three axes from unit gravity alone, in positions that nobody set",
+        "Tedaldi, Pretto and Menegatti (2014)",
+        Determines(("x", "y", "z")),
+        (),
+    )
+
+
+def _tell_free(calibration: Calibration) -> None:
+    """What a person should know of a calibration from unit gravity."""
+    fit = calibration.fit
+    click.echo(
+        f"  misfit of gravity's length {fit['misfit_rms_mg']:g} mg rms over {len(calibration.positions)} positions, "
+        f"{fit['distinct_attitudes']} different attitudes"
+    )
+    click.echo(f"mounting {calibration.derived['mounting']}", err=True)
+    if "warning" in fit:
+        click.echo(f"warning: {fit['warning']}", err=True)
+
+
+def _write_segments(path: Path, segments: Sequence[Segment]) -> None:
+    from tiltcal.files.whole import write_whole
+
+    rows = "".join(f"{segment.name},{segment.start},{segment.end}\n" for segment in segments)
+    write_whole(path, "position,start,end\n" + rows)

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import csv
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
-from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 
 from tiltcal.core.frames import Vector, normalised
 from tiltcal.errors import InputError
 from tiltcal.files.document import parse_document, read_text
-from tiltcal.files.node import Node, Scalar
+from tiltcal.files.node import Node
+from tiltcal.files.records import csv_records
 
 DIRECTION = ("gx", "gy", "gz")
 
 _REQUIRED = ("position", "start", "end")
-_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,8 @@ def read_segments(path: str | Path) -> list[Segment]:
     Returns
     -------
     list of Segment
-        In the order of the file. A position may come more than once.
+        In the order of the file. A position may come more than once: in consecutive rows they are parts of one
+        placement that was interrupted, elsewhere the sensor was put there again.
 
     Raises
     ------
@@ -66,7 +64,11 @@ def read_segments(path: str | Path) -> list[Segment]:
     text = read_text(path)
     # A CSV header begins with a name; a JSON list with its bracket.
     is_json = text.lstrip().startswith(("[", "{"))
-    records = parse_document(text, str(path)).items() if is_json else _csv_records(text, str(path))
+    records = (
+        parse_document(text, str(path)).items()
+        if is_json
+        else csv_records(text, str(path), required=_REQUIRED, optional=DIRECTION)
+    )
     segments = [_segment_of(record) for record in records]
     if not segments:
         raise InputError("the file has no segment", file=path)
@@ -80,10 +82,17 @@ def _segment_of(record: Node) -> Segment:
     end = section["end"].integer(minimum=0)
     if start >= end:
         raise section["end"].error(f"the end {end} is not after the start {start}; the end is exclusive")
-    return Segment(section["position"].text(), start, end, _direction_of(record, section), record.line)
+    return Segment(section["position"].text(), start, end, direction_of(record, section), record.line)
 
 
-def _direction_of(record: Node, section: dict[str, Node]) -> Vector | None:
+def direction_of(record: Node, section: dict[str, Node]) -> Vector | None:
+    """The direction that a record gives in gx, gy and gz, as a unit vector; None where it gives none.
+
+    Raises
+    ------
+    InputError
+        One or two of the three, or all zero.
+    """
     given = [section[name].number() for name in DIRECTION if name in section]
     if not given:
         return None
@@ -106,40 +115,3 @@ def _refuse_overlap(segments: Iterable[Segment], path: str | Path) -> None:
                 file=path,
                 line=after.line,
             )
-
-
-def _csv_records(text: str, file: str) -> Iterator[Node]:
-    """The rows as mappings, so that CSV and JSON are checked alike; a blank field is an absent one."""
-    rows = csv.reader(StringIO(text, newline=""), strict=True)
-    try:
-        header = [name.strip() for name in next(rows, [])]
-        _check_header(header, file)
-        line = rows.line_num + 1
-        for row in rows:
-            if row:
-                yield _csv_record(header, row, file, line)
-            line = rows.line_num + 1
-    except csv.Error as failure:
-        raise InputError(f"not CSV: {failure}", file=file, line=rows.line_num) from None
-
-
-def _check_header(header: list[str], file: str) -> None:
-    if not header:
-        raise InputError("the file is empty", file=file)
-    twice = [name for name in header if header.count(name) > 1]
-    if twice:
-        raise InputError(f"the column {twice[0]!r} is there twice", file=file, line=1)
-    Node({name: Node(Scalar("", True), file, 1, name) for name in header}, file, 1, None).mapping(
-        required=_REQUIRED, optional=DIRECTION
-    )
-
-
-def _csv_record(header: list[str], row: list[str], file: str, line: int) -> Node:
-    if len(row) != len(header):
-        raise InputError(f"the row has {len(row)} fields, the header {len(header)}", file=file, line=line)
-    fields = {
-        name: Node(Scalar(field.strip(), plain=_NUMBER.fullmatch(field.strip()) is not None), file, line, name)
-        for name, field in zip(header, row, strict=True)
-        if field.strip()
-    }
-    return Node(fields, file, line, None)

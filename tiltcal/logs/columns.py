@@ -90,8 +90,13 @@ def locate_columns(
 def _absent(role: str, column: str, names: Sequence[str]) -> str:
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
         return f"the header {names[0]!r} is one single column: part the columns with commas"
-    if all(_is_number(name) for name in names if name):
-        return "the first line holds numbers: it must name the columns, such as time,x,y,temperature"
+    if all(is_number(name) for name in names if name):
+        if is_number(column):
+            return f"there is no column {column}; the log has {len(names)} columns, called 1 to {len(names)}"
+        return (
+            "the first line holds numbers: it must name the columns, such as time,x,y,temperature, or say which column "
+            f"is which by its number from 1 to {len(names)}, such as --columns {role}={min(2, len(names))}"
+        )
     listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
     return (
         f"there is no column {column!r}{_suggestion(column, names)}; the log has {listed}. "
@@ -105,7 +110,8 @@ def _suggestion(wanted: str, present: Sequence[str]) -> str:
     return f" (did you mean {folded[near[0]]!r}?)" if near else ""
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a field of a first line is a number, so that it names no column."""
     try:
         float(text)
     except ValueError:

@@ -1,6 +1,7 @@
 """The CSV door: a recorded log, read block by block so that its size does not matter.
 
-The first line names the columns, every other line is a row (:mod:`tiltcal.logs.csv_rows` says what that is). Empty
+The first line names the columns, every other line is a row (:mod:`tiltcal.logs.csv_rows` says what that is). Where the
+first line holds numbers alone it is a row, and the columns are called by number (:mod:`tiltcal.logs.bare_table`). Empty
 lines at the very end of the file are nothing.
 """
 
@@ -11,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import BinaryIO
 
 from tiltcal.errors import InputError
+from tiltcal.logs.bare_table import BlankSeparated, numbered_columns
 from tiltcal.logs.csv_rows import Rows, parse_rows
 
 _BLOCK = 4 << 20
@@ -36,7 +38,8 @@ class CsvLog:
     Attributes
     ----------
     header : bytes
-        The first line as it stands, byte-order mark and all, without its line end.
+        The first line as it stands, byte-order mark and all, without its line end; the columns' numbers in a log
+        without a header.
     names : tuple of str
         The columns.
     line_end : str
@@ -51,7 +54,7 @@ class CsvLog:
     """
 
     def __init__(self, stream: BinaryIO, *, name: str, skip_bad_rows: bool = False, block: int = _BLOCK) -> None:
-        self._stream = stream
+        self._stream: BinaryIO | BlankSeparated = stream
         self._name = name
         self._skip_bad_rows = skip_bad_rows
         self._block = block
@@ -61,7 +64,10 @@ class CsvLog:
         self._line = 2
         self.line_end = "\r\n" if first.endswith(b"\r\n") else "\n"
         self.header = first.removesuffix(b"\n").removesuffix(b"\r")
-        self.names = self._column_names()
+        numbers = numbered_columns(_text(self.header.removeprefix(_UTF8_BOM)))
+        self.names = self._column_names() if numbers is None else numbers
+        if numbers is not None:
+            self._begin_without_header(first, stream)
 
     def rows(self, columns: Sequence[int]) -> Iterator[Rows]:
         """The rows, block after block.
@@ -147,6 +153,14 @@ class CsvLog:
                 raise self._error(f"the header names column {name!r} twice: rename one of them", 1)
             seen.add(name)
         return names
+
+    def _begin_without_header(self, first: bytes, stream: BinaryIO) -> None:
+        """Take the first line for the first row."""
+        self.header = ",".join(self.names).encode()
+        self._line = 1
+        self._pending = first.removeprefix(_UTF8_BOM) + self._pending
+        if len(self.names) > 1 and b"," not in first:
+            self._stream, self._pending = BlankSeparated(self._pending, stream), b""
 
     def _refuse_endless(self, pending: bytes, before: bytes = b"") -> None:
         """Stop at what is no log, before it fills the memory; ``before`` are the lines in front of it."""

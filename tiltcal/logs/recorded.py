@@ -1,18 +1,24 @@
-"""A recorded log as positions: the still segments of a log, ready for the estimator."""
+"""A recorded log as positions: what the sensor read while it was held still, ready for the estimator."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from difflib import get_close_matches
+from itertools import groupby
+from math import sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tiltcal.calibrate import Measurement
+from tiltcal.core.frames import Vector
 from tiltcal.core.model import Array
-from tiltcal.core.statistics import summarise
+from tiltcal.core.statistics import Summary, summarise
 from tiltcal.errors import InputError
+from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
 from tiltcal.logs.columns import TEMPERATURE, locate_columns
@@ -41,6 +47,41 @@ class Record:
         """Number of rows."""
         return len(next(iter(self.columns.values())))
 
+    def readings(self, channels: Sequence[str]) -> Array:
+        """The channels side by side, shape (rows, channels)."""
+        return np.stack([self.columns[channel] for channel in channels], axis=1)
+
+
+@dataclass(frozen=True)
+class Hold:
+    """What a sensor read while it was held in one place.
+
+    Attributes
+    ----------
+    name : str
+        Of the position; another one for each hold.
+    position : str
+        As the file names it; the same where the sensor was put there again.
+    gravity : tuple of float or None
+        Up in the sensor frame as the file says it; None where it does not.
+    summaries : mapping of str to Summary
+        Per channel.
+    temperature : float or None
+        °C.
+    line : int or None
+        Where it stands in its file.
+    where : mapping of str to Any
+        How it is found again: rows of the log, or the line of a table.
+    """
+
+    name: str
+    position: str
+    gravity: Vector | None
+    summaries: Mapping[str, Summary]
+    temperature: float | None
+    line: int | None
+    where: Mapping[str, Any] = field(default_factory=dict)
+
 
 def read_record(path: Path, channels: Sequence[str], named: Mapping[str, str]) -> Record:
     """Read the readings of a CSV log.
@@ -67,72 +108,152 @@ def read_record(path: Path, channels: Sequence[str], named: Mapping[str, str]) -
     return Record(path, {role: np.concatenate([block[index] for block in blocks]) for role, index in where.items()})
 
 
-def measurements_of(
-    record: Record, segments: Sequence[Segment], procedure: Procedure, *, file: str
-) -> list[Measurement]:
-    """The mean reading of every segment.
+def holds_of(record: Record, segments: Sequence[Segment], *, file: str) -> list[Hold]:
+    """What the sensor read in each segment.
 
     Parameters
     ----------
     record : Record
     segments : sequence of Segment
-    procedure : Procedure
-        Says the direction of a position that the segment only names.
+        Segments of one name that follow each other are parts of one hold.
     file : str
-        The segments file, for messages.
-
-    Returns
-    -------
-    list of Measurement
-        One a segment, in their order.
+        Where the segments stand, for messages.
 
     Raises
     ------
     InputError
-        A segment reaches beyond the log, has a missing value, or names a position that the procedure does not have.
+        A segment reaches beyond the log, has a missing value, or is stuck.
     """
-    positions = {position.name: position for position in procedure.positions}
-    return [_measurement(record, segment, _place(segment, positions, procedure, file), file) for segment in segments]
+    parts = [list(group) for _, group in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
+    names = _distinct([part[0].name for part in parts])
+    return [_hold(record, part, name, file) for part, name in zip(parts, names, strict=True)]
 
 
-def _place(segment: Segment, positions: Mapping[str, Position], procedure: Procedure, file: str) -> Position:
-    """The position that a segment was taken in."""
-    if segment.gravity is not None:
-        return Position(segment.name, "", segment.gravity)
-    if segment.name in positions:
-        return positions[segment.name]
-    near = get_close_matches(segment.name, positions, n=1)
+def holds_of_table(positions: Sequence[TabledPosition]) -> list[Hold]:
+    """What a table of positions says of each."""
+    names = _distinct([position.name for position in positions])
+    return [
+        Hold(
+            name,
+            position.name,
+            position.gravity,
+            _tabled(position),
+            position.temperature,
+            position.line,
+            {} if position.line is None else {"line": position.line},
+        )
+        for position, name in zip(positions, names, strict=True)
+    ]
+
+
+def placed(holds: Sequence[Hold], procedure: Procedure, *, file: str) -> list[Measurement]:
+    """Holds in known directions.
+
+    Parameters
+    ----------
+    holds : sequence of Hold
+    procedure : Procedure
+        Says the direction of a position that is only named, and its temperature where none was recorded.
+    file : str
+        Where the positions are named, for messages.
+
+    Raises
+    ------
+    InputError
+        A position is named that the procedure does not have.
+    """
+    known = {position.name: position for position in procedure.positions}
+    return [_placed(hold, _place(hold, known, procedure, file)) for hold in holds]
+
+
+def oriented(holds: Sequence[Hold], attitudes: Array) -> list[Measurement]:
+    """Holds in the directions that a fit has found.
+
+    Parameters
+    ----------
+    holds : sequence of Hold
+    attitudes : ndarray, shape (holds, 3)
+        Unit vectors, up in the sensor frame.
+    """
+    return [
+        Measurement(hold.name, (x, y, z), None, hold.temperature, hold.summaries, hold.where)
+        for hold, (x, y, z) in zip(holds, attitudes.tolist(), strict=True)
+    ]
+
+
+def _place(hold: Hold, known: Mapping[str, Position], procedure: Procedure, file: str) -> Position:
+    """The position that a hold was in."""
+    if hold.gravity is not None:
+        return Position(hold.position, "", hold.gravity)
+    if hold.position in known:
+        return known[hold.position]
+    near = get_close_matches(hold.position, known, n=1)
     raise InputError(
-        f"{procedure.name} has no position {segment.name!r}"
-        + (f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(positions)}")
-        + ", and the segment gives no gx, gy, gz",
+        f"{procedure.name} has no position {hold.position!r}"
+        + (f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(known)}")
+        + ", and no gx, gy, gz are given for it",
         file=file,
-        line=segment.line,
+        line=hold.line,
     )
 
 
-def _measurement(record: Record, segment: Segment, position: Position, file: str) -> Measurement:
-    def refuse(why: str) -> InputError:
-        return InputError(f"segment {segment.name}: {why}", file=file, line=segment.line)
+def _placed(hold: Hold, position: Position) -> Measurement:
+    temperature = position.temperature if hold.temperature is None else hold.temperature
+    return Measurement(hold.name, position.gravity, position.tilt, temperature, hold.summaries, hold.where)
 
-    if segment.end > record.rows:
-        raise refuse(f"ends at row {segment.end}; {record.path} has {record.rows} rows")
-    if segment.end - segment.start < FEWEST:
-        raise refuse(f"has {segment.end - segment.start} row; at least {FEWEST} are needed")
-    samples = {role: values[segment.start : segment.end] for role, values in record.columns.items()}
+
+def _hold(record: Record, parts: Sequence[Segment], name: str, file: str) -> Hold:
+    samples = {role: _samples(record, role, parts) for role in record.columns}
     temperature = samples.pop(TEMPERATURE, None)
-    for channel, values in samples.items():
-        lost = np.flatnonzero(~np.isfinite(values))
-        if len(lost):
-            raise refuse(f"{channel} has no number in row {segment.start + int(lost[0])} of {record.path}")
+    for part in parts:
+        _require_readings(record, part, list(samples), file)
     if all(np.ptp(values) == 0.0 for values in samples.values()):
-        raise refuse("all samples are identical: the sensor was stuck, not still; choose other rows")
+        raise _refusal(parts[0], "all samples are identical: the sensor was stuck, not still; choose other rows", file)
     known = None if temperature is None else temperature[np.isfinite(temperature)]
-    return Measurement(
-        segment.name,
-        position.gravity,
-        position.tilt,
-        position.temperature if known is None or not len(known) else summarise(known.tolist()).mean,
+    rows = [[part.start, part.end] for part in parts]
+    return Hold(
+        name,
+        parts[0].name,
+        parts[0].gravity,
         {channel: summarise(values.tolist()) for channel, values in samples.items()},
-        {"rows": [segment.start, segment.end]},
+        None if known is None or not len(known) else summarise(known.tolist()).mean,
+        parts[0].line,
+        {"rows": rows[0] if len(rows) == 1 else rows},
     )
+
+
+def _samples(record: Record, role: str, parts: Iterable[Segment]) -> Array:
+    return np.concatenate([record.columns[role][part.start : part.end] for part in parts])
+
+
+def _require_readings(record: Record, segment: Segment, channels: Iterable[str], file: str) -> None:
+    if segment.end > record.rows:
+        raise _refusal(segment, f"ends at row {segment.end}; {record.path} has {record.rows} rows", file)
+    if segment.end - segment.start < FEWEST:
+        raise _refusal(segment, f"has {segment.end - segment.start} row; at least {FEWEST} are needed", file)
+    for channel in channels:
+        lost = np.flatnonzero(~np.isfinite(record.columns[channel][segment.start : segment.end]))
+        if len(lost):
+            row = segment.start + int(lost[0])
+            raise _refusal(segment, f"{channel} has no number in row {row} of {record.path}", file)
+
+
+def _refusal(segment: Segment, why: str, file: str) -> InputError:
+    return InputError(f"segment {segment.name}: {why}", file=file, line=segment.line)
+
+
+def _tabled(position: TabledPosition) -> dict[str, Summary]:
+    """Summaries as far as a table gives them: what it leaves out is zero here, and not recorded."""
+    n = position.n or 1
+    u = position.u or dict.fromkeys(position.mean, 0.0)
+    return {channel: Summary(mean, u[channel] * sqrt(n), n, u[channel]) for channel, mean in position.mean.items()}
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """The names, numbered from the second of a kind on."""
+    seen: Counter[str] = Counter()
+    distinct = []
+    for name in names:
+        seen[name] += 1
+        distinct.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return distinct

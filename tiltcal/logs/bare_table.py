@@ -1,0 +1,68 @@
+"""Tables of numbers without a header: their columns are called by number, counted from 1.
+
+A log whose first line holds nothing but numbers has no header. Its fields are parted by commas, or, where that line has
+no comma, by blanks and tabs, which the readers behind this door see as commas. A first line that merely counts
+(0,1,2 or 1,2,3), as some programs write above columns that nobody named, is a header.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import BinaryIO
+
+from tiltcal.logs.columns import is_number
+
+_LONGEST_LINE = 32 << 20
+"""Bytes; what is longer is handed on as it is, to be refused there."""
+
+_MARGINS = re.compile(rb"^[ \t]+|[ \t]+(?=\r?$)", re.MULTILINE)
+_GAPS = re.compile(rb"[ \t]+")
+
+
+def numbered_columns(first_line: str) -> tuple[str, ...] | None:
+    """The columns' numbers, where a first line is a row of numbers; None where it names the columns.
+
+    Parameters
+    ----------
+    first_line : str
+        With or without its line end.
+    """
+    fields = [field.strip() for field in first_line.split(",")] if "," in first_line else first_line.split()
+    if not fields or not all(is_number(field) for field in fields):
+        return None
+    numbers = tuple(str(number) for number in range(1, len(fields) + 1))
+    counted = tuple(fields) in (numbers, tuple(str(number) for number in range(len(fields))))
+    return None if counted and len(fields) > 1 else numbers
+
+
+class BlankSeparated:
+    """The bytes of a log whose fields are parted by blanks, as CSV.
+
+    Parameters
+    ----------
+    beginning : bytes
+        What was read of the log already.
+    stream : BinaryIO
+        The rest of it.
+    """
+
+    def __init__(self, beginning: bytes, stream: BinaryIO) -> None:
+        self._pending = beginning
+        self._stream = stream
+
+    def read(self, size: int) -> bytes:
+        """Some lines; nothing at the end.
+
+        Parameters
+        ----------
+        size : int
+            How much to read of the log at a time, bytes.
+        """
+        data, more = self._pending, b" "
+        # A line is turned as a whole: a blank at the end of what was read may be a margin or a gap.
+        while b"\n" not in data[len(self._pending) :] and more and len(data) < _LONGEST_LINE:
+            more = self._stream.read(size)
+            data += more
+        cut = data.rfind(b"\n") + 1 if more else len(data)
+        self._pending = data[cut or len(data) :]
+        return _GAPS.sub(b",", _MARGINS.sub(b"", data[: cut or len(data)]))

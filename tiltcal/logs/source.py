@@ -1,0 +1,161 @@
+"""Where the positions of a fit come from: a log with its still segments, given or found, or a table of means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import file_digest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiltcal.calibrate import Measurement
+from tiltcal.core.ellipsoid import fit_ellipsoid
+from tiltcal.core.model import Array
+from tiltcal.core.rounding import significant
+from tiltcal.files.positions import read_positions
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.segments import Segment, read_segments
+from tiltcal.logs.columns import parse_columns
+from tiltcal.logs.recorded import Hold, Record, holds_of, holds_of_table, oriented, placed, read_record
+from tiltcal.logs.still import WINDOWS, find_still, still_segments, told
+
+
+@dataclass(frozen=True)
+class Source:
+    """Recorded data as the user names them.
+
+    Attributes
+    ----------
+    log : Path
+        A log, or a table of positions.
+    segments : Path or None
+        The still segments of the log; None where they are to be found, and for a table.
+    table : bool
+        Whether ``log`` is a table of positions.
+    columns : str
+        What ``--columns`` says.
+    window : int or None
+        Rows over which the sensor must be still, where segments are found; None to try several.
+    """
+
+    log: Path
+    segments: Path | None = None
+    table: bool = False
+    columns: str = ""
+    window: int | None = None
+
+    @property
+    def finds(self) -> bool:
+        """Whether the still segments are to be found."""
+        return not self.table and self.segments is None
+
+
+@dataclass(frozen=True)
+class Positions:
+    """The positions of a source, and how they came about.
+
+    Attributes
+    ----------
+    measurements : sequence of Measurement
+    provenance : mapping of str to Any
+        Names and checksums of what was read.
+    found : sequence of Segment
+        The segments, where they were found.
+    """
+
+    measurements: Sequence[Measurement]
+    provenance: Mapping[str, Any]
+    found: Sequence[Segment] = ()
+
+
+def set_positions(source: Source, channels: Sequence[str], procedure: Procedure) -> Positions:
+    """Positions in the directions of a procedure, or in those that the segments give.
+
+    Parameters
+    ----------
+    source : Source
+        With segments, or a table.
+    channels : sequence of str
+    procedure : Procedure
+
+    Raises
+    ------
+    InputError
+        A file is wrong; the message names file and line.
+    """
+    holds, provenance = _given(source, channels)
+    return Positions(placed(holds, procedure, file=str(source.segments or source.log)), provenance)
+
+
+def free_positions(source: Source, channels: Sequence[str], unit: str, say: Callable[[str], None]) -> Positions:
+    """Positions that nobody set, in the directions that the readings themselves say.
+
+    Parameters
+    ----------
+    source : Source
+    channels : sequence of str
+        Three.
+    unit : str
+        Of the readings.
+    say : callable
+        Told what was found, where the segments are.
+
+    Raises
+    ------
+    InputError
+        A file is wrong; the message names file and line.
+    EstimateError
+        The readings lie on no ellipsoid, or no still segments are found.
+    """
+    if not source.finds:
+        holds, provenance = _given(source, channels)
+        return Positions(oriented(holds, _attitudes(holds, channels)), provenance)
+    record = _record(source, channels)
+    chosen, tried = find_still(record.readings(channels), WINDOWS if source.window is None else (source.window,))
+    say(told(chosen, tried, unit))
+    found = still_segments(chosen)
+    holds = holds_of(record, found, file=str(source.log))
+    attitudes = _attitudes(holds, channels)
+    for hold, (x, y, z) in zip(holds, attitudes.tolist(), strict=True):
+        rows = [segment for segment in found if segment.name == hold.position]
+        n = hold.summaries[channels[0]].n
+        say(f"  {hold.name}: {n} of rows {rows[0].start} to {rows[-1].end - 1}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
+    how = {
+        "found": "standard deviation in a window below a threshold",
+        "window_rows": chosen.window,
+        "threshold": significant(chosen.threshold, 4),
+        "times_noise": chosen.multiple,
+    }
+    return Positions(oriented(holds, attitudes), {**_log(source, record), "segments": how}, found)
+
+
+def _given(source: Source, channels: Sequence[str]) -> tuple[list[Hold], dict[str, Any]]:
+    """What the sensor read in the segments or the table that were given, and where these come from."""
+    if source.segments is None:
+        holds = holds_of_table(read_positions(source.log, channels))
+        return holds, {"table": {"name": source.log.name, "sha256": _sha256(source.log)}}
+    segments = read_segments(source.segments)
+    record = _record(source, channels)
+    origin = {"name": source.segments.name, "sha256": _sha256(source.segments)}
+    return holds_of(record, segments, file=str(source.segments)), {**_log(source, record), "segments": origin}
+
+
+def _attitudes(holds: Sequence[Hold], channels: Sequence[str]) -> Array:
+    """A first guess at the directions, for the estimator."""
+    means = np.array([[hold.summaries[channel].mean for channel in channels] for hold in holds])
+    return fit_ellipsoid(means, np.zeros_like(means)).attitudes
+
+
+def _record(source: Source, channels: Sequence[str]) -> Record:
+    return read_record(source.log, channels, parse_columns(source.columns, channels))
+
+
+def _log(source: Source, record: Record) -> dict[str, Any]:
+    return {"log": {"name": source.log.name, "rows": record.rows, "sha256": _sha256(source.log)}}
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as stream:
+        return file_digest(stream, "sha256").hexdigest()
