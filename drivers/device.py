@@ -129,6 +129,8 @@ class Model:
         Seconds between samples that lets the reading renew itself.
     thermometer : bool
         Whether the sensor reports its own temperature.
+    thermometer_step : float
+        The step of that report, °C; 0 where it is continuous.
     driver : callable
         ``driver(link, clock)`` returns the :class:`Sensor`.
     twin : callable
@@ -168,6 +170,7 @@ class Model:
     default_truth: Callable[[int], Truth] | None = None
     spi: SpiPort | None = None
     options: tuple[str, ...] = ()
+    thermometer_step: float = 0.0
     scaled: bool = True
     tailor: Callable[[Address], Model] | None = None
 

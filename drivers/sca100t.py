@@ -318,6 +318,7 @@ def _model(name: str, title: str, variant: Variant) -> Model:
         # The part passes 8 to 28 Hz: a sample sooner than this repeats the noise of the one before.
         interval=0.010,
         thermometer=True,
+        thermometer_step=1.0 / 1.083,
         driver=Sca100t,
         twin=_twin,
         not_modelled=(

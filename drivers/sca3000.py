@@ -301,6 +301,7 @@ def _model(entry: Entry, part: Part) -> Model:
         resolution=1.0,
         interval=1.0 / part.rate,
         thermometer=part.thermometer,
+        thermometer_step=1.0 / 1.8,
         driver=partial(_driver, part),
         twin=partial(_twin, part, entry.schemes[0]),
         not_modelled=(

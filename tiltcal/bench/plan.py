@@ -91,6 +91,8 @@ class Plan:
     journal : str
         The journal's file name.
     thermometer : Place or None
+    thermometer_uncertainty : float or None
+        Stated standard uncertainty of a temperature, °C.
     base : str or None
         The text of the calibration file that a mounting completes.
     """
@@ -105,6 +107,7 @@ class Plan:
     software: str
     journal: str
     thermometer: Place | None = None
+    thermometer_uncertainty: float | None = None
     base: str | None = None
 
     @property
@@ -133,6 +136,7 @@ class Plan:
                 "settle": self.settings.settle,
                 "soak": self.settings.soak,
                 "jig": self.jig,
+                "thermometer": self.thermometer_uncertainty,
                 "angle": self.procedure.angle,
             },
             "procedure": dict(self.procedure.record),
@@ -162,6 +166,7 @@ class Plan:
                 software=header["software"],
                 journal=header["journal"],
                 thermometer=Place.from_record(header["thermometer"]) if "thermometer" in header else None,
+                thermometer_uncertainty=settings.get("thermometer"),
                 base=header.get("base"),
             )
         except (KeyError, TypeError, ValueError, InputError) as error:
@@ -215,6 +220,7 @@ def plan_session(
         software=f"tiltcal {tiltcal.__version__}",
         journal=journal.name,
         thermometer=None if bench.thermometer is None else _thermometer(bench.thermometer),
+        thermometer_uncertainty=None if bench.thermometer is None else bench.thermometer.uncertainty,
         base=base,
     )
     return plan if plan.virtual else replace(plan, started=_to_the_millisecond(datetime.now(UTC)))

@@ -66,12 +66,15 @@ class Taken:
         Per serial number and channel.
     temperatures : mapping of str to float or None
         Per serial number, °C.
+    typed : bool
+        Whether the operator typed the temperature.
     """
 
     position: Position
     time_ns: int
     summaries: Mapping[str, dict[str, Summary]]
     temperatures: Mapping[str, float | None]
+    typed: bool = False
 
     def mean(self, serial: str) -> Array:
         """Mean reading of each channel of a sensor, in its unit."""
@@ -238,7 +241,7 @@ class Runner:
                 channel: summarise([reading.values[place] for reading in readings], bay.model.resolution)
                 for place, channel in enumerate(bay.model.channels)
             }
-        return Taken(position, self._tape.now_ns(), summaries, temperatures)
+        return Taken(position, self._tape.now_ns(), summaries, temperatures, typed is not None)
 
     def _look(self, position: Position, sample: Sample, why: str) -> None:
         self._tell(lambda: self._operator.look(position, self._by_serial(sample), why))

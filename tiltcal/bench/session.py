@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from math import sqrt
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +18,8 @@ from tiltcal.bench.runner import Runner, Taken
 from tiltcal.bench.tape import Tape, TapedClock
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.bench.wiring import open_place, wired
-from tiltcal.calibrate import Measurement, Nominal, calibrate
+from tiltcal.calibrate import Measurement, Nominal, Subject, calibrate_jointly
+from tiltcal.core.rounding import significant
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import Model, Talking
 from tiltcal.errors import HardwareError
@@ -26,6 +28,7 @@ from tiltcal.files.document import checked_kind, parse_document
 from tiltcal.files.journal import Journal, JournalWriter
 from tiltcal.files.whole import check_writable, write_whole
 from tiltcal.mount import mount
+from tiltcal.sweep import choose_order, swept, with_order
 
 T = TypeVar("T")
 
@@ -188,7 +191,7 @@ class Session:
         """Walk through the procedure and make the calibration files' texts."""
 
         def conclude(walked: Walked, runner: Runner) -> dict[Place, Calibration]:
-            found = {bay.serial: self._calibration(bay, walked.taken) for bay in walked.bays}
+            found = self._calibrations(walked)
             kept = {place: found[place.serial] for place in self.plan.places if place.serial in found}
             runner.confirm_write(lambda: operator.write([self._output(place) for place in kept]))
             return kept
@@ -223,9 +226,30 @@ class Session:
     def _output(self, place: Place) -> Path:
         return Path(os.path.normpath(self.path.parent / place.output))
 
-    def _calibration(self, bay: Bay, taken: Sequence[Taken]) -> Calibration:
-        """The calibration of one sensor, without its provenance."""
-        measurements = [
+    def _calibrations(self, walked: Walked) -> dict[str, Calibration]:
+        """The calibration of each sensor by its serial number, without its provenance."""
+        plan = self.plan
+        measured = {bay.serial: self._measurements(bay, walked.taken) for bay in walked.bays}
+        settings = {"samples": plan.settings.samples, "settle_seconds": plan.settings.settle}
+        if plan.base is not None:
+            base = calibration_of(checked_kind(parse_document(plan.base, "the base calibration"), "tilt"))
+            return {serial: mount(base, one, jig=plan.jig, settings=settings) for serial, one in measured.items()}
+        subjects = [
+            Subject(bay.identity, measured[bay.serial], _nominal(bay.model), bay.orientation.matrix)
+            for bay in walked.bays
+        ]
+        procedure, warmth = plan.procedure, self._thermometer_uncertainty(walked)
+        choice = None
+        if procedure.determines.cross_validated:
+            choice = choose_order(subjects, procedure, jig=plan.jig, thermometer=warmth)
+            procedure = with_order(procedure, choice.order)
+        found = calibrate_jointly(subjects, procedure, jig=plan.jig, thermometer=warmth, settings=settings)
+        if choice is not None:
+            found = [swept(one, subject.measurements, choice) for one, subject in zip(found, subjects, strict=True)]
+        return {bay.serial: one for bay, one in zip(walked.bays, found, strict=True)}
+
+    def _measurements(self, bay: Bay, taken: Sequence[Taken]) -> list[Measurement]:
+        return [
             Measurement(
                 one.position.name,
                 bay.orientation.seen(one.position.gravity),
@@ -233,21 +257,18 @@ class Session:
                 one.temperatures[bay.serial],
                 one.summaries[bay.serial],
                 {"time": stamp(self.plan.started + timedelta(microseconds=one.time_ns / 1000))},
+                heading=one.position.heading,
             )
             for one in taken
         ]
-        model, settings = bay.model, self.plan.settings
-        if self.plan.base is not None:
-            base = calibration_of(checked_kind(parse_document(self.plan.base, "the base calibration"), "tilt"))
-            return mount(base, measurements, jig=self.plan.jig, settings={"samples": settings.samples})
-        return calibrate(
-            bay.identity,
-            self.plan.procedure,
-            measurements,
-            nominal=Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails),
-            jig=self.plan.jig,
-            settings={"samples": settings.samples, "settle_seconds": settings.settle},
-        )
+
+    def _thermometer_uncertainty(self, walked: Walked) -> float | None:
+        """Standard uncertainty of the temperatures, °C: as the bench file states it, else the thermometers' steps."""
+        if self.plan.thermometer_uncertainty is not None:
+            return self.plan.thermometer_uncertainty
+        if self.plan.thermometer is not None or any(one.typed for one in walked.taken):
+            return None
+        return significant(max(bay.model.thermometer_step for bay in walked.bays) / sqrt(12), 4) or None
 
     def _provenance(self, place: Place, ending: Ending) -> dict[str, Any]:
         plan = self.plan
@@ -263,3 +284,8 @@ class Session:
             "journal": {"name": plan.journal, "sha256": ending.sha256},
             **({"reception": dict(ending.receptions[place.serial])} if place.serial in ending.receptions else {}),
         }
+
+
+def _nominal(model: Model) -> Nominal:
+    """What is known of a sensor before it is measured."""
+    return Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)

@@ -14,6 +14,7 @@ COMMANDS = {
     "devices": "list the sensor models, their addresses and what their twins leave out",
     "procedures": "list the procedures, or show one",
     "probe": "see whether a sensor answers, and test it",
+    "plan": "predict how well a procedure will determine every coefficient",
     "measure": "walk a sensor through a procedure and write its calibration file",
     "record": "log the readings of a sensor, or of a whole bench",
     "verify": "judge a calibration by positions that it was not fitted to",
@@ -21,6 +22,7 @@ COMMANDS = {
     "replay": "run a captured session again, without hardware",
     "fit": "calibrate from a recorded log",
     "apply": "turn a recorded log of readings into compensated tilt",
+    "match": "match pairs of accelerometers on a rotary stage",
     "check": "check any tiltcal file",
     "demo": "measure, calibrate and apply on the virtual bench",
 }

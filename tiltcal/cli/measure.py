@@ -107,10 +107,31 @@ def command(
         path = resume or journal or free_journal(beside)
         plan = plan_session(steps, sensors, outputs, path, lead=operator, samples=samples, settle=settle, base=mounted)
         session = Session(plan, path)
+        _show_outlook(plan)
     with led(session, operator, plain=plain, again="measure") as leader:
         result = session.measure(leader)
     for name, reception in result.receptions.items():
         click.echo(f"{name}: {in_words(reception)}", err=True)
+
+
+def _show_outlook(plan: Plan) -> None:
+    """Tell how well the positions will determine the coefficients; refuse those that cannot."""
+    from tiltcal.outlook import outlook
+    from tiltcal.report.outlook import outlook_text
+
+    if plan.procedure.determines.mounting:
+        return
+    for place in {(place.model, place.orientation): place for place in plan.places}.values():
+        expected = outlook(
+            plan.procedure,
+            place.fitted,
+            jig=plan.jig,
+            thermometer=plan.thermometer_uncertainty,
+            samples=plan.settings.samples,
+            orientation=place.orientation,
+            sensors=len(plan.places),
+        )
+        click.echo(f"{place.model}, {outlook_text(expected)}", err=True)
 
 
 def _base(procedure: Procedure, base: Path | None, sensors: BenchFile) -> str | None:

@@ -6,7 +6,7 @@
     kind: bench
     operator: A. Technician
     jig: 0.1                                   # standard uncertainty of a set angle, degrees
-    thermometer: {model: thermistor, address: "ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&..."}
+    thermometer: {model: thermistor, address: "ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&...", uncertainty: 0.1}
     sensors:
       - {serial: A-1005, model: adxl202, address: "serial:///dev/ttyUSB0"}
       - {serial: A-1006, model: adxl202, address: "serial:///dev/ttyUSB1", axes: [-y, x]}
@@ -50,10 +50,13 @@ class BenchThermometer:
     Attributes
     ----------
     model, address : str
+    uncertainty : float or None
+        Standard uncertainty of a temperature, °C; None where it is not stated.
     """
 
     model: str
     address: str
+    uncertainty: float | None = None
 
 
 @dataclass(frozen=True)
@@ -125,5 +128,6 @@ def _read_axes(node: Node) -> Orientation:
 
 
 def _read_thermometer(node: Node) -> BenchThermometer:
-    section = node.mapping(required=("model", "address"))
-    return BenchThermometer(section["model"].text(), section["address"].text())
+    section = node.mapping(required=("model", "address"), optional=("uncertainty",))
+    uncertainty = section["uncertainty"].number(minimum=0.0) if "uncertainty" in section else None
+    return BenchThermometer(section["model"].text(), section["address"].text(), uncertainty)

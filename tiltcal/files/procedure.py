@@ -35,6 +35,10 @@ class Determines:
         Columns of the sensitivity matrix.
     drift, gain : int
         Orders of the temperature polynomials of offset and sensitivity; 0 where there is none.
+    nonlinearity : int
+        0 for a straight line, 1 for a square, 2 for a square and a cube.
+    cross_validated : bool
+        Whether the order of the drift is chosen by cross-validation, ``drift`` being the highest.
     mounting : bool
         Whether the positions are the application's, and show how a calibrated sensor sits in it.
     """
@@ -42,7 +46,9 @@ class Determines:
     axes: tuple[str, ...]
     drift: int = 0
     gain: int = 0
+    nonlinearity: int = 0
     mounting: bool = False
+    cross_validated: bool = False
 
 
 @dataclass(frozen=True)
@@ -247,7 +253,9 @@ def _read_temperature(node: Node) -> float:
 
 
 def _read_determines(node: Node, has_reference: bool) -> Determines:
-    section = node.mapping(required=("axes",), optional=("drift", "gain", "mounting"))
+    section = node.mapping(
+        required=("axes",), optional=("drift", "gain", "nonlinearity", "mounting", "cross_validated")
+    )
     axes = tuple(item.choice(("x", "y", "z")) for item in section["axes"].items())
     if len(set(axes)) < len(axes):
         raise section["axes"].error("an axis is named twice")
@@ -255,9 +263,15 @@ def _read_determines(node: Node, has_reference: bool) -> Determines:
     if (drift or gain) and not has_reference:
         raise node.error("temperature terms need the key 'reference', the temperature that they are counted from")
     mounting = section["mounting"].flag() if "mounting" in section else False
-    if mounting and (axes or drift or gain):
+    if mounting and (axes or drift or gain or "nonlinearity" in section):
         raise node.error("a procedure that determines the mounting determines nothing else: axes is [] there")
-    return Determines(tuple(sorted(axes)), drift, gain, mounting)
+    bend = section["nonlinearity"].integer(minimum=0) if "nonlinearity" in section else 0
+    if bend > 2:
+        raise section["nonlinearity"].error("a non-linearity is 1, the square, or 2, the square and the cube")
+    chosen = section["cross_validated"].flag() if "cross_validated" in section else False
+    if chosen and not drift:
+        raise node.error("an order that is chosen by cross-validation needs the key 'drift', the highest order")
+    return Determines(tuple(sorted(axes)), drift, gain, bend, mounting, chosen)
 
 
 def _read_order(node: Node) -> int:

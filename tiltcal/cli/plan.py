@@ -1,0 +1,65 @@
+"""``tiltcal plan``"""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.files.procedure import find_procedure
+
+
+@click.command(epilog="Example: tiltcal plan cross-axis --sensor sca100t-d02 --jig 0.05")
+@click.argument("procedure")
+@click.option("--sensor", required=True, metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
+@click.option("--address", help="Its address, where that settles facts of the model, such as counts_per_g.")
+@click.option("--jig", type=click.FloatRange(0.0), metavar="DEGREES", help="Standard uncertainty of a set angle.")
+@click.option(
+    "--thermometer", type=click.FloatRange(0.0), metavar="CELSIUS", help="Standard uncertainty of a temperature."
+)
+@click.option("--noise", type=click.FloatRange(0.0), help="Standard deviation of one sample, in the sensor's unit.")
+@click.option("--samples", type=click.IntRange(2), help="Samples per position, in place of the procedure's.")
+@click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
+@click.option("--json", "as_json", is_flag=True, help="Print an object for a program.")
+def command(
+    procedure: str,
+    sensor: str,
+    address: str | None,
+    jig: float | None,
+    thermometer: float | None,
+    noise: float | None,
+    samples: int | None,
+    tilt: float | None,
+    as_json: bool,
+) -> None:
+    """Predict how well PROCEDURE will determine every coefficient, before anyone starts.
+
+    A procedure that cannot determine what it asks for is refused (exit code 2), with the position to add.
+    """
+    from tiltcal.outlook import outlook
+    from tiltcal.report.outlook import outlook_text
+
+    model = find_model(sensor)
+    if address is not None:
+        model = model.at(parse_address(address))
+    expected = outlook(
+        find_procedure(procedure, tilt), model, jig=jig, thermometer=thermometer, noise=noise, samples=samples
+    )
+    if not as_json:
+        click.echo(outlook_text(expected))
+        return
+    prediction = expected.prediction
+    click.echo(
+        json.dumps(
+            {
+                "noise": expected.noise,
+                "jig": jig,
+                "uncertainty": prediction.uncertainty(),
+                "degrees_of_freedom": prediction.dof,
+                "correlations": [list(pair) for pair in prediction.correlations],
+                "worth_adding": [list(one) for one in prediction.worth_adding],
+            }
+        )
+    )

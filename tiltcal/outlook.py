@@ -1,0 +1,113 @@
+"""What a procedure will determine of a sensor, before the operator starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, sqrt
+
+from tiltcal.calibrate import Nominal, Subject, design_of
+from tiltcal.core.design import Design
+from tiltcal.core.orientation import STRAIGHT, Orientation
+from tiltcal.core.prediction import Planned, Prediction, predicted_covariance
+from tiltcal.core.statistics import summarise
+from tiltcal.drivers.device import Model
+from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.procedure import Procedure
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What may be expected of a procedure.
+
+    Attributes
+    ----------
+    design : Design
+    prediction : Prediction
+    noise : float
+        Standard deviation of one sample that was counted with, unit.
+    unit : str
+    """
+
+    design: Design
+    prediction: Prediction
+    noise: float
+    unit: str
+
+
+def outlook(
+    procedure: Procedure,
+    model: Model,
+    *,
+    jig: float | None = None,
+    thermometer: float | None = None,
+    noise: float | None = None,
+    samples: int | None = None,
+    orientation: Orientation = STRAIGHT,
+    sensors: int = 1,
+) -> Outlook:
+    """Predict the standard uncertainty of every coefficient from the design alone.
+
+    Parameters
+    ----------
+    procedure : Procedure
+    model : Model
+    jig : float, optional
+        Standard uncertainty of a set angle, degrees; None counts with a perfect one.
+    thermometer : float, optional
+        Standard uncertainty of a temperature, °C; None counts with the step of the sensor's own thermometer.
+    noise : float, optional
+        Standard deviation of one sample, unit; None takes that of the model's virtual part.
+    samples : int, optional
+        Per position; None is the procedure's.
+    orientation : Orientation
+        How the sensor sits on the fixture.
+    sensors : int
+        How many alike sit on the fixture.
+
+    Raises
+    ------
+    EstimateError
+        The positions cannot determine what the procedure asks for; what to add is said.
+    """
+    identity = SensorIdentity(model.name, "", model.unit, model.channels)
+    nominal = Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
+    warmth = model.thermometer_step / sqrt(12) if thermometer is None else thermometer
+    design = design_of(Subject(identity, (), nominal), procedure, jig, warmth)
+    scatter = _usual_noise(model) if noise is None else noise
+    count = samples or procedure.samples
+    # A steady reading that is rounded keeps an error that no averaging removes.
+    adc = summarise([0.0] * 2, model.resolution).quantisation if scatter < model.resolution / 4 else 0.0
+    prediction = predicted_covariance(
+        design,
+        _planned(procedure, orientation),
+        scatter / sqrt(count),
+        sensitivity=model.sensitivity,
+        adc=adc,
+        sensors=sensors,
+    )
+    return Outlook(design, prediction, scatter, model.unit)
+
+
+def _usual_noise(model: Model) -> float:
+    """The noise of a sample of the model's virtual part, at least that of rounding, unit."""
+    known = max(model.default_truth(0).noise.values(), default=0.0) if model.default_truth else 0.0
+    return hypot(known, model.resolution / sqrt(12))
+
+
+def _planned(procedure: Procedure, orientation: Orientation) -> Sequence[Planned]:
+    planned: list[Planned] = []
+    before = None
+    for position in procedure.positions:
+        stands = (position.gravity, position.heading)
+        planned.append(
+            Planned(
+                position.name,
+                orientation.seen(position.gravity),
+                position.temperature if position.temperature is not None else procedure.reference,
+                position.heading,
+                held=stands == before,
+            )
+        )
+        before = stands
+    return planned

@@ -1,0 +1,43 @@
+"""An outlook in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from tiltcal.outlook import Outlook
+
+SHOWN = 3
+"""Correlations and positions that are named."""
+
+
+def outlook_text(outlook: Outlook) -> str:
+    """Every coefficient with its predicted standard uncertainty, and what the plan is weak in."""
+    return "\n".join(_lines(outlook))
+
+
+def _lines(outlook: Outlook) -> Iterator[str]:
+    prediction, design = outlook.prediction, outlook.design
+    jig = "a perfect jig (none is stated)" if design.jig is None else f"a jig of {design.jig:g}°"
+    yield f"predicted standard uncertainty, with {outlook.noise:.2g} {outlook.unit} of noise a sample and {jig}:"
+    for name, u in prediction.uncertainty().items():
+        yield f"  {name:<28} {u:.2g} {_unit(name, outlook.unit)}"
+    yield f"  degrees of freedom {prediction.dof}" + (
+        "" if prediction.dof else ": nothing is left to check the result by"
+    )
+    for first, second, correlation in prediction.correlations[:SHOWN]:
+        yield f"  {first} and {second} are hardly told apart (correlation {correlation:+.2f})"
+    for name, coefficient, share in prediction.worth_adding[:SHOWN]:
+        yield f"  adding {name} would bring {coefficient} to {100 * share:.0f} % of its uncertainty"
+
+
+def _unit(name: str, unit: str) -> str:
+    kind, *rest = name.split(".")
+    if kind == "offset":
+        return unit
+    if kind == "sensitivity":
+        return f"{unit}/g"
+    if kind == "nonlinearity":
+        return ""
+    power = int(rest[-1])
+    per = "°C" if power == 1 else f"°C^{power}"
+    return f"{unit}/{per}" if rest[0] == "offset" else f"1/{per}"

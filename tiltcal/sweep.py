@@ -1,0 +1,140 @@
+"""What a temperature sweep warrants: the order of the drift by cross-validation, and the hysteresis that is left.
+
+A polynomial of too high an order follows the noise; one of too low an order leaves the curve. Each order is judged by
+how well it foretells a position that was left out, and a higher one must be better by more than chance would make it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from tiltcal.calibrate import Measurement, Subject, design_of, observations_of
+from tiltcal.core.design import Sensor
+from tiltcal.core.estimate import estimate_jointly
+from tiltcal.core.rounding import significant
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import Calibration
+from tiltcal.files.procedure import Procedure
+
+ALIKE = 1.5
+"""Temperatures that are no further apart are one temperature met twice, °C."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The order that was chosen, and why.
+
+    Attributes
+    ----------
+    order : int
+    errors : mapping of int to float
+        Mean square error of foretelling a position that was left out, over its variance, by order.
+    """
+
+    order: int
+    errors: Mapping[int, float]
+
+
+def choose_order(
+    subjects: Sequence[Subject], procedure: Procedure, *, jig: float | None = None, thermometer: float | None = None
+) -> Choice:
+    """The order of the drift that foretells left-out positions best.
+
+    Parameters
+    ----------
+    subjects : sequence of Subject
+        All of them have the same order.
+    procedure : Procedure
+        Its ``drift`` is the highest order that is tried.
+    jig, thermometer : float, optional
+        As stated.
+
+    Returns
+    -------
+    Choice
+
+    Notes
+    -----
+    Of the orders whose mean error is within one standard error of the best one's, the lowest is taken.
+    """
+    squares: dict[int, np.ndarray[tuple[int], np.dtype[np.float64]]] = {}
+    for order in range(1, procedure.determines.drift + 1):
+        try:
+            squares[order] = _left_out(subjects, with_order(procedure, order), jig, thermometer)
+        except EstimateError:
+            break
+    if not squares:
+        raise EstimateError("the sweep has too few temperatures to leave one out: add some between and beyond them")
+    errors = {order: float(np.mean(square)) for order, square in squares.items()}
+    best = min(errors, key=lambda order: errors[order])
+    slack = float(np.std(squares[best], ddof=1)) / np.sqrt(len(squares[best]))
+    order = next(order for order in errors if errors[order] <= errors[best] + slack)
+    return Choice(order, errors)
+
+
+def with_order(procedure: Procedure, order: int) -> Procedure:
+    """The procedure with one order of the drift."""
+    return replace(procedure, determines=replace(procedure.determines, drift=order, cross_validated=False))
+
+
+def swept(calibration: Calibration, measurements: Sequence[Measurement], choice: Choice) -> Calibration:
+    """A calibration that tells how its order was chosen, and how far the way up differs from the way down."""
+    record: dict[str, Any] = {
+        "cross_validation": {
+            "order": choice.order,
+            "error_by_order": {str(order): significant(error, 4) for order, error in choice.errors.items()},
+        }
+    }
+    loops = _hysteresis(calibration, measurements)
+    if loops:
+        record["hysteresis"] = loops
+    return replace(calibration, fit={**calibration.fit, **record})
+
+
+def _left_out(
+    subjects: Sequence[Subject], procedure: Procedure, jig: float | None, thermometer: float | None
+) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Squared error of foretelling each position from the others, over its variance."""
+    found = []
+    for number in range(len(subjects[0].measurements)):
+        rest = [
+            replace(subject, measurements=[m for k, m in enumerate(subject.measurements) if k != number])
+            for subject in subjects
+        ]
+        sensors = []
+        for subject in rest:
+            design = design_of(subject, procedure, jig, thermometer)
+            sensors.append(Sensor(design, observations_of(subject.measurements, design.channels), subject.orientation))
+        for subject, estimate in zip(subjects, estimate_jointly(sensors), strict=True):
+            out = subject.measurements[number]
+            gravity, temperature = np.array([out.gravity]), np.array([out.temperature], dtype=float)
+            foretold = estimate.coefficients.predict(gravity, temperature)[0]
+            for channel, value in zip(estimate.coefficients.channels, foretold, strict=True):
+                summary = out.summaries[channel]
+                found.append(((summary.mean - float(value)) / max(summary.u, 1e-300)) ** 2)
+    return np.array(found)
+
+
+def _hysteresis(calibration: Calibration, measurements: Sequence[Measurement]) -> dict[str, Any]:
+    """The largest difference of residuals at one temperature that was met twice, per channel, unit."""
+    residuals: Mapping[str, Mapping[str, float]] = calibration.fit["residuals"]
+    met_twice = [
+        (one.position, other.position)
+        for one, other in combinations(measurements, 2)
+        if one.gravity == other.gravity
+        and one.temperature is not None
+        and other.temperature is not None
+        and abs(one.temperature - other.temperature) <= ALIKE
+    ]
+    loops: dict[str, Any] = {}
+    for channel in calibration.coefficients.channels:
+        differences = {pair: residuals[pair[1]][channel] - residuals[pair[0]][channel] for pair in met_twice}
+        if differences:
+            pair = max(differences, key=lambda pair: abs(differences[pair]))
+            loops[channel] = {"difference": significant(differences[pair], 4), "between": list(pair)}
+    return loops
