@@ -95,6 +95,28 @@ class SpiPort:
     slowest: int = 1
 
 
+@dataclass(frozen=True, slots=True)
+class Population:
+    """How the parts of a model behave over temperature, on average.
+
+    Attributes
+    ----------
+    drift : tuple of float
+        Mean offset, coefficients of 1, T, T², ... with T in °C, in unit.
+    gain : tuple of float
+        Mean relative change of the sensitivity, likewise.
+    drift_spread, gain_spread : float
+        Standard deviation over parts of the slopes, unit/°C and 1/°C.
+    source : str
+    """
+
+    drift: tuple[float, ...]
+    gain: tuple[float, ...]
+    drift_spread: float
+    gain_spread: float
+    source: str
+
+
 @dataclass(frozen=True)
 class Model:
     """The facts of one sensor model, and how to make its driver and its twin.
@@ -129,6 +151,8 @@ class Model:
         Seconds between samples that lets the reading renew itself.
     thermometer : bool
         Whether the sensor reports its own temperature.
+    population : Population or None
+        Its parts over temperature, where the maker says so.
     thermometer_step : float
         The step of that report, °C; 0 where it is continuous.
     driver : callable
@@ -171,6 +195,7 @@ class Model:
     spi: SpiPort | None = None
     options: tuple[str, ...] = ()
     thermometer_step: float = 0.0
+    population: Population | None = None
     scaled: bool = True
     tailor: Callable[[Address], Model] | None = None
 

@@ -18,7 +18,7 @@ from functools import partial
 from math import radians, sin, sqrt
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.device import Model, Reading, SpiPort
+from tiltcal.drivers.device import Model, Population, Reading, SpiPort
 from tiltcal.errors import BusError, DeviceFault, UsageError
 
 if TYPE_CHECKING:
@@ -284,8 +284,26 @@ DRIFT_SPREAD = 0.008
 GAIN_SPREAD = 0.014
 """Typical deviation of the sensitivity's slope from the population mean, %/°C."""
 
+POPULATION_DRIFT = (0.0522, -0.0039, 0.0001, -0.0000006)
+"""Mean offset over temperature of the population, degrees, coefficients of T**0, T**1, ... in °C (datasheet)."""
+
+POPULATION_GAIN = (0.0408, 0.0022, -0.00011)
+"""Mean change of the sensitivity over temperature of the population, %, likewise."""
+
 _D01 = Variant(counts_per_g=1638.0, range=0.5, offset_limit=0.11, nonlinearity=0.11)
 _D02 = Variant(counts_per_g=819.0, range=1.0, offset_limit=0.23, nonlinearity=0.57)
+
+
+def _population(variant: Variant) -> Population:
+    """The datasheet's curves in this variant's counts."""
+    counts = variant.counts_per_g
+    return Population(
+        drift=tuple(counts * radians(k) for k in POPULATION_DRIFT),
+        gain=tuple(k / 100.0 for k in POPULATION_GAIN),
+        drift_spread=counts * radians(DRIFT_SPREAD),
+        gain_spread=GAIN_SPREAD / 100.0,
+        source="SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
+    )
 
 
 def _twin(truth: Truth, fixture: Held, clock: Clock) -> Link:
@@ -319,6 +337,7 @@ def _model(name: str, title: str, variant: Variant) -> Model:
         interval=0.010,
         thermometer=True,
         thermometer_step=1.0 / 1.083,
+        population=_population(variant),
         driver=Sca100t,
         twin=_twin,
         not_modelled=(

@@ -13,6 +13,8 @@ from tiltcal.drivers.sca100t import (
     GAIN_SPREAD,
     LOWEST_SANE_WORD,
     MEAS,
+    POPULATION_DRIFT,
+    POPULATION_GAIN,
     RDAX,
     RDAY,
     RWTR,
@@ -199,12 +201,6 @@ class Push:
 
 REFERENCE = 25.0
 """Where a drawn part's errors as delivered are meant, °C."""
-
-POPULATION_DRIFT = (0.0522, -0.0039, 0.0001, -0.0000006)
-"""Mean offset over temperature of the population, degrees, coefficients of T**0, T**1, ... in °C (datasheet)."""
-
-POPULATION_GAIN = (0.0408, 0.0022, -0.00011)
-"""Mean change of the sensitivity over temperature of the population, %, likewise."""
 
 
 def draw_truth(variant: Variant, seed: int) -> Truth:

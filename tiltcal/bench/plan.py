@@ -95,6 +95,8 @@ class Plan:
         Stated standard uncertainty of a temperature, °C.
     base : str or None
         The text of the calibration file that a mounting completes.
+    typical : bool
+        Whether the model's mean temperature curves stand in for a run of the unit's own.
     """
 
     procedure: Procedure
@@ -109,6 +111,7 @@ class Plan:
     thermometer: Place | None = None
     thermometer_uncertainty: float | None = None
     base: str | None = None
+    typical: bool = False
 
     @property
     def devices(self) -> tuple[Place, ...]:
@@ -141,6 +144,7 @@ class Plan:
             },
             "procedure": dict(self.procedure.record),
             **({} if self.base is None else {"base": self.base}),
+            **({"typical_temperature": True} if self.typical else {}),
         }
 
     @classmethod
@@ -168,6 +172,7 @@ class Plan:
                 thermometer=Place.from_record(header["thermometer"]) if "thermometer" in header else None,
                 thermometer_uncertainty=settings.get("thermometer"),
                 base=header.get("base"),
+                typical=header.get("typical_temperature", False),
             )
         except (KeyError, TypeError, ValueError, InputError) as error:
             raise JournalError(f"the header cannot be used: {error}", file=journal.path, line=1) from None
@@ -183,6 +188,7 @@ def plan_session(
     samples: int | None = None,
     settle: float | None = None,
     base: str | None = None,
+    typical: bool = False,
 ) -> Plan:
     """Lay down a session from what the command line and the bench file say.
 
@@ -199,6 +205,8 @@ def plan_session(
         In place of the procedure's; the soaking window is scaled with ``settle``.
     base : str, optional
         The text of the calibration file that a mounting completes.
+    typical : bool
+        Whether the models' mean temperature curves stand in for runs of the units' own.
 
     Raises
     ------
@@ -222,7 +230,10 @@ def plan_session(
         thermometer=None if bench.thermometer is None else _thermometer(bench.thermometer),
         thermometer_uncertainty=None if bench.thermometer is None else bench.thermometer.uncertainty,
         base=base,
+        typical=typical,
     )
+    if typical:
+        _require_population(plan)
     return plan if plan.virtual else replace(plan, started=_to_the_millisecond(datetime.now(UTC)))
 
 
@@ -240,6 +251,16 @@ def single(model: str, serial: str, address: str, jig: float | None = None) -> B
 def stamp(moment: datetime) -> str:
     """ISO 8601, UTC, to the millisecond."""
     return moment.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _require_population(plan: Plan) -> None:
+    """Refuse mean temperature curves that nobody knows, or that the procedure measures itself."""
+    determines = plan.procedure.determines
+    if determines.drift or determines.gain or determines.mounting:
+        raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: it does without, or measures its own")
+    for place in plan.places:
+        if place.fitted.population is None:
+            raise UsageError(f"no source tells how a {place.model} behaves over temperature on average: measure it")
 
 
 def _place(sensor: BenchSensor, output: Path | None, journal: Path) -> Place:

@@ -29,6 +29,7 @@ from tiltcal.files.journal import Journal, JournalWriter
 from tiltcal.files.whole import check_writable, write_whole
 from tiltcal.mount import mount
 from tiltcal.sweep import choose_order, swept, with_order
+from tiltcal.typical import with_typical_temperature
 
 T = TypeVar("T")
 
@@ -246,6 +247,12 @@ class Session:
         found = calibrate_jointly(subjects, procedure, jig=plan.jig, thermometer=warmth, settings=settings)
         if choice is not None:
             found = [swept(one, subject.measurements, choice) for one, subject in zip(found, subjects, strict=True)]
+        if plan.typical:
+            found = [
+                with_typical_temperature(one, measured[bay.serial], bay.model.population)
+                for one, bay in zip(found, walked.bays, strict=True)
+                if bay.model.population is not None
+            ]
         return {bay.serial: one for bay, one in zip(walked.bays, found, strict=True)}
 
     def _measurements(self, bay: Bay, taken: Sequence[Taken]) -> list[Measurement]:

@@ -59,6 +59,11 @@ from tiltcal.files.procedure import Procedure, find_procedure
     metavar="CAL",
     help="The sensor's calibration file, which the mounting procedure completes.",
 )
+@click.option(
+    "--typical-temperature",
+    is_flag=True,
+    help="Where the unit has no temperature run of its own, take the data sheet's mean curves, and say so in the file.",
+)
 @click.option("--journal", type=click.Path(path_type=Path), help="Where the session is captured [beside the output].")
 @click.option("--resume", type=click.Path(path_type=Path), metavar="JOURNAL", help="Go on with an interrupted session.")
 @click.option("--plain", is_flag=True, help="Lines only: no live reading, no single keys.")
@@ -75,6 +80,7 @@ def command(
     jig: float | None,
     tilt: float | None,
     base: Path | None,
+    typical_temperature: bool,
     journal: Path | None,
     resume: Path | None,
     plain: bool,
@@ -105,7 +111,14 @@ def command(
         mounted = _base(steps, base, sensors)
         outputs, beside = _outputs(sensors, bench, output)
         path = resume or journal or free_journal(beside)
-        plan = plan_session(steps, sensors, outputs, path, lead=operator, samples=samples, settle=settle, base=mounted)
+        plan = plan_session(
+            *(steps, sensors, outputs, path),
+            lead=operator,
+            samples=samples,
+            settle=settle,
+            base=mounted,
+            typical=typical_temperature,
+        )
         session = Session(plan, path)
         _show_outlook(plan)
     with led(session, operator, plain=plain, again="measure") as leader:

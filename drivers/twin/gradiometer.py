@@ -1,0 +1,179 @@
+"""The twin of four accelerometers on an inclined rotary stage: rows of a log, sample by sample.
+
+Each accelerometer feels, along its own tangent at θ + φ,
+
+    a (sin + δP cos) + R (Γxx - Γyy) / 2 sin 2(θ + φ) + R Γxy cos 2(θ + φ) + noise
+
+and answers with scale * (that + second_order * that²) + offset + drift * time. The common acceleration a comes of the
+inclination of the stage and may wander. Every number is a function of the seed and the number of the sample, so a stream
+can be begun anywhere. Source: Misalignment Angle Compensation during Scale Factor Matching (2018), eq. 1, 3 and 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import cos, log, pi, radians, sin, sqrt
+
+from tiltcal.drivers.twin.noise import normal
+
+PHASES = (0.0, 180.0, 90.0, 270.0)
+"""Where a1, a2, a3 and a4 sit, degrees."""
+CHANNELS = ("a1", "a2", "a3", "a4")
+
+_OCTAVES = 20
+_WANDER_PERIODS = (617.0, 1471.0)
+"""Seconds; no multiples of a turn."""
+
+
+@dataclass(frozen=True)
+class Accelerometer:
+    """One of the four.
+
+    Attributes
+    ----------
+    scale : float
+        Unit/g.
+    misalignment : float
+        δP, radians.
+    phase_error : float
+        By which its place on the disk is off, radians.
+    offset : float
+        Unit.
+    drift : float
+        Of the offset, unit/s.
+    second_order : float
+        K_II, 1/g.
+    """
+
+    scale: float
+    misalignment: float = 0.0
+    phase_error: float = 0.0
+    offset: float = 0.0
+    drift: float = 0.0
+    second_order: float = 0.0
+
+
+@dataclass(frozen=True)
+class Disk:
+    """The stage with its accelerometers; the defaults are the magnitudes of the source.
+
+    Attributes
+    ----------
+    accelerometers : tuple of Accelerometer
+        Four, a1 to a4.
+    inclination : float
+        Of the spin axis, radians; its sine is the common acceleration in g.
+    spin : float
+        Hz; negative for a stage that turns backwards.
+    rate : float
+        Samples per second.
+    wander : float
+        Of the common acceleration, relative: its largest excursion.
+    gradient : tuple of float
+        R (Γxx - Γyy) and R Γxy, g.
+    noise : float
+        White, one-sided amplitude density, g/√Hz.
+    corner : float
+        Where 1/f noise is as large as the white noise, Hz; 0 for none.
+    encoder_noise : float
+        Standard deviation of the stage angle, degrees.
+    """
+
+    accelerometers: tuple[Accelerometer, ...] = field(
+        default=(
+            Accelerometer(3.383, -0.0221),
+            Accelerometer(3.415, -0.0217),
+            Accelerometer(3.402, 0.0120),
+            Accelerometer(3.390, 0.0124),
+        )
+    )
+    inclination: float = 1.5e-3
+    spin: float = 0.125
+    rate: float = 50.0
+    wander: float = 0.0
+    gradient: tuple[float, float] = (0.0, 0.0)
+    noise: float = 1.5e-7
+    corner: float = 0.0
+    encoder_noise: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One row: seconds, stage angle in degrees (0 to 360) as the encoder tells it, and the four readings."""
+
+    time: float
+    theta: float
+    readings: tuple[float, ...]
+
+
+class Gradiometer:
+    """Four accelerometers that turn.
+
+    Parameters
+    ----------
+    disk : Disk
+    seed : int
+    """
+
+    def __init__(self, disk: Disk, seed: int = 0) -> None:
+        self._disk = disk
+        self._seed = seed
+        self._white = disk.noise * sqrt(disk.rate / 2.0)
+        # Octaves of held normals of one variance v add up to the density v / (f ln 2).
+        self._flicker = disk.noise * sqrt(disk.corner * log(2.0))
+        self._held: dict[tuple[str, int], tuple[int, float]] = {}
+
+    def sample(self, number: int) -> Sample:
+        """The sample of a number, counted from 0."""
+        disk = self._disk
+        time = number / disk.rate
+        turned = disk.spin * time % 1.0
+        common = sin(disk.inclination) * (1.0 + disk.wander * _wander(time))
+        readings = tuple(
+            self._reading(index, 2.0 * pi * turned, time, common, number) for index in range(len(CHANNELS))
+        )
+        theta = 360.0 * turned
+        if disk.encoder_noise:
+            theta += disk.encoder_noise * normal(self._seed, "encoder", number)
+        return Sample(time, theta % 360.0, readings)
+
+    def samples(self, count: int, start: int = 0) -> Iterator[Sample]:
+        """A stream of samples."""
+        for number in range(start, start + count):
+            yield self.sample(number)
+
+    def lines(self, count: int) -> Iterator[str]:
+        """A log in CSV, line by line: ``time,theta,a1,a2,a3,a4``."""
+        yield f"time,theta,{','.join(CHANNELS)}\n"
+        for sample in self.samples(count):
+            yield ",".join(map(repr, (sample.time, sample.theta, *sample.readings))) + "\n"
+
+    def _reading(self, index: int, turned: float, time: float, common: float, number: int) -> float:
+        part = self._disk.accelerometers[index]
+        angle = turned + radians(PHASES[index]) + part.phase_error
+        differential, cross = self._disk.gradient
+        felt = common * (sin(angle) + part.misalignment * cos(angle))
+        felt += 0.5 * differential * sin(2.0 * angle) + cross * cos(2.0 * angle)
+        felt += self._noise(CHANNELS[index], number)
+        return part.offset + part.drift * time + part.scale * (felt + part.second_order * felt**2)
+
+    def _noise(self, channel: str, number: int) -> float:
+        noise = self._white * normal(self._seed, channel, number) if self._white else 0.0
+        if self._flicker:
+            noise += self._flicker * sum(self._octave(channel, number, octave) for octave in range(_OCTAVES))
+        return noise
+
+    def _octave(self, channel: str, number: int, octave: int) -> float:
+        """A normal number that changes every 2**octave samples."""
+        block = number >> octave
+        held = self._held.get((channel, octave))
+        if held is None or held[0] != block:
+            held = (block, normal(self._seed, f"{channel}/{octave}", block))
+            self._held[channel, octave] = held
+        return held[1]
+
+
+def _wander(time: float) -> float:
+    """Slow, within ±1."""
+    return 0.5 * sum(sin(2.0 * pi * time / period) for period in _WANDER_PERIODS)
