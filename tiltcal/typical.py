@@ -54,7 +54,7 @@ def with_typical_temperature(
         reference=reference,
         range=None,
         drift=np.tile([round_to(k, population.drift_spread / 1000) for k in drift], (len(channels), 1)),
-        gain=np.tile([significant(k, 4) for k in relative], (len(channels), 1)),
+        gain=np.tile([significant(k, 8) for k in relative], (len(channels), 1)),
     )
     doubt = {
         "offset": {c: [significant(population.drift_spread, 4), *(len(drift) - 1) * [0.0]] for c in channels},
