@@ -97,6 +97,7 @@ def test_a_sensor_that_fails_is_reported_and_the_others_go_on(tmp_path: Path) ->
     assert result.returncode == 3
     assert "BAD is given up, the others go on" in result.stderr
     assert "no calibration file for BAD" in result.stderr
+    assert "--resume" not in result.stderr, "the session is complete"
     assert read_calibration(tmp_path / "GOOD.yaml").coefficients.offset == pytest.approx([1021.0, 1021.0], abs=0.5)
     assert not (tmp_path / "BAD.yaml").exists()
     replayed = tiltcal("replay", "bench.journal.jsonl", "--golden", "GOOD.yaml", cwd=tmp_path)

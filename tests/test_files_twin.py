@@ -78,7 +78,7 @@ def test_seed_of_the_address_comes_before_that_of_the_file(tmp_path: Path) -> No
         (", z: -1.5", "", 9, "truth.sensitivity.y", "same columns"),
         ("reference: 24, ", "", 10, "truth.temperature", "'reference' is missing"),
         ("noise: {x: 0.6}", "noise: {x: -1}", 12, "truth.noise.x", "at least 0"),
-        ("jig: 0.01", "mounting: {}", 14, "truth.mounting", "unknown key"),
+        ("jig: 0.01", "gig: 0.01", 14, "truth.gig", "unknown key"),
         ("kind: parity", "kind: party", 18, "truth.faults[0].kind", "did you mean 'parity'"),
         ("end: 12.5", "end: 12", 18, "truth.faults[0].end", "not after its start"),
         ("seed: 7", "seed: -7", 4, "seed", "at least 0"),

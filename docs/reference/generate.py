@@ -21,7 +21,7 @@ Results go to standard output, talk to standard error. Exit codes:
 | | |
 |---|---|
 | 0 | done |
-| 1 | done, and judged failing: `check`, `probe --self-test`, `replay --golden` |
+| 1 | done, and judged failing: `check`, `verify`, `probe --self-test`, `replay --golden` |
 | 2 | wrong usage or bad input; the message names file, line and key |
 | 3 | hardware or bus error |
 | 130 | interrupted; the message says how to resume |

@@ -278,7 +278,7 @@ def _thermometer(thermometer: BenchThermometer) -> Place:
 def _require_in_range(procedure: Procedure, place: Place) -> None:
     """Refuse positions that the model can only answer with its rail, and a scale that nobody has stated."""
     model = place.fitted
-    if not model.scaled and not procedure.determines.axes:
+    if not model.scaled and not procedure.determines.axes and not procedure.determines.mounting:
         raise UsageError(
             f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
             "address (sensitivity=..., unit per g)"

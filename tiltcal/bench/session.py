@@ -101,11 +101,17 @@ class Session:
         The journal.
     journal : Journal, optional
         What was captured before.
+
+    Attributes
+    ----------
+    finished : bool
+        Whether the journal has its end, so that there is nothing to resume.
     """
 
     def __init__(self, plan: Plan, path: Path, journal: Journal | None = None) -> None:
         self.plan = plan
         self.path = path
+        self.finished = False
         self._journal = journal
         self._clock: Clock = VirtualClock() if plan.virtual else SystemClock(int(plan.started.timestamp() * 1e9))
         self._virtual = VirtualBench(self._clock, plan.devices)
@@ -218,6 +224,7 @@ class Session:
                 conclusion = conclude(Walked(rack.bays, tuple(taken)), runner)
                 ended = plan.started + timedelta(microseconds=tape.now_ns() / 1000)
                 sha256 = tape.finish()
+                self.finished = True
         finally:
             if writer is not None:
                 writer.close()

@@ -41,6 +41,8 @@ def led(session: Session, lead: str, *, plain: bool, again: str) -> Iterator[Ope
         except Stopped as error:
             raise Stopped(f"{error}; {go_on}") from None
         except HardwareError as error:
+            if session.finished:
+                raise
             raise HardwareError(f"{error}; {go_on}") from None
         except TiltcalError:
             click.echo(go_on, err=True)

@@ -41,8 +41,9 @@ class SimOperator:
     def accepted(self, position: Position, measured: list[Measured]) -> None:
         for one in measured:
             values = "  ".join(f"{channel} {mean:.6g} ± {one.std[channel]:.2g}" for channel, mean in one.mean.items())
+            whose = f"{one.serial}  " if len(measured) > 1 else ""
             warmth = "" if one.temperature is None else f"  at {one.temperature:.1f} °C"
-            self._say(f"  {self._number}/{self._positions} {position.name:<12} {values} {one.unit}{warmth}")
+            self._say(f"  {self._number}/{self._positions} {position.name:<12} {whose}{values} {one.unit}{warmth}")
 
     def refused(self, position: Position, why: str) -> None:
         self._say(f"  {position.name} refused: {why}")
