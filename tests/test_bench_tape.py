@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.plan import Plan
 from tiltcal.bench.session import Session

@@ -1,8 +1,8 @@
 """The tilt meter paper's figures, met on a twin with the paper's magnitudes (fixtures/twins/mavs.yaml).
 
-Temperature coefficients of +10 and -2 mV/°C, a protractor good to ±0.3° (95 %): the residual from 5 to 28 °C is below 0.3°
-of the settings in which the coefficients were determined, and tilt is right within 1° to ±50° and within 3° to ±70°.
-What is reached is printed (run with -s).
+Temperature coefficients of +10 and -2 mV/°C, a protractor good to ±0.3° (95 %): from 5 to 28 °C the residual is below
+0.3° of the settings in which the coefficients were determined, and tilt is right within 1° to ±50° and within 3° to
+±70°. What is reached is printed (run with -s).
 """
 
 from __future__ import annotations

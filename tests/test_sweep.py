@@ -6,6 +6,7 @@ from math import cos, radians, sin
 
 import numpy as np
 import pytest
+
 from tiltcal.calibrate import Measurement, Nominal, Subject, calibrate
 from tiltcal.core.statistics import Summary
 from tiltcal.errors import EstimateError
@@ -52,8 +53,8 @@ def test_the_order_is_the_parts_own(drift: tuple[float, ...], order: int) -> Non
     assert min(chosen) >= order, "an order that is too low leaves the curve"
 
 
-def test_the_chosen_coefficients_are_the_parts(seed: int = 3) -> None:
-    procedure, measured = sweep((0.2, 0.004), seed)
+def test_the_chosen_coefficients_are_the_parts() -> None:
+    procedure, measured = sweep((0.2, 0.004), seed=3)
     found = calibrate(SENSOR, with_order(procedure, 2), measured, nominal=NOMINAL, jig=0.0)
     thermal = found.coefficients.thermal
     assert thermal is not None
@@ -79,7 +80,7 @@ def test_too_few_temperatures_to_leave_one_out() -> None:
 
 @pytest.mark.parametrize("lean", [0.0, 0.5, 2.0])
 def test_reversal_cancels_the_lean_of_the_table(lean: float) -> None:
-    """The table leans by ``lean`` about an axis of its own; turned by its heading the sensor feels it from all sides."""
+    """The table leans about an axis of its own; turned by its heading the sensor feels it from all sides."""
     rng = np.random.default_rng(4)
     tilt, toward = sin(radians(lean)), radians(35.0)
     measured = []
