@@ -156,6 +156,13 @@ class TestRefusals:
         assert said in refused(match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml"), EstimateError)
         assert not (tmp_path / "p.yaml").exists()
 
+    def test_an_angle_in_radians_is_asked_about(self, tmp_path: Path) -> None:
+        taken = disk.record(seconds=80, rate=20)
+        path = disk.Record(taken.time, np.deg2rad(taken.theta), taken.readings).write(tmp_path / "radians.csv")
+        said = refused(match(path, *PAIR, "--phase", "theta"), EstimateError)
+        assert said.startswith(f"{path}: the stage is not turning")
+        assert "in degrees?" in said
+
     def test_a_channel_that_is_missing(self, tmp_path: Path) -> None:
         path = small(tmp_path)
         said = refused(match(path, "--pair", "a1,a2", "--orthogonal", "a5", "--phase", "theta"), InputError)
@@ -193,6 +200,14 @@ class TestRefusals:
 
 
 class TestPairFile:
+    def test_a_log_without_time_has_turns_and_no_frequency(self, tmp_path: Path) -> None:
+        path = small(tmp_path)
+        path.write_text("".join(line.partition(",")[2] + "\n" for line in path.read_text().splitlines()))
+        assert match(path, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
+        known = read_pair(tmp_path / "p.yaml")
+        assert known.frequency is None
+        assert known.turns == pytest.approx(10.0, abs=0.01)
+
     def test_reads_back_what_was_written(self, log: Path, tmp_path: Path) -> None:
         path = tmp_path / "both.yaml"
         assert match(log, *BOTH, "--phase", "theta", "-o", path).exit_code == 0

@@ -5,7 +5,7 @@ Each accelerometer feels, along its own tangent at θ + φ,
     a (sin + δP cos) + R (Γxx - Γyy) / 2 sin 2(θ + φ) + R Γxy cos 2(θ + φ) + noise
 
 and answers with scale * (that + second_order * that²) + offset + drift * time. The common acceleration a comes of the
-inclination of the stage and may wander. Every number is a function of the seed and the number of the sample, so a stream
+inclination of the stage and may wander. Every number is a function of the seed and the sample's number: a stream
 can be begun anywhere. Source: Misalignment Angle Compensation during Scale Factor Matching (2018), eq. 1, 3 and 4.
 """
 

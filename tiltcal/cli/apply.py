@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from tempfile import SpooledTemporaryFile
-from typing import TYPE_CHECKING, BinaryIO, cast
+from typing import TYPE_CHECKING
 
 import click
 
+from tiltcal.cli.log_files import STANDARD, log_sink, log_source, progress_bar, require_csv
 from tiltcal.errors import EstimateError, InputError, UsageError
 
 if TYPE_CHECKING:
+    from tiltcal.core.compensate import Compensation
     from tiltcal.core.model import Limits
+    from tiltcal.core.pair.compensate import PairCompensation
     from tiltcal.files.calibration import Calibration
-
-_STANDARD = "-"
-_SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
-_LATER = (".parquet", ".nc")
 
 _EXAMPLE = """\b
 Examples:
@@ -36,12 +29,13 @@ Examples:
 @click.command(epilog=_EXAMPLE)
 @click.argument("calibration", type=click.Path(path_type=Path))
 @click.argument("log")
-@click.option("-o", "--output", default=_STANDARD, metavar="OUT", help="File to write; standard output by default.")
+@click.option("-o", "--output", default=STANDARD, metavar="OUT", help="File to write; standard output by default.")
 @click.option(
     "--columns",
     default="",
     metavar="ROLE=NAME,…",
-    help="Which column holds which reading, such as x=VoutX,y=VoutY,temperature=T.",
+    help="Which column holds which reading, such as x=VoutX,y=VoutY,temperature=T; in a log without a header by number "
+    "from 1.",
 )
 @click.option(
     "--skip-bad-rows", is_flag=True, help="Keep rows that cannot be parsed, with flag 9, instead of stopping."
@@ -58,31 +52,49 @@ def command(
     pass, 3 suspect, 4 fail, 9 missing. reason adds up: 1 arcsine argument beyond ±1, 2 temperature outside the
     calibrated range, 4 reading at the rail, 8 tilt outside the calibrated range, 16 temperature missing, 32 not a
     number. The output appears whole or not at all, on standard output too.
+
+    Where CALIBRATION is of accelerometer pairs (from `tiltcal match`), the columns are the matched sum of each pair
+    and, with both pairs, the gradient signal and its components at twice the turning, over the turn before.
     """
-    from tiltcal.core.compensate import Compensation
-    from tiltcal.files.calibration import read_calibration
     from tiltcal.logs.columns import locate_columns, parse_columns
     from tiltcal.logs.compensated import compensate_log
     from tiltcal.logs.csv_log import CsvLog
 
-    for name in (log, output):
-        if name.lower().endswith(_LATER):
-            raise UsageError(f"{name}: logs are CSV for now; convert it to CSV first")
-    known = read_calibration(calibration)
-    channels = known.coefficients.channels
+    require_csv(log, output)
+    compensation, channels = _compensation(calibration, first_order)
     named = parse_columns(columns, channels)
-    try:
-        compensation = Compensation(known.coefficients, _with_rails(known), first_order=first_order)
-    except EstimateError as failure:
-        raise InputError(str(failure), file=calibration) from failure
-    with _source(log) as (stream, name, size), _sink(output) as sink, _progress(size) as progress:
+    with log_source(log) as (stream, name, size), log_sink(output) as sink, progress_bar("apply", size) as progress:
         rows = CsvLog(stream, name=name, skip_bad_rows=skip_bad_rows)
         located = locate_columns(rows.names, channels, named, file=name)
         summary = compensate_log(rows, sink, compensation, channels, located, progress)
     if as_json:
-        click.echo(json.dumps(summary.as_data()), err=output == _STANDARD)
+        click.echo(json.dumps(summary.as_data()), err=output == STANDARD)
     else:
         click.echo(summary.as_text(), err=True)
+
+
+def _compensation(path: Path, first_order: bool) -> tuple[Compensation | PairCompensation, tuple[str, ...]]:
+    """The kernel for what a calibration file is of, a tilt sensor or pairs of accelerometers, and its channels."""
+    from tiltcal.core.compensate import Compensation
+    from tiltcal.core.pair.compensate import PairCompensation
+    from tiltcal.files.calibration import calibration_of
+    from tiltcal.files.document import checked_kind, read_document
+    from tiltcal.files.pair import pair_of
+
+    document = read_document(path)
+    kind = document.entries().get("kind")
+    if kind is not None and kind.names("pair"):
+        if first_order:
+            raise UsageError("--first-order is for tilt calibrations; a pair file has no cross-axis matrix")
+        pairs = pair_of(checked_kind(document, "pair"))
+        kernel = PairCompensation(pairs.matchings, pairs.phase)
+        return kernel, kernel.channels
+    known = calibration_of(checked_kind(document, "tilt"))
+    try:
+        compensation = Compensation(known.coefficients, _with_rails(known), first_order=first_order)
+    except EstimateError as failure:
+        raise InputError(str(failure), file=path) from failure
+    return compensation, known.coefficients.channels
 
 
 def _with_rails(calibration: Calibration) -> Limits:
@@ -99,48 +111,3 @@ def _with_rails(calibration: Calibration) -> Limits:
     if model.unit != sensor.unit:
         return limits
     return replace(limits, reading=dict.fromkeys(sensor.channels, model.rails))
-
-
-@contextmanager
-def _source(log: str) -> Iterator[tuple[BinaryIO, str, int | None]]:
-    """The log's bytes, what to call it in messages, and its size where it has one."""
-    if log == _STANDARD:
-        yield sys.stdin.buffer, "standard input", None
-        return
-    try:
-        stream = open(log, "rb")  # noqa: SIM115 (only what opening raises is about opening)
-    except OSError as failure:
-        raise UsageError(f"cannot read {log}: {failure.strerror}") from failure
-    with stream:
-        yield stream, log, os.fstat(stream.fileno()).st_size or None
-
-
-@contextmanager
-def _sink(output: str) -> Iterator[BinaryIO]:
-    """Where the rows go, all of them or none."""
-    if output != _STANDARD:
-        from tiltcal.files.whole import whole_file
-
-        with whole_file(output) as stream:
-            yield stream
-        return
-    with SpooledTemporaryFile(_SPOOL) as spool:
-        yield cast("BinaryIO", spool)
-        spool.seek(0)
-        stdout = sys.stdout.buffer
-        shutil.copyfileobj(spool, stdout)
-        stdout.flush()
-
-
-@contextmanager
-def _progress(size: int | None) -> Iterator[Callable[[int], None] | None]:
-    """A bar for a person who watches; nothing for a program."""
-    if size is None or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("apply", total=size)
-        yield lambda done: bar.update(task, completed=done)

@@ -11,6 +11,7 @@ from tiltcal.files.bench import read_bench
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
+from tiltcal.files.pair import read_pair
 from tiltcal.files.procedure import read_procedure
 from tiltcal.files.twin import read_twin
 
@@ -46,7 +47,10 @@ def _checked(path: Path) -> tuple[str, list[str]]:
     named = document.entries().get("kind")
     if named is None:
         raise document.error("the key 'kind' is missing: this is no tiltcal file")
-    kind = named.choice(("tilt", "procedure", "bench", "twin"))
+    kind = named.choice(("tilt", "pair", "procedure", "bench", "twin"))
+    if kind == "pair":
+        read_pair(path)
+        return "pair calibration", []
     if kind == "procedure":
         read_procedure(path)
         return "procedure", []

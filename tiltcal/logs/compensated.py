@@ -7,19 +7,41 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 
 import numpy as np
 
-from tiltcal.core.compensate import FLAGS, REASONS, Compensation
+from tiltcal.core.compensate import FLAGS, REASONS
 from tiltcal.errors import UsageError
 from tiltcal.logs.columns import TEMPERATURE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from tiltcal.core.model import Array
     from tiltcal.logs.csv_log import CsvLog
     from tiltcal.logs.csv_rows import Rows
+
+
+class Flagged(Protocol):
+    """What a kernel makes of some rows."""
+
+    @property
+    def flag(self) -> NDArray[np.uint8]: ...
+
+    @property
+    def reason(self) -> NDArray[np.uint8]: ...
+
+
+class Kernel(Protocol):
+    """What compensates rows: of a tilt sensor, or of pairs of accelerometers."""
+
+    @property
+    def columns(self) -> tuple[str, ...]: ...
+
+    def __call__(self, readings: Array, temperature: Array | None = None) -> Flagged: ...
+
+    def table(self, compensated: Any, /) -> Mapping[str, NDArray[np.float64] | NDArray[np.uint8]]: ...
 
 
 @dataclass
@@ -77,7 +99,7 @@ class Summary:
 def compensate_log(
     log: CsvLog,
     sink: BinaryIO,
-    compensation: Compensation,
+    compensation: Kernel,
     channels: Sequence[str],
     columns: Mapping[str, int],
     progress: Callable[[int], None] | None = None,
@@ -90,7 +112,8 @@ def compensate_log(
         Its columns pass through byte for byte.
     sink : BinaryIO
         Takes the header and one row for each row of the log, in order.
-    compensation : Compensation
+    compensation : Kernel
+        Called with the rows in order, block after block.
     channels : sequence of str
         The readings, in the order of the calibration.
     columns : mapping of str to int

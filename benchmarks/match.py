@@ -1,0 +1,126 @@
+"""Matching against only reading: time and memory for a long record, and how far online is ahead of real time.
+
+    python benchmarks/match.py [--rows 3600000] [--rate 1000] [--json]
+
+Ten hours at 1 kHz are 36,000,000 rows, a log of 3 GB. Exit code 1 where matching offline takes more than three times as
+long as only reading the file, needs more than 1 GB, or online is less than 200 times faster than real time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tiltcal.core.pair.matching import match
+from tiltcal.core.pair.model import Pair
+from tiltcal.core.pair.online import Online
+from tiltcal.logs.csv_log import CsvLog
+from tiltcal.logs.matching import Stretch, demodulate_log
+
+PAIR = Pair("a1", "a2", "a4")
+CHANNELS = ("a1", "a2", "a3", "a4")
+SPIN = 0.125
+MOST_TIMES_READING = 3.0
+MOST_MEMORY = 1.0
+LEAST_AHEAD = 200.0
+_BLOCK = 500_000
+
+
+def write_log(path: Path, rows: int, rate: float) -> None:
+    """A record of the laboratory's accelerometers."""
+    import polars as pl
+
+    draw = np.random.default_rng(0)
+    with open(path, "wb") as log:
+        for start in range(0, rows, _BLOCK):
+            taken = np.arange(start, min(start + _BLOCK, rows)) / rate
+            turned = 2 * np.pi * SPIN * taken
+            columns = {"time": taken, "theta": np.rad2deg(turned) % 360.0}
+            for name, scale, delta, phase in zip(
+                CHANNELS, (3.383, 3.415, 3.402, 3.390), (0.022, -0.015, 0.011, -0.02), (0, 180, 90, 270), strict=True
+            ):
+                angle = turned + np.deg2rad(phase)
+                signal = scale * (np.sin(angle) + delta * np.cos(angle))
+                columns[name] = signal + 3e-4 * draw.standard_normal(len(taken))
+            pl.DataFrame(columns).write_csv(log, include_header=start == 0, float_precision=7)
+
+
+def seconds(work: Callable[[], object]) -> float:
+    begun = time.perf_counter()
+    work()
+    return time.perf_counter() - begun
+
+
+def only_read(path: Path) -> None:
+    """Every number of the columns, and nothing done with it."""
+    with open(path, "rb") as stream:
+        log = CsvLog(stream, name=str(path))
+        for _ in log.rows(range(len(log.names))):
+            pass
+
+
+def offline(path: Path) -> None:
+    with open(path, "rb") as stream:
+        found = demodulate_log(CsvLog(stream, name=str(path)), CHANNELS, "theta", file=str(path))
+    match(found.demodulation, PAIR)
+
+
+def online_seconds(path: Path) -> float:
+    """Of the estimators alone: a live stream brings its numbers itself."""
+    online, spent = Online(PAIR, CHANNELS), 0.0
+
+    def push(stretch: Stretch) -> None:
+        nonlocal spent
+        spent += seconds(lambda: online.push(stretch.theta, stretch.readings))
+
+    with open(path, "rb") as stream:
+        demodulate_log(CsvLog(stream, name=str(path)), CHANNELS, "theta", file=str(path), witness=[push])
+    return spent
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--rows", type=int, default=3_600_000)
+    parser.add_argument("--rate", type=float, default=1000.0, help="rows per second of the record")
+    parser.add_argument("--json", action="store_true")
+    chosen = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "disk.csv"
+        write_log(path, chosen.rows, chosen.rate)
+        reading = seconds(lambda: only_read(path))
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        matching = seconds(lambda: offline(path))
+        after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        online = online_seconds(path)
+    found = {
+        "rows": chosen.rows,
+        "reading_s": round(reading, 2),
+        "offline_s": round(matching, 2),
+        "times_reading": round(matching / reading, 2),
+        "memory_gb": round(after, 2),
+        "memory_after_reading_gb": round(before, 2),
+        "online_s": round(online, 2),
+        "online_times_real_time": round(chosen.rows / chosen.rate / online),
+    }
+    good = (
+        found["times_reading"] <= MOST_TIMES_READING
+        and found["memory_gb"] <= MOST_MEMORY
+        and found["online_times_real_time"] >= LEAST_AHEAD
+    )
+    if chosen.json:
+        print(json.dumps(found))
+    else:
+        print("\n".join(f"{name:<26}{value}" for name, value in found.items()))
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

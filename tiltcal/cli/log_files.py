@@ -1,0 +1,93 @@
+"""What the commands that read a log share: where its bytes come from, where they go, how far it is."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from tempfile import SpooledTemporaryFile
+from typing import BinaryIO, cast
+
+from tiltcal.errors import UsageError
+
+STANDARD = "-"
+
+_SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
+_LATER = (".parquet", ".nc")
+
+
+def require_csv(*names: str) -> None:
+    """Refuse the formats that are not there yet.
+
+    Raises
+    ------
+    UsageError
+        One of the names is that of another format.
+    """
+    for name in names:
+        if name.lower().endswith(_LATER):
+            raise UsageError(f"{name}: logs are CSV for now; convert it to CSV first")
+
+
+class _AsItComes(io.RawIOBase):
+    """Standard input, handed on as it arrives and not when a block is full."""
+
+    def read(self, size: int = -1) -> bytes:
+        arrived: bytes = cast("io.BufferedReader", sys.stdin.buffer).read1(size)
+        return arrived
+
+
+@contextmanager
+def log_source(log: str, *, live: bool = False) -> Iterator[tuple[BinaryIO, str, int | None]]:
+    """The log's bytes, what to call it in messages, and its size where it has one.
+
+    Parameters
+    ----------
+    log : str
+        A file, or ``-`` for standard input.
+    live : bool
+        Do not wait for more of standard input than has arrived.
+    """
+    if log == STANDARD:
+        yield cast("BinaryIO", _AsItComes()) if live else sys.stdin.buffer, "standard input", None
+        return
+    try:
+        stream = open(log, "rb")  # noqa: SIM115 (only what opening raises is about opening)
+    except OSError as failure:
+        raise UsageError(f"cannot read {log}: {failure.strerror}") from failure
+    with stream:
+        yield stream, log, os.fstat(stream.fileno()).st_size or None
+
+
+@contextmanager
+def log_sink(output: str) -> Iterator[BinaryIO]:
+    """Where the rows go, all of them or none."""
+    if output != STANDARD:
+        from tiltcal.files.whole import whole_file
+
+        with whole_file(output) as stream:
+            yield stream
+        return
+    with SpooledTemporaryFile(_SPOOL) as spool:
+        yield cast("BinaryIO", spool)
+        spool.seek(0)
+        stdout = sys.stdout.buffer
+        shutil.copyfileobj(spool, stdout)
+        stdout.flush()
+
+
+@contextmanager
+def progress_bar(what: str, size: int | None) -> Iterator[Callable[[int], None] | None]:
+    """A bar for a person who watches; nothing for a program."""
+    if size is None or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=size)
+        yield lambda done: bar.update(task, completed=done)

@@ -1,0 +1,1 @@
+"""Pairs of accelerometers on a rotary stage: their scale factors matched, their misalignment compensated."""

@@ -1,0 +1,269 @@
+"""Demodulation: the components of readings at the stage's turning, by regression on the stage angle.
+
+Every channel is fitted by the harmonics of the stage angle, an offset and a linear drift, all at once::
+
+    I(θ, row) = sum_h (S_h sin hθ + C_h cos hθ) + offset + drift * row
+
+Of the rows only the products of these columns are kept, block of turns by block of turns: ten hours of a record take no
+more memory than a minute, and the scatter between the blocks tells how much noise there is at the turning itself, which
+may be more than the white noise between the harmonics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.model import Array
+from tiltcal.errors import EstimateError
+
+HARMONICS = 4
+MOST_BLOCKS = 512
+_COARSE_BLOCKS = 10
+_FEWEST_BLOCKS = 5
+_SURPRISE = 0.01
+"""How unlikely the scatter between blocks must be for white noise before the noise counts as coloured."""
+_SINGULAR = 1e-9
+_DRIFT_UNIT = 1e6
+"""Rows; keeps the drift's column near the size of the others."""
+
+
+def harmonic_columns(angle: Array, harmonics: int) -> Array:
+    """sin θ, cos θ, sin 2θ, cos 2θ, ... and 1.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (n,)
+        Turns.
+    harmonics : int
+        At least 1.
+
+    Returns
+    -------
+    ndarray, shape (2 harmonics + 1, n)
+    """
+    phase = 2.0 * pi * (angle - np.floor(angle))
+    columns = np.empty((2 * harmonics + 1, len(angle)))
+    sine, cosine = columns[0], columns[1]
+    np.sin(phase, out=sine)
+    np.cos(phase, out=cosine)
+    for h in range(1, harmonics):
+        before_sine, before_cosine = columns[2 * h - 2], columns[2 * h - 1]
+        columns[2 * h] = before_sine * cosine + before_cosine * sine
+        columns[2 * h + 1] = before_cosine * cosine - before_sine * sine
+    columns[-1] = 1.0
+    return columns
+
+
+class Demodulator:
+    """Takes the rows of a record and keeps what the regression needs of them.
+
+    Parameters
+    ----------
+    channels : sequence of str
+    harmonics : int
+        Of the stage angle, from the first on.
+    """
+
+    def __init__(self, channels: Sequence[str], harmonics: int = HARMONICS) -> None:
+        self._channels = tuple(channels)
+        self._harmonics = harmonics
+        self._size = 1.0
+        self._blocks: dict[int, Array] = {}
+        self._pilot: Array | None = None
+        self._row = 0
+
+    def add(self, angle: Array, readings: Array, row: NDArray[np.int64] | None = None) -> None:
+        """Take more rows.
+
+        Parameters
+        ----------
+        angle : ndarray, shape (n,)
+            Turns that do not wrap, see :class:`~tiltcal.core.pair.stage.Stage`; finite.
+        readings : ndarray, shape (n, channels)
+            Finite.
+        row : ndarray, shape (n,), optional
+            Numbers of the rows, for the drift; counted on where left out.
+        """
+        if not len(angle):
+            return
+        if row is None:
+            row = self._row + np.arange(len(angle))
+            self._row += len(angle)
+        if self._pilot is None:
+            # A large offset would take the digits that the noise needs in the sums of squares.
+            self._pilot = readings.mean(axis=0)
+        columns = harmonic_columns(angle, self._harmonics)
+        table = np.concatenate([columns, row[None, :] / _DRIFT_UNIT, (readings - self._pilot).T])
+        block = np.maximum.accumulate(np.floor(angle / self._size).astype(np.int64))
+        cuts = [0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]
+        for start, end in pairwise(cuts):
+            part = table[:, start:end]
+            number = int(block[start])
+            self._blocks[number] = self._blocks.get(number, 0.0) + part @ part.T
+        while len(self._blocks) > MOST_BLOCKS:
+            self._merge()
+
+    def _merge(self) -> None:
+        """Blocks of twice the turns."""
+        self._size *= 2.0
+        blocks, self._blocks = self._blocks, {}
+        for number, products in blocks.items():
+            self._blocks[number // 2] = self._blocks.get(number // 2, 0.0) + products
+
+    def result(self) -> Demodulation:
+        """The regression over all rows so far.
+
+        Raises
+        ------
+        EstimateError
+            The rows cannot determine the components.
+        """
+        if not self._blocks:
+            raise EstimateError("no row of the record has an angle and all readings")
+        blocks = np.stack([self._blocks[number] for number in sorted(self._blocks)])
+        return regress(blocks, self._channels, self._harmonics)
+
+
+@dataclass(frozen=True)
+class Demodulation:
+    """The regression of all channels on the stage angle.
+
+    Attributes
+    ----------
+    channels : tuple of str
+    rows : int
+    coefficients : ndarray, shape (columns, channels)
+        Rows 0 and 1 are the sin θ and cos θ components, in the unit of the readings.
+    residual : ndarray, shape (channels, channels)
+        Covariance of what is left, unit².
+    inverse : ndarray, shape (columns, columns)
+        Of the products of the columns: times a variance it is the coefficients' covariance in white noise.
+    scores : ndarray, shape (blocks, 2, channels)
+        Products of sin θ and cos θ with what is left, per block of turns.
+    weights : ndarray, shape (blocks, 2, 2)
+        Products of sin θ and cos θ with each other, per block of turns.
+    """
+
+    channels: tuple[str, ...]
+    rows: int
+    coefficients: Array
+    residual: Array
+    inverse: Array
+    scores: Array
+    weights: Array
+
+    def mix(self, weights: dict[str, float]) -> Array:
+        """Weights by name as a row for all channels, shape (channels,)."""
+        return np.array([weights.get(channel, 0.0) for channel in self.channels])
+
+    def components(self, mix: Array) -> Array:
+        """sin and cos component of a mix of channels, shape (2,)."""
+        return np.asarray(self.coefficients[:2] @ mix)
+
+    def covariance(self, mix: Array) -> Array:
+        """Covariance of :meth:`components`, shape (2, 2), unit².
+
+        That of white noise as it is left between the harmonics; where the blocks of turns scatter otherwise, what they
+        say.
+        """
+        # A record without noise leaves less than the rounding of its sums, which may be negative.
+        variance = max(float(mix @ self.residual @ mix), 0.0)
+        return np.asarray(variance * self._colour(mix, variance) * self.inverse[:2, :2])
+
+    def _colour(self, mix: Array, variance: float) -> float:
+        """Noise power at the turning over that of all frequencies; 1 where nothing speaks against it."""
+        if variance <= 0.0 or len(self.scores) < _FEWEST_BLOCKS:
+            return 1.0
+        scores = self.scores @ mix
+        fine, dof = _scatter(scores, self.weights, variance)
+        ratio = fine if _surprising(fine, dof, None) else 1.0
+        if len(scores) < 4 * _COARSE_BLOCKS:
+            return ratio
+        groups = np.array_split(np.arange(len(scores)), _COARSE_BLOCKS)
+        coarse, coarse_dof = _scatter(
+            np.stack([scores[group].sum(axis=0) for group in groups]),
+            np.stack([self.weights[group].sum(axis=0) for group in groups]),
+            variance,
+        )
+        # Slower than a turn: amplitudes that wander.
+        return coarse if coarse > ratio and _surprising(coarse / ratio, coarse_dof, dof) else ratio
+
+
+def regress(blocks: Array, channels: Sequence[str], harmonics: int) -> Demodulation:
+    """The regression from sums of products.
+
+    Parameters
+    ----------
+    blocks : ndarray, shape (blocks, size, size)
+        Products of the harmonics' columns, 1, the drift and the readings, summed over each block.
+    channels : sequence of str
+    harmonics : int
+        As many as the columns have; fewer are fitted where the rows of a turn are too few for all.
+
+    Raises
+    ------
+    EstimateError
+        Not even the first harmonic is determined.
+    """
+    columns = 2 * harmonics + 2
+    total = blocks.sum(axis=0)
+    rows = round(float(total[columns - 2, columns - 2]))
+    for used in range(harmonics, 0, -1):
+        kept = [*range(2 * used), columns - 2, columns - 1]
+        inverse = _inverse(total[np.ix_(kept, kept)])
+        if inverse is not None and rows > 2 * len(kept):
+            break
+    else:
+        raise EstimateError(
+            f"{rows} rows do not determine the components at the turning: the angles must cover the whole turn, with "
+            "more rows than that"
+        )
+    against = total[kept, columns:]
+    coefficients = inverse @ against
+    residual = (total[columns:, columns:] - coefficients.T @ against) / (rows - len(kept))
+    with_readings = blocks[:, :2, columns:]
+    scores = with_readings - blocks[:, :2][:, :, kept] @ coefficients
+    return Demodulation(
+        tuple(channels), rows, coefficients, residual, inverse, *_whole_turns(scores, blocks[:, :2, :2])
+    )
+
+
+def _whole_turns(scores: Array, weights: Array) -> tuple[Array, Array]:
+    """The first and the last block, which the record has begun or ended in the middle of, with their neighbours."""
+    if len(scores) < 4:
+        return scores, weights
+    return tuple(  # type: ignore[return-value]
+        np.concatenate([[table[0] + table[1]], table[2:-2], [table[-2] + table[-1]]]) for table in (scores, weights)
+    )
+
+
+def _inverse(products: Array) -> Array | None:
+    """Of a matrix of products, its columns brought to one size; None where it has none."""
+    size = np.sqrt(np.diag(products))
+    if not np.all(size > 0.0):
+        return None
+    scaled = products / np.outer(size, size)
+    if np.linalg.eigvalsh(scaled)[0] < _SINGULAR:
+        return None
+    return np.asarray(np.linalg.inv(scaled) / np.outer(size, size))
+
+
+def _scatter(scores: Array, weights: Array, variance: float) -> tuple[float, int]:
+    """Mean square of the blocks' scores over what white noise gives, and its degrees of freedom."""
+    squares = np.einsum("bi,bij,bj->b", scores, np.linalg.pinv(weights), scores)
+    dof = max(2 * len(scores) - 2, 1)
+    return float(squares.sum()) / variance / dof, dof
+
+
+def _surprising(ratio: float, dof: int, other: int | None) -> bool:
+    """Whether a ratio of variances is other than chance would have it."""
+    from scipy.special import chdtr, fdtr
+
+    below = chdtr(dof, ratio * dof) if other is None else fdtr(dof, other, ratio)
+    return bool(2.0 * min(below, 1.0 - below) < _SURPRISE)

@@ -1,0 +1,94 @@
+"""The model of four accelerometers on a turning disk, and what matches a pair of them.
+
+With the in-plane common acceleration a, the stage angle θ and position phases φ of 0, 180, 90 and 270°, accelerometer i
+gives::
+
+    I_i = a K_i (sin(θ + φ_i) + δP_i cos(θ + φ_i))  =  S_i sin θ + C_i cos θ
+
+and the matched sum of a pair with an orthogonal third::
+
+    I1 + (I2 + q I4) / (1 - p)
+
+is free of a where (1 - p) (S1, C1) + (S2, C2) + q (S4, C4) = 0. Two equations for two unknowns: solved in K and δP they
+are eq. 7 of the source; solved in the components they need no K, no δP and no word on where the angle begins. What all
+channels share (an amplitude that wanders, a phase error, the noise of the encoder) multiplies every (S, C) by one and
+the same matrix, so it changes neither p nor q.
+
+Source: Misalignment Angle Compensation during Scale Factor Matching (2018), eq. 4, 6 and 7; the minus signs that the
+text copy of eq. 6 has lost are put back, and eq. 7 then nulls both components.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiltcal.core.model import Array
+
+POSITION_PHASES = {"a1": 0.0, "a2": 180.0, "a3": 90.0, "a4": 270.0}
+"""Where the four accelerometers of the source sit on the disk, degrees."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Which readings make a pair.
+
+    Attributes
+    ----------
+    first, second : str
+        Opposite each other on the disk; the second one is trimmed to the first.
+    orthogonal : str
+        A quarter turn away from both; it takes the misalignment out.
+    """
+
+    first: str
+    second: str
+    orthogonal: str
+
+    @property
+    def channels(self) -> tuple[str, str, str]:
+        """The three readings, in the order of the equation."""
+        return self.first, self.second, self.orthogonal
+
+    @property
+    def name(self) -> str:
+        """The pair in one word, for a column of a log."""
+        return f"{self.first}_{self.second}"
+
+
+def matching_coefficients(scale: Array, misalignment: Array) -> tuple[float, float]:
+    """What p and q must be for known accelerometers (eq. 7).
+
+    Parameters
+    ----------
+    scale : array_like, shape (3,)
+        K of the first, the second and the orthogonal accelerometer, unit/g.
+    misalignment : array_like, shape (3,)
+        δP of the same, radians.
+
+    Returns
+    -------
+    p, q : float
+    """
+    k1, k2, k4 = (float(value) for value in scale)
+    d1, d2, d4 = (float(value) for value in misalignment)
+    shared = 1.0 + d1 * d4
+    return (k1 - k2 + (k1 * d1 - k2 * d2) * d4) / (k1 * shared), k2 * (d1 - d2) / (k4 * shared)
+
+
+def matched_sum(first: Array, second: Array, orthogonal: Array, p: float, q: float) -> Array:
+    """I1 + (I2 + q I4) / (1 - p), in the unit of the readings.
+
+    Parameters
+    ----------
+    first, second, orthogonal : ndarray, all of one shape
+        Readings, or components of readings.
+    p, q : float
+    """
+    return np.asarray(first + (second + q * orthogonal) / (1.0 - p), dtype=float)
+
+
+def sum_weights(p: float, q: float) -> Array:
+    """How much of each reading is in the matched sum: first, second, orthogonal, shape (3,)."""
+    return np.array([1.0, 1.0 / (1.0 - p), q / (1.0 - p)])

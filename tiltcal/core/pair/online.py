@@ -1,0 +1,279 @@
+"""Matching a pair online: the two loops of the source, and a recursive estimator that needs fewer turns.
+
+The loops demodulate the matched sum over the last turn and trim p until its component in phase with the first
+accelerometer is gone, then q as well until the component in quadrature is. The first accelerometer itself is the
+reference, so no one needs to know where the stage angle begins.
+
+The recursive estimator keeps the sums of products of all rows, older ones with less weight (least squares with
+exponential forgetting), and solves for p and q in closed form.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import exp, sqrt
+
+import numpy as np
+
+from tiltcal.core.model import Array
+from tiltcal.core.pair.demodulate import regress
+from tiltcal.core.pair.matching import Coefficients, solve
+from tiltcal.core.pair.model import Pair, sum_weights
+from tiltcal.core.pair.stream import HARMONICS, SECTORS, Notice, Sector, SectorStream, moved
+from tiltcal.errors import EstimateError
+
+MEMORY = 100.0
+"""Turns after which a row counts 1/e."""
+_SETTLED = 1e-3
+"""In-phase residual, relative, below which the loop of p lets the loop of q begin."""
+_PATIENCE = 20 * SECTORS
+"""Sectors after which it begins anyway: noise may not let the residual be that small."""
+_FARTHEST = 0.9
+_LEAST_QUADRATURE = 0.1
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Of a PID controller; error to correction, time in turns."""
+
+    proportional: float = 0.1
+    integral: float = 0.9
+    derivative: float = 0.0
+
+
+class Controller:
+    """A PID controller in its velocity form: what it gives is added to what it controls."""
+
+    def __init__(self, gains: Gains, step: float) -> None:
+        self._gains = gains
+        self._step = step
+        self._errors: deque[float] = deque(maxlen=2)
+
+    def __call__(self, error: float) -> float:
+        """The correction for one more error."""
+        gains = self._gains
+        correction = gains.integral * self._step * error
+        if self._errors:
+            correction += gains.proportional * (error - self._errors[-1])
+        if len(self._errors) == 2:
+            correction += gains.derivative / self._step * (error - 2.0 * self._errors[1] + self._errors[0])
+        self._errors.append(error)
+        return correction
+
+    def forget(self) -> None:
+        """The errors so far, after a gap."""
+        self._errors.clear()
+
+
+class Loops:
+    """The two loops of the source: p first, then q.
+
+    Parameters
+    ----------
+    pair : Pair
+    channels : sequence of str
+        Of the stream.
+    gains : Gains
+        Of both loops.
+
+    Attributes
+    ----------
+    p, q : float
+    in_phase, quadrature : float
+        Components of the matched sum over the last turn, relative to the first accelerometer.
+    """
+
+    def __init__(self, pair: Pair, channels: Sequence[str], gains: Gains | None = None) -> None:
+        self.p = self.q = 0.0
+        self.in_phase = self.quadrature = float("nan")
+        self._trims = [Controller(gains or Gains(), 1.0 / SECTORS) for _ in range(2)]
+        self._where = [2 * HARMONICS + 2 + channels.index(channel) for channel in pair.channels]
+        self._pair = pair
+        self._turn: deque[tuple[Array, Array]] = deque(maxlen=SECTORS)
+        self._settled: deque[bool] = deque(maxlen=SECTORS)
+        self._sectors = 0
+        self._trims_q = False
+
+    def update(self, sector: Sector) -> None:
+        """Go on by one sector.
+
+        Raises
+        ------
+        EstimateError
+            Nothing can be trimmed with these channels; p and q stay as they are.
+        """
+        if not sector.follows:
+            self._turn.clear()
+            for trim in self._trims:
+                trim.forget()
+        # What the trimmed hardware would have put out in this sector, with p and q as they were.
+        first, second, orthogonal = sector.products[: 2 * HARMONICS + 1, self._where].T
+        trimmed = np.array([first, second, orthogonal]).T @ sum_weights(self.p, self.q)
+        self._turn.append(
+            (
+                sector.products[: 2 * HARMONICS + 1, : 2 * HARMONICS + 1],
+                np.stack([trimmed, first, orthogonal], axis=1),
+            )
+        )
+        if len(self._turn) == SECTORS:
+            self._trim()
+
+    def _trim(self) -> None:
+        columns = np.sum([one for one, _ in self._turn], axis=0)
+        solved = np.linalg.solve(columns, np.sum([one for _, one in self._turn], axis=0))
+        total, first, orthogonal = (complex(sin, cos) for sin, cos in solved[:2].T)
+        if abs(first) < 1e-300:
+            raise EstimateError(f"{self._pair.first} has no signal at the turning of the stage")
+        lever = (orthogonal / first).imag
+        if abs(lever) < _LEAST_QUADRATURE:
+            raise EstimateError(f"{self._pair.orthogonal} has no signal in quadrature to {self._pair.first}")
+        self.in_phase, self.quadrature = (total / first).real, (total / first).imag
+        self._sectors += 1
+        self._settled.append(abs(self.in_phase) < _SETTLED)
+        rest = 1.0 - self.p
+        p = self.p + rest * self._trims[0](self.in_phase)
+        if not -_FARTHEST / (1.0 - _FARTHEST) < p < _FARTHEST:
+            raise EstimateError(f"p runs to {p:.2f}: {self._pair.second} cannot be matched to {self._pair.first}")
+        self.p = p
+        self._trims_q |= (len(self._settled) == SECTORS and all(self._settled)) or self._sectors > _PATIENCE
+        if self._trims_q:
+            self.q -= rest / lever * self._trims[1](self.quadrature)
+
+
+class Recursive:
+    """Recursive least squares with exponential forgetting.
+
+    Parameters
+    ----------
+    pair : Pair
+    channels : sequence of str
+        Of the stream.
+    memory : float
+        Turns.
+
+    Attributes
+    ----------
+    p, q : float
+    u_p, u_q : float
+        Standard uncertainties, infinite before the first estimate.
+    """
+
+    def __init__(self, pair: Pair, channels: Sequence[str], memory: float = MEMORY) -> None:
+        self.p = self.q = 0.0
+        self.u_p = self.u_q = float("inf")
+        self._pair = pair
+        self._channels = tuple(channels)
+        self._fade = exp(-1.0 / (SECTORS * memory))
+        self._products: Array | None = None
+        self._end = 0
+        self._sectors = 0
+        self._squared_weights = 0.0
+
+    def update(self, sector: Sector) -> None:
+        """Go on by one sector.
+
+        Raises
+        ------
+        EstimateError
+            The sums cannot determine p and q; they stay as they are.
+        """
+        one = 2 * HARMONICS
+        rows = float(sector.products[one, one])
+        if self._products is None:
+            self._products = sector.products.copy()
+        else:
+            self._products = self._fade * moved(self._products, sector.end - self._end) + sector.products
+        self._squared_weights = self._fade**2 * self._squared_weights + rows
+        self._end = sector.end
+        self._sectors += 1
+        if self._sectors < SECTORS:
+            return
+        found = self._solved()
+        # Faded rows tell less of the mean than whole ones would, and have less noise in it too.
+        fading = sqrt(self._squared_weights / float(self._products[one, one]))
+        self.p, self.q, self.u_p, self.u_q = found.p, found.q, found.u_p * fading, found.u_q * fading
+
+    def _solved(self) -> Coefficients:
+        products = np.zeros((1, 0, 0)) if self._products is None else self._products[None]
+        return solve(regress(products, self._channels, HARMONICS), self._pair)
+
+
+@dataclass(frozen=True)
+class Course:
+    """Where the estimates were, after so many turns."""
+
+    turns: float
+    loops: tuple[float, float]
+    recursive: tuple[float, float]
+
+
+class Online:
+    """Both estimators on one stream.
+
+    Parameters
+    ----------
+    pair : Pair
+    channels : sequence of str
+        Of the stream.
+    gains : Gains, optional
+        Of the loops.
+    memory : float
+        Of the recursive estimator, turns.
+
+    Attributes
+    ----------
+    stream : SectorStream
+    loops : Loops
+    recursive : Recursive
+    course : list of Course
+        One entry for each turn.
+    refused : str
+        Why the last sector could not be used by the estimators; empty where it could.
+    """
+
+    def __init__(self, pair: Pair, channels: Sequence[str], gains: Gains | None = None, memory: float = MEMORY) -> None:
+        self.stream = SectorStream(len(channels))
+        self.loops = Loops(pair, channels, gains)
+        self.recursive = Recursive(pair, channels, memory)
+        self.course: list[Course] = []
+        self.refused = ""
+        self._sectors = 0
+
+    def push(self, theta: Array, readings: Array) -> list[Notice]:
+        """Take samples, one or many.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n,)
+            Degrees; NaN where it is missing.
+        readings : ndarray, shape (n, channels)
+            NaN where a value is missing.
+
+        Returns
+        -------
+        list of Notice
+            Where the estimators were held, and went on.
+        """
+        notices = []
+        for item in self.stream.push(theta, readings):
+            if isinstance(item, Notice):
+                notices.append(item)
+            else:
+                notices += self._update(item)
+        return notices
+
+    def _update(self, sector: Sector) -> list[Notice]:
+        why = ""
+        for estimator in (self.loops, self.recursive):
+            try:
+                estimator.update(sector)
+            except EstimateError as refusal:
+                why = str(refusal)
+        self._sectors += 1
+        if self._sectors % SECTORS == 0:
+            turns = self._sectors / SECTORS
+            self.course.append(Course(turns, (self.loops.p, self.loops.q), (self.recursive.p, self.recursive.q)))
+        changed, self.refused = why != self.refused, why
+        return [Notice(sector.end, why)] if changed else []

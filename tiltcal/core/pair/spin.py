@@ -1,0 +1,109 @@
+"""The spin of a stage without an encoder: its frequency and phase, estimated from the readings themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, pi
+
+import numpy as np
+
+from tiltcal.core.model import Array
+from tiltcal.core.pair.stage import FEWEST_TURNS
+from tiltcal.errors import EstimateError
+
+_STEPS = 20
+_CONVERGED = 1e-12
+"""Turns over the whole record."""
+_PADDING = 4
+_CLEAREST = 30.0
+"""How far the spin's line must stand above the median of the spectrum, in power."""
+
+
+@dataclass(frozen=True)
+class Spin:
+    """A steady turning.
+
+    Attributes
+    ----------
+    frequency : float
+        Turns per unit of the time that it was estimated with (Hz for seconds).
+    phase : float
+        Turns at time 0, so that the first channel is a pure sine.
+    """
+
+    frequency: float
+    phase: float
+
+    def theta(self, time: Array) -> Array:
+        """Stage angle, degrees, shape (n,)."""
+        return np.asarray(360.0 * (self.frequency * time + self.phase))
+
+
+def estimate_spin(time: Array, readings: Array) -> Spin:
+    """Find the spin that fits all channels best.
+
+    The strongest line of the spectrum is where Gauss's iteration begins; each of its steps fits amplitudes, offset and
+    drift anew.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Evenly spaced but for jitter; finite.
+    readings : ndarray, shape (n, channels)
+        Finite.
+
+    Raises
+    ------
+    EstimateError
+        No line stands out, or it turns less than twice.
+    """
+    span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
+    if len(time) < 16 or not span > 0.0:
+        raise EstimateError("the record is too short, or its time stands still: the spin cannot be estimated")
+    middle = 0.5 * float(time[0] + time[-1])
+    centred = (time - middle) / span
+    turns = _strongest(centred, readings)
+    for _ in range(_STEPS):
+        step, coefficients = _refined(centred, readings, turns)
+        turns += step
+        if abs(step) < _CONVERGED:
+            break
+    if turns < FEWEST_TURNS:
+        raise EstimateError(
+            f"the strongest line of the record turns {max(turns, 0.0):.2f} times in it: the stage is not turning, or "
+            f"less than {FEWEST_TURNS:g} turns were recorded"
+        )
+    sine, cosine = coefficients[0, 0], coefficients[1, 0]
+    frequency = turns / span
+    phase = atan2(cosine, sine) / (2.0 * pi) - frequency * middle
+    return Spin(frequency, phase % 1.0)
+
+
+def _strongest(centred: Array, readings: Array) -> float:
+    """Turns in the record of the strongest line of all channels together."""
+    line = np.stack([np.ones_like(centred), centred], axis=1)
+    rest = readings - line @ np.linalg.lstsq(line, readings, rcond=None)[0]
+    count = _PADDING * len(rest)
+    power = np.zeros(count // 2 + 1)
+    window = np.hanning(len(rest))
+    for channel in rest.T:
+        power += np.abs(np.fft.rfft(channel * window, count)) ** 2
+    first = round(_PADDING * FEWEST_TURNS / 2)
+    peak = first + int(np.argmax(power[first:]))
+    if not power[peak] > _CLEAREST * float(np.median(power)):
+        raise EstimateError("no line stands out of the noise: the stage is not turning, or its axis is not inclined")
+    # The record has n - 1 steps between its n rows.
+    return peak / _PADDING * (len(rest) - 1) / len(rest)
+
+
+def _refined(centred: Array, readings: Array, turns: float) -> tuple[float, Array]:
+    """How many turns to add, and the coefficients of sine and cosine before it."""
+    phase = 2.0 * pi * turns * centred
+    sine, cosine = np.sin(phase), np.cos(phase)
+    columns = np.stack([sine, cosine, np.ones_like(sine), centred], axis=1)
+    solver = np.linalg.pinv(columns)
+    coefficients = solver @ readings
+    rest = readings - columns @ coefficients
+    slopes = 2.0 * pi * centred[:, None] * (coefficients[0] * cosine[:, None] - coefficients[1] * sine[:, None])
+    slopes -= columns @ (solver @ slopes)
+    return float(np.sum(slopes * rest) / np.sum(slopes * slopes)), coefficients

@@ -1,0 +1,137 @@
+"""What a matching did: the source's Table 1 in text, and its figure 6."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from decimal import Decimal
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tiltcal.core.model import Array
+from tiltcal.core.pair.matching import STAGES, SUM, Matching
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from tiltcal.core.pair.online import Course
+
+HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
+COLOURS = ("#8a8a8a", "#c0504d", "#1f6f8b")
+
+
+def bracketed(value: float, uncertainty: float) -> str:
+    """A value with its standard uncertainty in brackets, in units of its last digit: ``3.3830(3)``.
+
+    Parameters
+    ----------
+    value, uncertainty : float
+        Of one unit. Without an uncertainty (zero, or not finite) the value has six digits and no brackets.
+    """
+    if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
+        return f"{value:.6g}"
+    one = Decimal(f"{uncertainty:.0e}")  # one digit, after rounding: 0.00096 is 1e-3
+    place = one.adjusted()
+    if place > 0:
+        return f"{round(Decimal(value), -place):.0f}({one:.0f})"
+    shown = f"{Decimal(value):.{-place}f}"
+    if not any(digit in shown for digit in "123456789"):
+        shown = shown.lstrip("-")
+    return f"{shown}({int(one.scaleb(-place))})"
+
+
+def table(matching: Matching) -> str:
+    """Components at the turning before matching, after p, and after p and q (the source's Table 1)."""
+    return "\n".join(_table(matching))
+
+
+def _table(matching: Matching) -> Iterator[str]:
+    pair = matching.pair
+    names = {pair.first: pair.first, pair.second: pair.second, SUM: f"{pair.first} + {pair.second}"}
+    wide = max(len(text) for text in names.values())
+    yield " " * wide + "".join(f"   {HEADINGS[stage]:<28}" for stage in STAGES).rstrip()
+    yield " " * wide + "".join(f"   {'sin':<13} {'cos':<14}" for _ in STAGES).rstrip()
+    for name, text in names.items():
+        cells = []
+        for stage in STAGES:
+            one = matching.components[stage][name]
+            cells += [f"   {bracketed(one.sin, one.u_sin):<13}", f" {bracketed(one.cos, one.u_cos):<14}"]
+        yield f"{text:<{wide}}" + "".join(cells).rstrip()
+
+
+def summary(matching: Matching) -> str:
+    """The table, p and q with their uncertainties, and how far the common acceleration is suppressed."""
+    suppression = matching.suppression
+    left = matching.components["after_pq"][SUM]
+    floor = left.amplitude <= left.u_amplitude
+    return "\n".join(
+        [
+            f"{matching.pair.first} and {matching.pair.second}, orthogonal {matching.pair.orthogonal}",
+            table(matching),
+            f"p = {bracketed(matching.p, matching.u_p)}   q = {bracketed(matching.q, matching.u_q)}",
+            f"common acceleration suppressed {suppression['p']:.3g} times after p, {suppression['pq']:.3g} times after "
+            f"p and q{' (the noise floor)' if floor else ''}",
+        ]
+    )
+
+
+def draw_matching(
+    path: Path,
+    frequency: Array,
+    densities: Mapping[str, Array],
+    spin: float | None,
+    unit: str,
+    course: Sequence[Course] = (),
+) -> None:
+    """Write amplitude spectral densities as SVG (the source's figure 6), and beside them how the estimators settled.
+
+    Parameters
+    ----------
+    path : Path
+    frequency : ndarray, shape (n,)
+        Hz, or 1/row where the record has no time.
+    densities : mapping of str to ndarray, shape (n,)
+        Power spectral density by what it is of: one accelerometer, the sum after p, the sum after p and q; unit²/Hz.
+    spin : float or None
+        Where the stage turns, same unit as ``frequency``.
+    unit : str
+        Of ``frequency``.
+    course : sequence of Course
+        Of the online estimators; empty for none.
+    """
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context({"svg.hashsalt": "tiltcal", "svg.fonttype": "none", "font.size": 10}):
+        figure = Figure(figsize=(8.0, 8.0 if course else 4.5), layout="constrained")
+        panels = figure.subplots(2 if course else 1, 1, squeeze=False)[:, 0]
+        _draw_spectra(panels[0], frequency, densities, spin, unit)
+        if course:
+            _draw_course(panels[1], course)
+        for panel in panels:
+            panel.legend(loc="upper right", frameon=False)
+            panel.spines[["top", "right"]].set_visible(False)
+            panel.margins(x=0.01)
+        figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "tiltcal"})
+
+
+def _draw_spectra(panel: Axes, frequency: Array, densities: Mapping[str, Array], spin: float | None, unit: str) -> None:
+    if spin is not None:
+        panel.axvline(spin, color="black", linewidth=0.5, linestyle=":")
+    for (name, density), colour in zip(densities.items(), COLOURS, strict=False):
+        panel.loglog(frequency[1:], density[1:] ** 0.5, color=colour, linewidth=0.9, label=name)
+    panel.set_xlabel(f"frequency [{unit}]")
+    panel.set_ylabel(f"amplitude density [reading/√({unit})]")
+
+
+def _draw_course(panel: Axes, course: Sequence[Course]) -> None:
+    """How far p and q of both estimators are from where the recursive one ends."""
+    turns = [one.turns for one in course]
+    end = course[-1].recursive
+    for index, name in enumerate(("p", "q")):
+        for kind, colour in (("loops", COLOURS[1]), ("recursive", COLOURS[2])):
+            away = [max(abs(getattr(one, kind)[index] - end[index]), 1e-9) for one in course]
+            style = "-" if index == 0 else "--"
+            panel.semilogy(turns, away, style, color=colour, linewidth=0.9, label=f"{name}, {kind}")
+    panel.set_xlabel("turns")
+    panel.set_ylabel("distance from the end")
