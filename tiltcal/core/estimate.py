@@ -24,20 +24,21 @@ from tiltcal.core.budget import Budget
 from tiltcal.core.design import Design, Observation, Prior, Sensor, require_sound
 from tiltcal.core.determined import require_determined, undetermined
 from tiltcal.core.free import triangular_gauge
+from tiltcal.core.linear import Linear, linear
 from tiltcal.core.minimum import minimise
 from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.core.scatter import scatter_of
-from tiltcal.core.second_order import attitude_lever, second_order
+from tiltcal.core.second_order import attitude_lever, second_order_bias, second_order_squares
 from tiltcal.core.system import System, system_of
-from tiltcal.core.uncertainty import Levers, Linear, linear, scaled_budget, scattered_budget, stated_budget
+from tiltcal.core.uncertainty import Levers, scaled_budget, scattered_budget, stated_budget
 from tiltcal.errors import EstimateError
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "Sensor", "estimate", "estimate_jointly"]
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
 GAUGE = (
-    "unit gravity alone says nothing of the mounting: the sensor's x axis is taken along its x channel's sensitive "
-    "direction turned so that the sensitivity matrix is upper triangular"
+    "unit gravity alone says nothing of the mounting: the frame's z axis is the direction that the z channel senses, "
+    "and its y axis lies in the plane of those of y and z"
 )
 HELD = (
     "the jig is not stated, and no position shows the angle in which the sensor was held: it is not in the uncertainty"
@@ -187,12 +188,12 @@ def _stated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
     """All errors of the bench are unknowns, with what was stated of them."""
     z = _settled(system, _first(system))
     near = linear(system, z)
-    second = second_order(system, z, near.jacobian, near.gain, system.jig**2) if system.jig > 0 else None
-    budget = stated_budget(system, near, second)
+    bias = second_order_bias(system, z, near, system.jig**2) if system.jig > 0 else None
+    budget = stated_budget(system, near, bias)
     residual = system.at(z).residual
-    if second is not None:
+    if bias is not None:
         z = z.copy()
-        z[: system.coefficients] -= second.bias
+        z[: system.coefficients] -= bias
     dof = system.readings - int(np.sum(~system.fixed[: system.coefficients])) + _known_coefficients(system)
     chi_square = float(residual @ residual) if dof else None
     attitudes = _attitudes(sensors, system, z, near) if system.jig > 0 else ()
@@ -209,7 +210,7 @@ def _unstated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]
     dof = plain.readings - moving + _known_coefficients(plain)
     if dof == 0:
         exact = replace(system, jig=0.0)
-        budget = stated_budget(exact, linear(exact, np.append(z, np.zeros(exact.unknowns - len(z)))), None)
+        budget = stated_budget(exact, linear(exact, np.append(z, np.zeros(exact.unknowns - len(z)))))
         return _estimates(sensors, system, _Found(z, budget, 0, None, True, notes=(NO_FREEDOM,)))
     levers = _levers(system, plain, z)
     unit = plain.sigma
@@ -219,8 +220,8 @@ def _unstated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]
         levers.covariance / np.outer(unit, unit),
         levers.attitude / unit[:, None],
     )
-    second = second_order(plain, z, near.jacobian, near.gain, scatter.jig) if scatter.jig > 0 else None
-    budget = scattered_budget(plain, near, levers, scatter, second)
+    squares = second_order_squares(plain, z, near, scatter.jig) if scatter.jig > 0 else None
+    budget = scattered_budget(plain, near, levers, scatter, squares)
     notes = []
     if scatter.exceeds:
         notes.append(EXCEEDS)
@@ -256,7 +257,7 @@ def _free(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
     residual = even.at(z).residual
     squares = float(residual @ residual)
     stated = even.unexplained(z) / system.sigma
-    budget = scaled_budget(even, near, squares / dof, dof) if dof else stated_budget(even, near, None)
+    budget = scaled_budget(even, near, squares / dof, dof) if dof else stated_budget(even, near)
     chi_square = float(stated @ stated) if dof else None
     notes = (GAUGE,) if dof else (GAUGE, NO_FREEDOM)
     return _estimates(sensors, even, _Found(z, budget, dof, chi_square, not dof, notes=notes))

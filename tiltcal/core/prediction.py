@@ -16,9 +16,10 @@ from tiltcal.core.budget import Budget
 from tiltcal.core.design import Design, Observation, Sensor, require_sound
 from tiltcal.core.determined import CANDIDATES, WARMER, require_determined
 from tiltcal.core.frames import Vector
+from tiltcal.core.linear import linear
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.system import System, system_of
-from tiltcal.core.uncertainty import linear, stated_budget
+from tiltcal.core.uncertainty import stated_budget
 from tiltcal.errors import EstimateError
 
 STRONG = 0.9
@@ -196,7 +197,7 @@ def _nominal(design: Design, system: System, sensitivity: float) -> Array:
 
 
 def _budget(system: System, z: Array) -> Budget:
-    return stated_budget(system, linear(system, z), None)
+    return stated_budget(system, linear(system, z))
 
 
 def _worth_adding(

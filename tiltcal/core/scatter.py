@@ -50,6 +50,9 @@ class Scatter:
     information : float
         Degrees of freedom of a variance that is q times x are ``(q x)² information / x²``; infinite where nothing was
         learnt of q.
+    trade : float
+        By how much, per the noise's variance, q falls where the noise is greater than was measured: the residuals know
+        their sum.
     noise : float
         By what the noise's variance is to be multiplied.
     noise_dof : float
@@ -62,6 +65,7 @@ class Scatter:
 
     jig: float
     information: float
+    trade: float
     noise: float
     noise_dof: float
     directions: Array
@@ -103,13 +107,14 @@ def scatter_of(residual: Array, jacobian: Array, noise: Array, lever: Array) -> 
     directions = rest @ solve(factor.T, vectors[:, feels])
     total, dof = float(white @ white), len(white)
     if not len(d2):
-        return Scatter(0.0, inf, total / dof, float(dof), directions)
+        return Scatter(0.0, inf, 0.0, total / dof, float(dof), directions)
     q = _restricted_likelihood(d2, z2, lowest=-POSITIVE / float(whole[0]) ** 2)
     information = float(np.sum((d2 / (1.0 + q * d2)) ** 2))
+    trade = float(np.sum(d2 / (1.0 + q * d2) ** 2)) / information
     left, more = total - float(np.sum(z2)), dof - len(d2)
     if more and _upper_tail(left, more) < DOUBT:
-        return Scatter(q, information, left / more, float(more), directions, exceeds=True)
-    return Scatter(q, information, 1.0, inf, directions)
+        return Scatter(q, information, 0.0, left / more, float(more), directions, exceeds=True)
+    return Scatter(q, information, trade, 1.0, inf, directions)
 
 
 def _complement(jacobian: Array) -> Array:

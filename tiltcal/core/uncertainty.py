@@ -1,8 +1,8 @@
 """The uncertainty of an estimate: of the bench as it was stated, or as the residuals show it.
 
-Near the minimum every unknown is a linear function of the equations' errors, ``delta = G error`` with ``G`` the
-pseudo-inverse of the weighted Jacobian, so that every equation has its share of every variance. What the attitudes'
-errors do to the coefficients is already in it: the attitudes are unknowns of the same system.
+Near the minimum every unknown is a linear function of the equations' errors (:mod:`tiltcal.core.linear`), so that every
+equation has its share of every variance. What the attitudes' errors do to the coefficients is already in it: the
+attitudes are unknowns of the same system.
 """
 
 from __future__ import annotations
@@ -12,48 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiltcal.core.budget import Budget, welch_satterthwaite
-from tiltcal.core.minimum import column_sizes, pseudo_inverse
+from tiltcal.core.linear import Linear
 from tiltcal.core.model import Array
 from tiltcal.core.scatter import Scatter
-from tiltcal.core.second_order import SecondOrder
 from tiltcal.core.system import ADC, JIG, NOISE, THERMOMETER, System
 
 
-@dataclass(frozen=True)
-class Linear:
-    """The system near its minimum.
-
-    Attributes
-    ----------
-    jacobian : ndarray, shape (equations, unknowns)
-        Weighted.
-    gain : ndarray, shape (unknowns, equations)
-        What each equation's error, in its standard uncertainties, does to each unknown.
-    """
-
-    jacobian: Array
-    gain: Array
-
-
-def linear(system: System, z: Array) -> Linear:
-    """The system near a point; unknowns that are held do not move."""
-    jacobian = system.at(z).jacobian
-    moving = ~system.fixed
-    size = column_sizes(jacobian)
-    gain = np.zeros(jacobian.T.shape)
-    gain[moving] = pseudo_inverse((jacobian / size)[:, moving]) / size[moving, None]
-    return Linear(jacobian, gain)
-
-
-def stated_budget(system: System, near: Linear, second: SecondOrder | None) -> Budget:
+def stated_budget(system: System, near: Linear, bias: Array | None = None) -> Budget:
     """The coefficients' uncertainty where noise and bench are as they were stated.
 
     Parameters
     ----------
     system : System
     near : Linear
-    second : SecondOrder or None
-        What the squares of the attitudes' errors add.
+    bias : ndarray, shape (coefficients,), optional
+        What was taken off for the squares of the attitudes' errors.
     """
     gain = near.gain[: system.coefficients]
     squared = gain**2
@@ -64,11 +37,11 @@ def stated_budget(system: System, near: Linear, second: SecondOrder | None) -> B
         rows = [system.readings + k for k, name in enumerate(system.sources) if name == source]
         variance[source] = squared[:, rows].sum(axis=1)
     covariance = gain @ gain.T
-    if second is not None:
+    if bias is not None:
         # The scatter of the squares is in the gain already, which was taken where the errors have led. What it does not
         # show is that they all go one way: the correction counts as uncertain by its own size.
-        covariance = covariance + np.outer(second.bias, second.bias)
-        variance[JIG] = variance[JIG] + second.bias**2
+        covariance = covariance + np.outer(bias, bias)
+        variance[JIG] = variance[JIG] + bias**2
     parts = _noise_parts(system, of_readings * (1.0 - adc))
     return Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), parts))
 
@@ -89,9 +62,7 @@ def scaled_budget(system: System, near: Linear, scale: float, dof: int) -> Budge
     return Budget(covariance, {NOISE: np.diag(covariance)}, np.full(len(gain), float(dof)))
 
 
-def scattered_budget(
-    system: System, near: Linear, levers: Levers, scatter: Scatter, second: SecondOrder | None
-) -> Budget:
+def scattered_budget(system: System, near: Linear, levers: Levers, scatter: Scatter, squares: Array | None) -> Budget:
     """The coefficients' uncertainty where the jig was not stated.
 
     Parameters
@@ -103,8 +74,8 @@ def scattered_budget(
         What the errors that it does not know of do to the readings.
     scatter : Scatter
         What the residuals say of them.
-    second : SecondOrder or None
-        What the squares of the attitudes' errors add.
+    squares : ndarray, shape (coefficients, coefficients), or None
+        Mean squares of what the squares of the attitudes' errors do.
     """
     count, readings = system.coefficients, system.readings
     gain = near.gain[:count, :readings] / system.sigma
@@ -120,8 +91,7 @@ def scattered_budget(
     jig = scatter.jig * angles
     # A part that goes with the square of the jig's variance is twice as uncertain as one that goes with it.
     felt = angles
-    if second is not None:
-        squares = second.covariance + np.outer(second.bias, second.bias)
+    if squares is not None:
         covariance = covariance + squares
         jig = jig + np.diag(squares)
         felt = felt + 2.0 * np.diag(squares) / scatter.jig
@@ -131,7 +101,8 @@ def scattered_budget(
         variance[source] = variance.get(source, np.zeros(count)) + np.sum(rest[:, rows] ** 2, axis=1)
     parts = [(felt, scatter.information), (noise, scatter.noise_dof)]
     if not np.isfinite(scatter.noise_dof):
-        parts += _noise_parts(system, of_readings)
+        kept = 1.0 - scatter.trade * angles / np.where(noise > 0.0, noise, 1.0)
+        parts += [(part * kept, dof) for part, dof in _noise_parts(system, of_readings)]
     total = np.diag(covariance)
     return Budget(
         covariance,
