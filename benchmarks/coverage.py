@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
 
 from tiltcal.core.compensate import Compensation
-from tiltcal.core.estimate import Estimate, estimate_jointly
+from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.core.propagation import tilt_interval
 

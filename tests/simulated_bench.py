@@ -13,8 +13,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tiltcal.core.design import Design, Observation, Sensor
-from tiltcal.core.pooling import pooled
+from tiltcal.core.estimation.design import Design, Observation, Sensor
+from tiltcal.core.estimation.pooling import pooled
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from tiltcal.core.ellipsoid import count_distinct, fit_ellipsoid, misfits
+from tiltcal.core.estimation.ellipsoid import count_distinct, fit_ellipsoid, misfits
 from tiltcal.errors import EstimateError
 
 OFFSET = np.array([0.3, -0.2, 0.1])

@@ -18,9 +18,9 @@ from tiltcal.core.closed_forms import (
     sensitivity_from_pair,
     tempco_from_two_temperatures,
 )
-from tiltcal.core.estimate import Design, Observation, Prior, estimate
+from tiltcal.core.estimation.estimate import Design, Observation, Prior, estimate
+from tiltcal.core.estimation.free import directions_from_readings
 from tiltcal.core.frames import gravity_from_tilt
-from tiltcal.core.free import directions_from_readings
 from tiltcal.errors import EstimateError
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

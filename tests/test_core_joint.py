@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from simulated_bench import FACES, POSITIONS, XYZ, design, fixture, measured, part, plan_of
 
-from tiltcal.core.design import Design, Observation, Sensor
-from tiltcal.core.estimate import estimate, estimate_jointly
+from tiltcal.core.estimation.design import Design, Observation, Sensor
+from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.errors import EstimateError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))

@@ -16,14 +16,14 @@ from simulated_bench import FACES, XYZ, design, fixture, measured, part, plan_of
 
 from tiltcal.core.budget import coverage_factor, welch_satterthwaite
 from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
-from tiltcal.core.design import Design, Observation
-from tiltcal.core.estimate import estimate, estimate_jointly
+from tiltcal.core.estimation.design import Design, Observation
+from tiltcal.core.estimation.estimate import estimate, estimate_jointly
+from tiltcal.core.estimation.pooling import pooled
+from tiltcal.core.estimation.prediction import Planned, predicted_covariance
 from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.core.intrinsic import intrinsic, separated
 from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
-from tiltcal.core.pooling import pooled
-from tiltcal.core.prediction import Planned, predicted_covariance
 from tiltcal.core.propagation import propagated, tilt_uncertainty
 from tiltcal.errors import EstimateError
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.design import STRAIGHT, Design, Observation, Prior, Sensor
-from tiltcal.core.estimate import estimate_jointly
+from tiltcal.core.estimation.design import STRAIGHT, Design, Observation, Prior, Sensor
+from tiltcal.core.estimation.estimate import estimate_jointly
+from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.model import AXES, Array, Limits
-from tiltcal.core.pooling import pooled
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import Summary
 from tiltcal.errors import EstimateError

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
-from tiltcal.core.design import Design
-from tiltcal.core.estimate import Estimate
+from tiltcal.core.estimation.design import Design
+from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.intrinsic import Quantity, intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients, Thermal
 from tiltcal.core.rounding import round_to, significant

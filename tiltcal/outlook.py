@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from math import hypot, sqrt
 
 from tiltcal.calibrate import Nominal, Subject, design_of
-from tiltcal.core.design import Design
+from tiltcal.core.estimation.design import Design
+from tiltcal.core.estimation.prediction import Planned, Prediction, predicted_covariance
 from tiltcal.core.orientation import STRAIGHT, Orientation
-from tiltcal.core.prediction import Planned, Prediction, predicted_covariance
 from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Model
 from tiltcal.files.calibration import SensorIdentity

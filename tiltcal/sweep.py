@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibrate import Measurement, Subject, design_of, observations_of
-from tiltcal.core.design import Sensor
-from tiltcal.core.estimate import estimate_jointly
+from tiltcal.core.estimation.design import Sensor
+from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.rounding import significant
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibrate import Measurement
-from tiltcal.core.ellipsoid import UNKNOWNS, count_distinct, misfits
+from tiltcal.core.estimation.ellipsoid import UNKNOWNS, count_distinct, misfits
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibrate import Measurement
-from tiltcal.core.ellipsoid import fit_ellipsoid
+from tiltcal.core.estimation.ellipsoid import fit_ellipsoid
 from tiltcal.core.model import Array
 from tiltcal.core.rounding import significant
 from tiltcal.files.positions import read_positions

@@ -18,7 +18,7 @@ from math import cos, inf, radians, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.ellipsoid import UNKNOWNS, Ellipsoid, fit_ellipsoid
+from tiltcal.core.estimation.ellipsoid import UNKNOWNS, Ellipsoid, fit_ellipsoid
 from tiltcal.core.model import Array
 from tiltcal.core.statistics import BLOCKS
 from tiltcal.errors import EstimateError

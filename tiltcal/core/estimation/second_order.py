@@ -20,9 +20,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.core.linear import Linear
+from tiltcal.core.estimation.linear import Linear
+from tiltcal.core.estimation.system import Indices, System
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.system import Indices, System
 
 
 def second_order_bias(system: System, z: Array, near: Linear, variance: float) -> Array:

@@ -1,7 +1,7 @@
 """The one estimator: from positions to coefficients, jointly over all sensors and channels of a fixture.
 
-One least-squares system (:mod:`tiltcal.core.system`) serves every bench; what is stated of the jig chooses how far its
-attitudes are unknowns:
+One least-squares system (:mod:`tiltcal.core.estimation.system`) serves every bench; what is stated of the jig chooses
+how far its attitudes are unknowns:
 
 - **stated**, any angle from 0 up: each attitude is an unknown with the jig's uncertainty as its prior. At 0 it is
   ordinary weighted least squares.
@@ -19,18 +19,18 @@ from math import degrees
 
 import numpy as np
 
-from tiltcal.core.attitude import rotation_vectors
 from tiltcal.core.budget import Budget
-from tiltcal.core.design import Design, Observation, Prior, Sensor, require_sound
-from tiltcal.core.determined import require_determined, undetermined
-from tiltcal.core.free import triangular_gauge
-from tiltcal.core.linear import Linear, linear
-from tiltcal.core.minimum import minimise
+from tiltcal.core.estimation.attitude import rotation_vectors
+from tiltcal.core.estimation.design import Design, Observation, Prior, Sensor, require_sound
+from tiltcal.core.estimation.determined import require_determined, undetermined
+from tiltcal.core.estimation.free import triangular_gauge
+from tiltcal.core.estimation.linear import Linear, linear
+from tiltcal.core.estimation.minimum import minimise
+from tiltcal.core.estimation.scatter import scatter_of
+from tiltcal.core.estimation.second_order import attitude_lever, second_order_bias, second_order_squares
+from tiltcal.core.estimation.system import System, system_of
+from tiltcal.core.estimation.uncertainty import Levers, scaled_budget, scattered_budget, stated_budget
 from tiltcal.core.model import Array, Coefficients, Thermal
-from tiltcal.core.scatter import scatter_of
-from tiltcal.core.second_order import attitude_lever, second_order_bias, second_order_squares
-from tiltcal.core.system import System, system_of
-from tiltcal.core.uncertainty import Levers, scaled_budget, scattered_budget, stated_budget
 from tiltcal.errors import EstimateError
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "Sensor", "estimate", "estimate_jointly"]

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.estimation.system import Weighted
 from tiltcal.core.model import Array
-from tiltcal.core.system import Weighted
 from tiltcal.errors import EstimateError
 
 STEPS = 60

@@ -21,9 +21,9 @@ from math import inf, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.attitude import table_lever, tangent_basis, turned
-from tiltcal.core.channel import Channel
-from tiltcal.core.design import Sensor
+from tiltcal.core.estimation.attitude import table_lever, tangent_basis, turned
+from tiltcal.core.estimation.channel import Channel
+from tiltcal.core.estimation.design import Sensor
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
@@ -276,7 +276,7 @@ def system_of(sensors: Sequence[Sensor]) -> System:
     Parameters
     ----------
     sensors : sequence of Sensor
-        Sound ones, see :func:`tiltcal.core.design.require_sound`.
+        Sound ones, see :func:`tiltcal.core.estimation.design.require_sound`.
 
     Raises
     ------

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 
-from tiltcal.core.channel import Channel
+from tiltcal.core.estimation.channel import Channel
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 

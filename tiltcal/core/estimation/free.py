@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from tiltcal.core.estimation.system import System
 from tiltcal.core.intrinsic import separated
 from tiltcal.core.model import Array
-from tiltcal.core.system import System
 from tiltcal.errors import EstimateError
 
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.linalg import svd
 from numpy.typing import NDArray
 
-from tiltcal.core.channel import Channel
+from tiltcal.core.estimation.channel import Channel
+from tiltcal.core.estimation.system import Block, System
 from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.core.model import Array
-from tiltcal.core.system import Block, System
 from tiltcal.errors import EstimateError
 
 UNDETERMINED = 1e-9

@@ -13,13 +13,13 @@ from itertools import combinations
 import numpy as np
 
 from tiltcal.core.budget import Budget
-from tiltcal.core.design import Design, Observation, Sensor, require_sound
-from tiltcal.core.determined import CANDIDATES, WARMER, require_determined
+from tiltcal.core.estimation.design import Design, Observation, Sensor, require_sound
+from tiltcal.core.estimation.determined import CANDIDATES, WARMER, require_determined
+from tiltcal.core.estimation.linear import linear
+from tiltcal.core.estimation.system import System, system_of
+from tiltcal.core.estimation.uncertainty import stated_budget
 from tiltcal.core.frames import Vector
-from tiltcal.core.linear import linear
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.system import System, system_of
-from tiltcal.core.uncertainty import stated_budget
 from tiltcal.errors import EstimateError
 
 STRONG = 0.9

@@ -1,8 +1,8 @@
 """The uncertainty of an estimate: of the bench as it was stated, or as the residuals show it.
 
-Near the minimum every unknown is a linear function of the equations' errors (:mod:`tiltcal.core.linear`), so that every
-equation has its share of every variance. What the attitudes' errors do to the coefficients is already in it: the
-attitudes are unknowns of the same system.
+Near the minimum every unknown is a linear function of the equations' errors (:mod:`tiltcal.core.estimation.linear`), so
+that every equation has its share of every variance. What the attitudes' errors do to the coefficients is already in it:
+the attitudes are unknowns of the same system.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiltcal.core.budget import Budget, welch_satterthwaite
-from tiltcal.core.linear import Linear
+from tiltcal.core.estimation.linear import Linear
+from tiltcal.core.estimation.scatter import Scatter
+from tiltcal.core.estimation.system import ADC, JIG, NOISE, THERMOMETER, System
 from tiltcal.core.model import Array
-from tiltcal.core.scatter import Scatter
-from tiltcal.core.system import ADC, JIG, NOISE, THERMOMETER, System
 
 
 def stated_budget(system: System, near: Linear, bias: Array | None = None) -> Budget:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiltcal.core.minimum import column_sizes, pseudo_inverse
+from tiltcal.core.estimation.minimum import column_sizes, pseudo_inverse
+from tiltcal.core.estimation.system import System
 from tiltcal.core.model import Array
-from tiltcal.core.system import System
 
 
 @dataclass(frozen=True)
