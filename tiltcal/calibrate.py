@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import asin, degrees, radians
+from math import asin, degrees, inf, radians
 from typing import Any
 
 import numpy as np
@@ -127,8 +127,8 @@ def calibrate_jointly(
     procedure : Procedure
         Says which coefficients to determine.
     jig : float, optional
-        Standard uncertainty of a set angle, degrees; None where it was not stated. Infinite where nobody set any: the
-        directions of the measurements are a first guess, and unit gravity alone determines the coefficients.
+        Standard uncertainty of a set angle, degrees; None where it was not stated. A procedure of free positions
+        trusts none: there the directions of the measurements are a first guess, and unit gravity determines the rest.
     thermometer : float, optional
         Standard uncertainty of a temperature, °C; None where it was not stated, and counts as nothing.
     settings, provenance : mapping, optional
@@ -189,7 +189,7 @@ def design_of(subject: Subject, procedure: Procedure, jig: float | None, thermom
         determines.drift,
         determines.gain,
         procedure.reference or 0.0,
-        jig,
+        inf if determines.free else jig,
         thermometer=thermometer or 0.0,
         nonlinearity=determines.nonlinearity,
         priors={} if determines.axes else _assumed(procedure, channels, subject.nominal),

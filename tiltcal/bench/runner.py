@@ -264,11 +264,17 @@ class Runner:
         self, result: Taken, expectations: Mapping[str, Expectation], taken: Sequence[Taken]
     ) -> None:
         """Refuse a position that a sensor sees as another one."""
+        determines = self._procedure.determines
+        if determines.mounting:
+            return
+        if determines.free:
+            self._require_new(result, expectations, taken)
+            return
         positions = {position.name: position.gravity for position in self._procedure.positions}
         positions |= {one.position.name: one.position.gravity for one in taken}
         positions[result.position.name] = result.position.gravity
         for bay in self._rack.bays:
-            if not bay.model.scaled or self._procedure.determines.mounting:
+            if not bay.model.scaled:
                 continue
             seen = {name: bay.orientation.seen(gravity) for name, gravity in positions.items()}
             why = expectations[bay.serial].objection(
@@ -276,6 +282,15 @@ class Runner:
             )
             if why:
                 raise Unsettled(why if len(self._rack.bays) == 1 else f"{bay.serial}: {why}")
+
+    def _require_new(self, result: Taken, expectations: Mapping[str, Expectation], taken: Sequence[Taken]) -> None:
+        """Refuse an attitude that is there already, as a sensor of three axes sees it."""
+        for bay in self._rack.bays:
+            if bay.model.scaled and len(bay.model.channels) == 3:
+                before = {one.position.name: one.mean(bay.serial) for one in taken}
+                why = expectations[bay.serial].repeated(before, result.mean(bay.serial))
+                if why:
+                    raise Unsettled(why)
 
     def _measured(self, result: Taken, expectations: Mapping[str, Expectation]) -> list[Measured]:
         """A position as the operator is shown it."""
@@ -289,7 +304,7 @@ class Runner:
             unit=bay.model.unit,
             mean={channel: summary.mean for channel, summary in summaries.items()},
             std={channel: summary.std for channel, summary in summaries.items()},
-            expected=expectation.expected(seen) if bay.model.scaled else {},
+            expected=expectation.expected(seen) if bay.model.scaled and not self._procedure.determines.free else {},
             n=self._settings.samples,
             temperature=result.temperatures[bay.serial],
         )

@@ -30,6 +30,7 @@ from tiltcal.files.whole import check_writable, write_whole
 from tiltcal.mount import mount
 from tiltcal.sweep import choose_order, swept, with_order
 from tiltcal.typical import with_typical_temperature
+from tiltcal.unit_gravity import directed, with_verdict
 
 T = TypeVar("T")
 
@@ -247,11 +248,15 @@ class Session:
             for bay in walked.bays
         ]
         procedure, warmth = plan.procedure, self._thermometer_uncertainty(walked)
+        if procedure.determines.free:
+            subjects = directed(subjects)
         choice = None
         if procedure.determines.cross_validated:
             choice = choose_order(subjects, procedure, jig=plan.jig, thermometer=warmth)
             procedure = with_order(procedure, choice.order)
         found = calibrate_jointly(subjects, procedure, jig=plan.jig, thermometer=warmth, settings=settings)
+        if procedure.determines.free:
+            found = [with_verdict(one, its.measurements) for one, its in zip(found, subjects, strict=True)]
         if choice is not None:
             found = [swept(one, subject.measurements, choice) for one, subject in zip(found, subjects, strict=True)]
         if plan.typical:

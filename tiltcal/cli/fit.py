@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from tiltcal.logs.source import Source
 
 UNKNOWN_MODEL = "recorded"
-FREE = "free"
 
 _EXAMPLES = """\b
 Examples:
@@ -103,13 +101,15 @@ def command(
     from tiltcal.logs import remarks
     from tiltcal.logs.source import Source, free_positions, set_positions
     from tiltcal.report.summary import summary
+    from tiltcal.unit_gravity import require_no_jig, with_verdict
 
-    free = procedure == FREE
+    steps = find_procedure(procedure, tilt)
+    free = steps.determines.free
     source = Source(log, segments, table, columns, window)
-    _refuse_contradictions(source, free, jig, tilt)
+    _refuse_contradictions(source, free)
+    require_no_jig(steps, jig)
     if (window is not None or segments_out is not None) and not (free and source.finds):
         raise UsageError("--window and --segments-out are for `tiltcal fit free` without --segments, which finds them")
-    steps = _free_procedure() if free else find_procedure(procedure, tilt)
     model = find_model(sensor) if sensor else None
     if unit is None and model is None:
         raise UsageError("say the readings' --unit (such as m/s2), or the --sensor model that has it")
@@ -129,7 +129,7 @@ def command(
         nominal=Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
         if model
         else None,
-        jig=inf if free else jig,
+        jig=jig,
         provenance={
             "made_by": "fit of a table of positions" if table else "fit of a recorded log",
             **positions.provenance,
@@ -137,7 +137,7 @@ def command(
         },
     )
     if free:
-        calibration = remarks.of_free_positions(calibration, positions.measurements)
+        calibration = with_verdict(calibration, positions.measurements)
     if table:
         calibration = remarks.of_table(calibration, positions.measurements)
     if gravity is not None:
@@ -152,7 +152,7 @@ def command(
     click.echo(f"wrote {output}", err=True)
 
 
-def _refuse_contradictions(source: Source, free: bool, jig: float | None, tilt: float | None) -> None:
+def _refuse_contradictions(source: Source, free: bool) -> None:
     if source.table and source.segments is not None:
         raise UsageError("a --table has its positions already: leave --segments out")
     if source.table and source.columns:
@@ -162,10 +162,6 @@ def _refuse_contradictions(source: Source, free: bool, jig: float | None, tilt: 
             "say with --segments which rows were taken in which position (or that LOG is a --table of positions); only "
             "`tiltcal fit free` finds them itself, because it need not know the positions"
         )
-    if free and jig is not None:
-        raise UsageError("free positions trust no jig: leave --jig out, or name a procedure whose positions were set")
-    if free and tilt is not None:
-        raise UsageError("free positions have no angle: leave --tilt out")
 
 
 def _channels(model: Model | None, steps: Procedure, free: bool) -> tuple[str, ...]:
@@ -176,18 +172,6 @@ def _channels(model: Model | None, steps: Procedure, free: bool) -> tuple[str, .
             f"{', '.join(channels)}: name a procedure whose positions were set"
         )
     return channels
-
-
-def _free_procedure() -> Procedure:
-    from tiltcal.files.procedure import Determines, Procedure
-
-    return Procedure(
-        FREE,
-        "Offset and sensitivity of three axes from unit gravity alone, in positions that nobody set",
-        "Tedaldi, Pretto and Menegatti (2014)",
-        Determines(("x", "y", "z")),
-        (),
-    )
 
 
 def _tell_free(calibration: Calibration) -> None:

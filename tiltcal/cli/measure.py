@@ -16,6 +16,7 @@ from tiltcal.files.bench import BenchFile, read_bench
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_text
 from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.unit_gravity import require_no_jig
 
 
 @click.command(
@@ -107,6 +108,7 @@ def command(
             raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
         steps = find_procedure(str(procedure), tilt)
         sensors = read_bench(bench) if bench is not None else single(str(sensor), str(serial), str(address))
+        require_no_jig(steps, jig)
         sensors = sensors if jig is None else replace(sensors, jig=jig)
         mounted = _base(steps, base, sensors)
         outputs, beside = _outputs(sensors, bench, output)

@@ -40,13 +40,14 @@ def command(
     """
     from tiltcal.outlook import outlook
     from tiltcal.report.outlook import outlook_text
+    from tiltcal.unit_gravity import require_no_jig
 
     model = find_model(sensor)
     if address is not None:
         model = model.at(parse_address(address))
-    expected = outlook(
-        find_procedure(procedure, tilt), model, jig=jig, thermometer=thermometer, noise=noise, samples=samples
-    )
+    steps = find_procedure(procedure, tilt)
+    require_no_jig(steps, jig)
+    expected = outlook(steps, model, jig=jig, thermometer=thermometer, noise=noise, samples=samples)
     if not as_json:
         click.echo(outlook_text(expected))
         return

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tiltcal.files.procedure import Procedure, find_procedure, shipped_procedures
+from tiltcal.files.procedure import Determines, Procedure, find_procedure, shipped_procedures
 
 
 @click.command(
@@ -27,8 +27,9 @@ def command(procedure: str | None, source: bool, as_json: bool) -> None:
     elif as_json:
         click.echo(json.dumps([dict(one.record) for one in shown], indent=2, ensure_ascii=False))
     elif procedure is None:
+        width = max(len(one.name) for one in shown)
         for one in shown:
-            click.echo(f"{one.name:<16} {one.title} ({len(one.positions)} positions)")
+            click.echo(f"{one.name:<{width}} {one.title} ({len(one.positions)} positions)")
     else:
         _show(shown[0])
 
@@ -38,13 +39,21 @@ def _show(procedure: Procedure) -> None:
     click.echo(f"{procedure.name}: {procedure.title}")
     if procedure.source:
         click.echo(f"  source      {procedure.source}")
+    click.echo(f"  determines  {_determined(determines)}")
+    click.echo(f"  samples     {procedure.samples} per position, still for {procedure.settle:g} s")
+    for number, position in enumerate(procedure.positions, start=1):
+        click.echo(f"  {number:>2}. {position.name:<12} {position.prompt}")
+
+
+def _determined(determines: Determines) -> str:
+    """What a procedure finds out, in words."""
+    if determines.mounting:
+        return "the mounting of a sensor that is calibrated"
     axes = f"sensitivity to {', '.join(determines.axes)}" if determines.axes else "no sensitivity"
     orders = "".join(
         f", {name} of order {order} over temperature"
         for name, order in (("offset", determines.drift), ("sensitivity", determines.gain))
         if order
     )
-    click.echo(f"  determines  offset, {axes}{orders}")
-    click.echo(f"  samples     {procedure.samples} per position, still for {procedure.settle:g} s")
-    for number, position in enumerate(procedure.positions, start=1):
-        click.echo(f"  {number:>2}. {position.name:<12} {position.prompt}")
+    bend = ", non-linearity" if determines.nonlinearity else ""
+    return f"offset, {axes}{bend}{orders}{'; not the mounting' if determines.free else ''}"

@@ -77,6 +77,8 @@ def command(
         path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"))
         bench = single(judged.sensor.model, judged.sensor.serial, address)
         steps = find_procedure(procedure, tilt)
+        if steps.determines.free:
+            raise UsageError(f"{steps.name} sets no position that a calibration could be judged by: name another one")
         session = Session(plan_session(steps, bench, [None], path, lead=operator, samples=samples, settle=settle), path)
 
     def conclude(walked: Walked) -> list[Check]:

@@ -8,7 +8,7 @@ what each position of the procedure should give.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import radians, sin
+from math import cos, radians, sin
 
 import numpy as np
 
@@ -20,6 +20,9 @@ POSE = sin(radians(1.5))
 
 MATCHED, ODD = 5.0, 8.0
 """Standard deviations from which a reading is refused: where another position fits better, and where none does."""
+
+SAME = radians(5.0)
+"""Attitudes closer than this are one attitude taken again."""
 
 CROSS_SPREAD = 0.03
 """Standard deviation of a cross-axis sensitivity over parts, relative to the main one (4 % at most, SCA100T)."""
@@ -136,6 +139,26 @@ class Expectation:
                 f"no position of this procedure reads like this ({told}): is the sensor at the angle, and are its axes "
                 "named right?"
             )
+        return None
+
+    def repeated(self, readings: Mapping[str, Array], reading: Array) -> str | None:
+        """Why a reading is no attitude of its own, or None where it is one.
+
+        The offset that the part really has moves all attitudes alike: how far they are apart is seen without it.
+
+        Parameters
+        ----------
+        readings : mapping of str to ndarray, shape (3,)
+            Of the attitudes before, in the sensor's unit.
+        reading : ndarray, shape (3,)
+        """
+        own = np.array(self._in_g(reading))
+        for name, before in readings.items():
+            other = np.array(self._in_g(before))
+            if float(own @ other) > cos(SAME) * float(np.linalg.norm(own) * np.linalg.norm(other)):
+                return (
+                    f"this is the attitude of {name} again: hold the sensor another way, the more different the better"
+                )
         return None
 
     def _in_g(self, reading: Array) -> list[float]:

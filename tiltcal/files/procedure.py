@@ -41,6 +41,9 @@ class Determines:
         Whether the order of the drift is chosen by cross-validation, ``drift`` being the highest.
     mounting : bool
         Whether the positions are the application's, and show how a calibrated sensor sits in it.
+    free : bool
+        Whether nobody sets the positions, so that what is known of each is that gravity is 1 g. Their directions are
+        proposals to the operator.
     """
 
     axes: tuple[str, ...]
@@ -49,6 +52,7 @@ class Determines:
     nonlinearity: int = 0
     mounting: bool = False
     cross_validated: bool = False
+    free: bool = False
 
 
 @dataclass(frozen=True)
@@ -254,7 +258,7 @@ def _read_temperature(node: Node) -> float:
 
 def _read_determines(node: Node, has_reference: bool) -> Determines:
     section = node.mapping(
-        required=("axes",), optional=("drift", "gain", "nonlinearity", "mounting", "cross_validated")
+        required=("axes",), optional=("drift", "gain", "nonlinearity", "mounting", "cross_validated", "free")
     )
     axes = tuple(item.choice(("x", "y", "z")) for item in section["axes"].items())
     if len(set(axes)) < len(axes):
@@ -271,7 +275,10 @@ def _read_determines(node: Node, has_reference: bool) -> Determines:
     chosen = section["cross_validated"].flag() if "cross_validated" in section else False
     if chosen and not drift:
         raise node.error("an order that is chosen by cross-validation needs the key 'drift', the highest order")
-    return Determines(tuple(sorted(axes)), drift, gain, bend, mounting, chosen)
+    free = section["free"].flag() if "free" in section else False
+    if free and (len(axes) < 3 or drift or gain or bend or mounting):
+        raise node.error("free positions determine the axes [x, y, z] and nothing else: unit gravity says no more")
+    return Determines(tuple(sorted(axes)), drift, gain, bend, mounting, chosen, free)
 
 
 def _read_order(node: Node) -> int:

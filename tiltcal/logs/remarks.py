@@ -6,46 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from tiltcal.calibrate import Measurement
-from tiltcal.core.estimation.ellipsoid import UNKNOWNS, count_distinct, misfits
-from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.rounding import round_to
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration
 
-UNDETERMINED = (
-    "undetermined: gravity alone does not tell how the sensor sits. The sensitivity is given in the frame whose z axis "
-    "is the direction that channel z senses, and whose y axis lies in the plane of those of channels y and z"
-)
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
-
-
-def of_free_positions(calibration: Calibration, measurements: Sequence[Measurement]) -> Calibration:
-    """Say how well the length of gravity is met, what judges it, and what is undetermined.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        From unit gravity alone.
-    measurements : sequence of Measurement
-        Its positions.
-    """
-    coefficients = calibration.coefficients
-    mean = np.array([[one.summaries[channel].mean for channel in coefficients.channels] for one in measurements])
-    misfit = misfits(mean, coefficients.offset, coefficients.sensitivity)
-    distinct = count_distinct(np.array([one.gravity for one in measurements]))
-    fit: dict[str, Any] = {
-        **calibration.fit,
-        "misfit_rms_mg": significant(1e3 * float(np.sqrt(np.mean(misfit**2))), 3),
-        "distinct_attitudes": distinct,
-    }
-    if distinct <= UNKNOWNS:
-        fit["warning"] = (
-            f"{distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to tell whether "
-            "the result is right; add attitudes, 12 to 18 or more"
-        )
-    return replace(calibration, derived={**calibration.derived, "mounting": UNDETERMINED}, fit=fit)
 
 
 def of_local_gravity(calibration: Calibration, gravity: float) -> Calibration:

@@ -8,11 +8,7 @@ from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tiltcal.calibrate import Measurement
-from tiltcal.core.estimation.ellipsoid import fit_ellipsoid
-from tiltcal.core.model import Array
 from tiltcal.core.rounding import significant
 from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure
@@ -20,6 +16,7 @@ from tiltcal.files.segments import Segment, read_segments
 from tiltcal.logs.columns import parse_columns
 from tiltcal.logs.recorded import Hold, Record, holds_of, holds_of_table, oriented, placed, read_record
 from tiltcal.logs.still import WINDOWS, find_still, still_segments, told
+from tiltcal.unit_gravity import directions
 
 
 @dataclass(frozen=True)
@@ -111,13 +108,13 @@ def free_positions(source: Source, channels: Sequence[str], unit: str, say: Call
     """
     if not source.finds:
         holds, provenance = _given(source, channels)
-        return Positions(oriented(holds, _attitudes(holds, channels)), provenance)
+        return Positions(oriented(holds, directions([hold.summaries for hold in holds])), provenance)
     record = _record(source, channels)
     chosen, tried = find_still(record.readings(channels), WINDOWS if source.window is None else (source.window,))
     say(told(chosen, tried, unit))
     found = still_segments(chosen)
     holds = holds_of(record, found, file=str(source.log))
-    attitudes = _attitudes(holds, channels)
+    attitudes = directions([hold.summaries for hold in holds])
     for hold, (x, y, z) in zip(holds, attitudes.tolist(), strict=True):
         rows = [segment for segment in found if segment.name == hold.position]
         n = hold.summaries[channels[0]].n
@@ -140,12 +137,6 @@ def _given(source: Source, channels: Sequence[str]) -> tuple[list[Hold], dict[st
     record = _record(source, channels)
     origin = {"name": source.segments.name, "sha256": _sha256(source.segments)}
     return holds_of(record, segments, file=str(source.segments)), {**_log(source, record), "segments": origin}
-
-
-def _attitudes(holds: Sequence[Hold], channels: Sequence[str]) -> Array:
-    """A first guess at the directions, for the estimator."""
-    means = np.array([[hold.summaries[channel].mean for channel in channels] for hold in holds])
-    return fit_ellipsoid(means, np.zeros_like(means)).attitudes
 
 
 def _record(source: Source, channels: Sequence[str]) -> Record:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from tiltcal.core.estimation.design import Design
 from tiltcal.outlook import Outlook
 
 SHOWN = 3
@@ -17,10 +18,12 @@ def outlook_text(outlook: Outlook) -> str:
 
 def _lines(outlook: Outlook) -> Iterator[str]:
     prediction, design = outlook.prediction, outlook.design
-    jig = "a perfect jig (none is stated)" if design.jig is None else f"a jig of {design.jig:g}°"
-    yield f"predicted standard uncertainty, with {outlook.noise:.2g} {outlook.unit} of noise a sample and {jig}:"
+    noise = f"{outlook.noise:.2g} {outlook.unit} of noise a sample"
+    yield f"predicted standard uncertainty, with {noise} and {_jig(design)}:"
     for name, u in prediction.uncertainty().items():
-        yield f"  {name:<28} {u:.2g} {_unit(name, outlook.unit)}"
+        # What unit gravity leaves open is the choice of a frame, in which these are 0.
+        if u > 0.0 or not design.free:
+            yield f"  {name:<28} {u:.2g} {_unit(name, outlook.unit)}"
     yield f"  degrees of freedom {prediction.dof}" + (
         "" if prediction.dof else ": nothing is left to check the result by"
     )
@@ -28,6 +31,12 @@ def _lines(outlook: Outlook) -> Iterator[str]:
         yield f"  {first} and {second} are hardly told apart (correlation {correlation:+.2f})"
     for name, coefficient, share in prediction.worth_adding[:SHOWN]:
         yield f"  adding {name} would bring {coefficient} to {100 * share:.0f} % of its uncertainty"
+
+
+def _jig(design: Design) -> str:
+    if design.free:
+        return "positions that nobody sets"
+    return "a perfect jig (none is stated)" if design.jig is None else f"a jig of {design.jig:g}°"
 
 
 def _unit(name: str, unit: str) -> str:

@@ -22,8 +22,8 @@ import numpy as np
 from tiltcal.core.budget import Budget
 from tiltcal.core.estimation.attitude import rotation_vectors
 from tiltcal.core.estimation.design import Design, Observation, Prior, Sensor, require_sound
-from tiltcal.core.estimation.determined import require_determined, undetermined
-from tiltcal.core.estimation.free import triangular_gauge
+from tiltcal.core.estimation.determined import require_determined
+from tiltcal.core.estimation.free import degrees_of_freedom, require_spread, triangular_gauge
 from tiltcal.core.estimation.linear import Linear, linear
 from tiltcal.core.estimation.minimum import minimise
 from tiltcal.core.estimation.scatter import scatter_of
@@ -31,7 +31,6 @@ from tiltcal.core.estimation.second_order import attitude_lever, second_order_bi
 from tiltcal.core.estimation.system import System, system_of
 from tiltcal.core.estimation.uncertainty import Levers, scaled_budget, scattered_budget, stated_budget
 from tiltcal.core.model import Array, Coefficients, Thermal
-from tiltcal.errors import EstimateError
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "Sensor", "estimate", "estimate_jointly"]
 
@@ -236,24 +235,10 @@ def _free(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
     """Directions that are only a first guess, gravity a unit vector, the gauge by an upper-triangular matrix."""
     even = replace(system.unweighted(), jig=system.jig, thermometer=system.thermometer)
     even, z = triangular_gauge(even, _first(replace(even, jig=0.0, thermometer=0.0)))
-    moving = int(np.sum(~even.fixed))
-    known = len(even.sources)
-    if even.readings + known < moving:
-        raise EstimateError(
-            f"{len(system.gravity)} free positions give {even.readings} readings for {moving} unknowns (two of each "
-            "position's direction among them): a sensor of three axes needs at least nine positions, well spread"
-        )
+    dof = degrees_of_freedom(even)
     z = minimise(even.at, z, ~even.fixed)
     near = linear(even, z)
-    names = [*even.names, *(f"direction {k}" for k in range(even.unknowns - even.coefficients))]
-    moves = ~even.fixed
-    mixed = undetermined(near.jacobian[:, moves], np.array(names)[moves].tolist())
-    if mixed:
-        raise EstimateError(
-            f"the {len(system.gravity)} free positions do not determine {', '.join(mixed[:4])}: add positions that are "
-            "spread over the whole sphere, each axis up and down among them"
-        )
-    dof = even.readings + known - moving
+    require_spread(even, near.jacobian)
     residual = even.at(z).residual
     squares = float(residual @ residual)
     stated = even.unexplained(z) / system.sigma

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tiltcal.core.estimation.determined import undetermined
 from tiltcal.core.estimation.system import System
 from tiltcal.core.intrinsic import separated
 from tiltcal.core.model import Array
@@ -94,6 +95,46 @@ def triangular_gauge(system: System, z: Array) -> tuple[System, Array]:
         held[below] = 0.0
         start[below] = 0.0
     return replace(system, gravity=gravity, prior_u=held), start
+
+
+def degrees_of_freedom(system: System) -> int:
+    """How many equations are left over when every unknown, two angles of each position among them, has one.
+
+    Raises
+    ------
+    EstimateError
+        Fewer than none are.
+    """
+    moving, equations = int(np.sum(~system.fixed)), system.readings + len(system.sources)
+    if equations < moving:
+        raise EstimateError(
+            f"{len(system.gravity)} free positions give {system.readings} readings for {moving} unknowns (two of each "
+            "position's direction among them): a sensor of three axes needs at least nine positions, well spread"
+        )
+    return equations - moving
+
+
+def require_spread(system: System, jacobian: Array) -> None:
+    """Refuse free positions that leave coefficients undetermined.
+
+    Parameters
+    ----------
+    system : System
+    jacobian : ndarray, shape (equations, unknowns)
+
+    Raises
+    ------
+    EstimateError
+        They are named.
+    """
+    names = [*system.names, *(f"direction {k}" for k in range(system.unknowns - system.coefficients))]
+    moves = ~system.fixed
+    mixed = undetermined(jacobian[:, moves], np.array(names)[moves].tolist())
+    if mixed:
+        raise EstimateError(
+            f"the {len(system.gravity)} free positions do not determine {', '.join(mixed[:4])}: add positions that are "
+            "spread over the whole sphere, each axis up and down among them"
+        )
 
 
 def _three_axes(system: System) -> tuple[int, list[slice]]:

@@ -15,12 +15,12 @@ import numpy as np
 from tiltcal.core.budget import Budget
 from tiltcal.core.estimation.design import Design, Observation, Sensor, require_sound
 from tiltcal.core.estimation.determined import CANDIDATES, WARMER, require_determined
+from tiltcal.core.estimation.free import degrees_of_freedom, require_spread, triangular_gauge
 from tiltcal.core.estimation.linear import linear
 from tiltcal.core.estimation.system import System, system_of
 from tiltcal.core.estimation.uncertainty import stated_budget
 from tiltcal.core.frames import Vector
 from tiltcal.core.model import AXES, Array
-from tiltcal.errors import EstimateError
 
 STRONG = 0.9
 """A correlation from here on is named."""
@@ -121,17 +121,19 @@ def predicted_covariance(
     EstimateError
         The plan leaves coefficients undetermined; they are named, and a position that would determine them.
     """
-    system = _system(design, positions, noise, sensitivity, adc, sensors)
-    z = _nominal(design, system, sensitivity)
-    require_determined(system, z)
-    budget = _budget(system, z)
-    unknowns = int(np.sum(~system.fixed[: system.coefficients] & ~np.isfinite(system.prior_u)))
+    system, z = _system(design, positions, noise, sensitivity, adc, sensors)
+    near = linear(system, z)
+    if design.free:
+        require_spread(system, near.jacobian)
+    else:
+        require_determined(system, z)
+    budget = stated_budget(system, near)
     names = design.names
     own = budget.part(range(len(names)))
     return Prediction(
         names=names,
         budget=own,
-        dof=system.readings - unknowns,
+        dof=degrees_of_freedom(system) if design.free else system.readings - _unknown_coefficients(system),
         correlations=strong_correlations(names, own.covariance),
         worth_adding=_worth_adding(design, positions, noise, sensitivity, adc, sensors, own.u),
     )
@@ -161,10 +163,8 @@ def _system(
     sensitivity: float,
     adc: float,
     sensors: int,
-) -> System:
-    """The equations of a plan, with readings of nothing."""
-    if design.free:
-        raise EstimateError("free positions are unknown until they are taken: there is nothing to predict from them")
+) -> tuple[System, Array]:
+    """The equations of a plan, with readings of nothing, and all unknowns as a part of the datasheet has them."""
     stated = replace(design, jig=UNSTATED if design.jig is None else design.jig)
     u = np.hypot(np.broadcast_to(np.asarray(noise, dtype=float), len(design.channels)), adc)
     zero = np.zeros(len(design.channels))
@@ -183,7 +183,9 @@ def _system(
     ]
     plan = [Sensor(stated, observations)] * sensors
     require_sound(plan)
-    return system_of(plan)
+    system = system_of(plan)
+    z = _nominal(design, system, sensitivity)
+    return triangular_gauge(system, z) if design.free else (system, z)
 
 
 def _nominal(design: Design, system: System, sensitivity: float) -> Array:
@@ -196,8 +198,8 @@ def _nominal(design: Design, system: System, sensitivity: float) -> Array:
     return z
 
 
-def _budget(system: System, z: Array) -> Budget:
-    return stated_budget(system, linear(system, z))
+def _unknown_coefficients(system: System) -> int:
+    return int(np.sum(~system.fixed[: system.coefficients] & ~np.isfinite(system.prior_u)))
 
 
 def _worth_adding(
@@ -214,8 +216,8 @@ def _worth_adding(
     usual = next((one.temperature for one in positions if one.temperature is not None), None)
     for name, gravity, temperature in _candidates(design, positions, usual):
         longer = [*positions, Planned(name, gravity, temperature, positions[0].heading)]
-        system = _system(design, longer, noise, sensitivity, adc, sensors)
-        after = _budget(system, _nominal(design, system, sensitivity)).u[: len(before)]
+        system, z = _system(design, longer, noise, sensitivity, adc, sensors)
+        after = stated_budget(system, linear(system, z)).u[: len(before)]
         share = after / np.where(before > 0.0, before, np.inf)
         share[before == 0.0] = 1.0
         most = int(np.argmin(np.round(share, 6)))
