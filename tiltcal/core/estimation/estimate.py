@@ -219,7 +219,7 @@ def _unstated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]
         levers.covariance / np.outer(unit, unit),
         levers.attitude / unit[:, None],
     )
-    squares = second_order_squares(plain, z, near, scatter.jig) if scatter.jig > 0 else None
+    squares = second_order_squares(plain, z, near, scatter.jig_squared) if scatter.jig > 0 else None
     budget = scattered_budget(plain, near, levers, scatter, squares)
     notes = []
     if scatter.exceeds:

@@ -77,6 +77,12 @@ class Scatter:
         return sqrt(max(self.jig, 0.0))
 
     @property
+    def jig_squared(self) -> float:
+        """The square of that variance, rad⁴: less than ``jig`` squared, which its own scatter makes too great."""
+        dof = self.information * self.jig**2
+        return self.jig**2 * dof / (dof + 2.0)
+
+    @property
     def silent(self) -> bool:
         """True where no attitude shows in the residuals."""
         return self.directions.size == 0

@@ -66,13 +66,15 @@ def second_order_bias(system: System, z: Array, near: Linear, variance: float) -
     return np.asarray(variance * bias)
 
 
-def second_order_squares(system: System, z: Array, near: Linear, variance: float) -> Array:
+def second_order_squares(system: System, z: Array, near: Linear, squared: float) -> Array:
     """Mean squares of the second-order errors, where the attitudes are taken as set and nothing is put back.
 
     Parameters
     ----------
-    system, z, near, variance
+    system, z, near
         As for :func:`second_order_bias`, of a system without attitude angles.
+    squared : float
+        The square of an attitude angle's variance, rad⁴.
 
     Returns
     -------
@@ -85,7 +87,7 @@ def second_order_squares(system: System, z: Array, near: Linear, variance: float
     np.add.at(bent.T, stands, shares.T)
     # A stand lowers its readings by aᵀa / 2 times the curvature: s² on average, and s² is its standard deviation.
     total = bent.sum(axis=1)
-    return np.asarray(variance**2 * (bent @ bent.T + np.outer(total, total)))
+    return np.asarray(squared * (bent @ bent.T + np.outer(total, total)))
 
 
 def attitude_lever(system: System, z: Array) -> tuple[Array, Array, Indices]:
