@@ -10,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy import stats
 from scipy.spatial.transform import Rotation
 from simulated_bench import FACES, POSITIONS, XYZ, design, fixture, measured, part, plan_of
 
-from tiltcal.core.estimation.design import Design, Observation, Sensor
+from tiltcal.core.estimation.design import Design, Observation, Prior, Sensor
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.errors import EstimateError
 
@@ -22,6 +24,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from efficiency import CLASSES, Regime, bound_of, simulate
 
 OFFSETS = [0, 4, 8]
+
+Array = NDArray[np.float64]
 
 
 def vector(found) -> np.ndarray:
@@ -160,6 +164,47 @@ class TestTable:
         found = estimate(self.observations((0.0,)), Design(("x", "y"), ("x", "y"), jig=0.0))
         shift = found.coefficients.offset - [0.02, -0.01]
         assert np.all(shift / self.LEAN > 0.8)
+
+    def reversals(self, jig: float, sessions: int) -> tuple[Array, list[list[Observation]]]:
+        """Sessions of four level positions at four headings on tables that lean; offsets 2 count, 800 count/g."""
+        rng = np.random.default_rng(34)
+        offset, taken = np.array([1024.0, 1020.0]), []
+        for _ in range(sessions):
+            lean = Rotation.from_rotvec([*np.radians(rng.normal(0.0, 0.3, 2)), 0.0])
+            observations = []
+            for heading in (0.0, 90.0, 180.0, 270.0):
+                missed = Rotation.from_rotvec([*np.radians(rng.normal(0.0, jig, 2)), 0.0])
+                spin = Rotation.from_euler("z", -heading, degrees=True)
+                up = (spin * lean * missed).apply([0.0, 0.0, 1.0])
+                mean = offset + 800.0 * up[:2] + rng.normal(0.0, 0.1, 2)
+                name = f"{heading:g}"
+                observations.append(Observation(name, np.array([0, 0, 1.0]), mean, np.full(2, 0.1), heading=heading))
+            taken.append(observations)
+        return offset, taken
+
+    def design(self, jig: float | None) -> Design:
+        """The sensitivities are the model's, within a per cent."""
+        own = {f"sensitivity.{c}.{a}": Prior(800.0, 8.0) if a == c else Prior(0.0) for c in "xy" for a in "xy"}
+        return Design(("x", "y"), ("x", "y"), jig=jig, priors=own)
+
+    def test_a_lean_of_which_nothing_is_known_costs_its_degrees_of_freedom(self) -> None:
+        """Eight readings, two offsets and the two angles of the lean: a chi-square of four."""
+        _, sessions = self.reversals(0.05, 300)
+        found = [estimate(one, self.design(0.05)) for one in sessions]
+        assert {one.dof for one in found} == {4}
+        assert stats.kstest([one.p for one in found], "uniform").pvalue > 0.01
+
+    def test_the_residuals_of_a_reversal_say_how_good_its_jig_was(self) -> None:
+        """Where it is not stated: the offsets are in 95 % of the intervals, which are not much wider than needed."""
+        offset, sessions = self.reversals(0.05, 300)
+        found = [estimate(one, self.design(None)) for one in sessions]
+        own = [0, 3]
+        errors = np.array([one.coefficients.offset - offset for one in found])
+        half = np.array([(one.budget.factors * one.budget.u)[own] for one in found])
+        assert np.mean(np.abs(errors) <= half) == pytest.approx(0.95, abs=0.03)
+        # Four degrees of freedom, of which least squares uses up no more than the lean and the offsets.
+        assert np.median([one.budget.factors[own] for one in found]) < stats.t.ppf(0.975, 2.5)
+        assert all(share >= 0.0 for one in found for column in one.budget.shares.values() for share in column[own])
 
 
 def test_sensors_of_different_benches_are_refused() -> None:

@@ -326,6 +326,12 @@ class TestPrediction:
         with pytest.raises(EstimateError, match=r"temperature\.offset\.x\.1.*temperature"):
             predicted_covariance(Design(("x",), ("x",), drift=1, jig=0.1), plan, 0.1)
 
-    def test_free_positions_cannot_be_planned(self) -> None:
-        with pytest.raises(EstimateError, match="free positions"):
+    def test_free_positions_that_do_not_do_are_refused(self) -> None:
+        with pytest.raises(EstimateError, match="at least nine positions"):
             predicted_covariance(Design(XYZ, XYZ, jig=np.inf), self.FACES, 1e-3)
+        flat = [
+            Planned(f"{a}", (float(np.cos(np.radians(a))), float(np.sin(np.radians(a))), 0.0))
+            for a in range(0, 360, 20)
+        ]
+        with pytest.raises(EstimateError, match="do not determine"):
+            predicted_covariance(Design(XYZ, XYZ, jig=np.inf), flat, 1e-3)

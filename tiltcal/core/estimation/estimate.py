@@ -23,10 +23,10 @@ from tiltcal.core.budget import Budget
 from tiltcal.core.estimation.attitude import rotation_vectors
 from tiltcal.core.estimation.design import Design, Observation, Prior, Sensor, require_sound
 from tiltcal.core.estimation.determined import require_determined
-from tiltcal.core.estimation.free import degrees_of_freedom, require_spread, triangular_gauge
+from tiltcal.core.estimation.free import require_enough, require_spread, triangular_gauge
 from tiltcal.core.estimation.linear import Linear, linear
 from tiltcal.core.estimation.minimum import minimise
-from tiltcal.core.estimation.scatter import scatter_of
+from tiltcal.core.estimation.scatter import Scatter, scatter_of
 from tiltcal.core.estimation.second_order import attitude_lever, second_order_bias, second_order_squares
 from tiltcal.core.estimation.system import System, system_of
 from tiltcal.core.estimation.uncertainty import Levers, scaled_budget, scattered_budget, stated_budget
@@ -193,7 +193,7 @@ def _stated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
     if bias is not None:
         z = z.copy()
         z[: system.coefficients] -= bias
-    dof = system.readings - int(np.sum(~system.fixed[: system.coefficients])) + _known_coefficients(system)
+    dof = system.degrees_of_freedom(near.jacobian)
     chi_square = float(residual @ residual) if dof else None
     attitudes = _attitudes(sensors, system, z, near) if system.jig > 0 else ()
     found = _Found(z, budget, dof, chi_square, True, notes=() if dof else (NO_FREEDOM,))
@@ -205,20 +205,13 @@ def _unstated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]
     plain = system.unweighted()
     z = _first(plain)
     near = linear(plain, z)
-    moving = int(np.sum(~plain.fixed[: plain.coefficients]))
-    dof = plain.readings - moving + _known_coefficients(plain)
+    dof = plain.degrees_of_freedom(near.jacobian)
     if dof == 0:
         exact = replace(system, jig=0.0)
         budget = stated_budget(exact, linear(exact, np.append(z, np.zeros(exact.unknowns - len(z)))))
         return _estimates(sensors, system, _Found(z, budget, 0, None, True, notes=(NO_FREEDOM,)))
     levers = _levers(system, plain, z)
-    unit = plain.sigma
-    scatter = scatter_of(
-        plain.unexplained(z) / unit,
-        near.jacobian[: plain.readings],
-        levers.covariance / np.outer(unit, unit),
-        levers.attitude / unit[:, None],
-    )
+    scatter = _scatter(plain, z, near, levers)
     squares = second_order_squares(plain, z, near, scatter.jig_squared) if scatter.jig > 0 else None
     budget = scattered_budget(plain, near, levers, scatter, squares)
     notes = []
@@ -231,14 +224,29 @@ def _unstated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]
     return _estimates(sensors, system, found)
 
 
+def _scatter(plain: System, z: Array, near: Linear, levers: Levers) -> Scatter:
+    """What the residuals say of the jig; a coefficient that is known before counts as so much more noise."""
+    unit = plain.sigma
+    jacobian = near.jacobian[: plain.readings]
+    known = np.flatnonzero((plain.prior_u > 0.0) & np.isfinite(plain.prior_u))
+    assumed = jacobian[:, known] * plain.prior_u[known]
+    return scatter_of(
+        plain.unexplained(z) / unit + jacobian[:, known] @ (z[known] - plain.prior_value[known]),
+        np.delete(jacobian, known, axis=1),
+        levers.covariance / np.outer(unit, unit) + assumed @ assumed.T,
+        levers.attitude / unit[:, None],
+    )
+
+
 def _free(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
     """Directions that are only a first guess, gravity a unit vector, the gauge by an upper-triangular matrix."""
     even = replace(system.unweighted(), jig=system.jig, thermometer=system.thermometer)
     even, z = triangular_gauge(even, _first(replace(even, jig=0.0, thermometer=0.0)))
-    dof = degrees_of_freedom(even)
+    require_enough(even)
     z = minimise(even.at, z, ~even.fixed)
     near = linear(even, z)
     require_spread(even, near.jacobian)
+    dof = even.degrees_of_freedom(near.jacobian)
     residual = even.at(z).residual
     squares = float(residual @ residual)
     stated = even.unexplained(z) / system.sigma
@@ -279,11 +287,6 @@ def _settled(system: System, first: Array) -> Array:
     z[: system.coefficients] = first[: system.coefficients]
     z[system.lean] = first[system.coefficients :]
     return minimise(system.at, z, ~system.fixed)
-
-
-def _known_coefficients(system: System) -> int:
-    """How many coefficients have an equation of their own."""
-    return int(np.sum((system.prior_u > 0.0) & np.isfinite(system.prior_u)))
 
 
 def _levers(system: System, plain: System, z: Array) -> Levers:

@@ -97,21 +97,19 @@ def triangular_gauge(system: System, z: Array) -> tuple[System, Array]:
     return replace(system, gravity=gravity, prior_u=held), start
 
 
-def degrees_of_freedom(system: System) -> int:
-    """How many equations are left over when every unknown, two angles of each position among them, has one.
+def require_enough(system: System) -> None:
+    """Refuse fewer readings than unknowns.
 
     Raises
     ------
     EstimateError
-        Fewer than none are.
     """
-    moving, equations = int(np.sum(~system.fixed)), system.readings + len(system.sources)
-    if equations < moving:
+    moving = int(np.sum(~system.fixed))
+    if system.readings + len(system.sources) < moving:
         raise EstimateError(
             f"{len(system.gravity)} free positions give {system.readings} readings for {moving} unknowns (two of each "
             "position's direction among them): a sensor of three axes needs at least nine positions, well spread"
         )
-    return equations - moving
 
 
 def require_spread(system: System, jacobian: Array) -> None:
@@ -127,6 +125,7 @@ def require_spread(system: System, jacobian: Array) -> None:
     EstimateError
         They are named.
     """
+    require_enough(system)
     names = [*system.names, *(f"direction {k}" for k in range(system.unknowns - system.coefficients))]
     moves = ~system.fixed
     mixed = undetermined(jacobian[:, moves], np.array(names)[moves].tolist())

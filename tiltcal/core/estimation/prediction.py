@@ -15,7 +15,7 @@ import numpy as np
 from tiltcal.core.budget import Budget
 from tiltcal.core.estimation.design import Design, Observation, Sensor, require_sound
 from tiltcal.core.estimation.determined import CANDIDATES, WARMER, require_determined
-from tiltcal.core.estimation.free import degrees_of_freedom, require_spread, triangular_gauge
+from tiltcal.core.estimation.free import require_spread, triangular_gauge
 from tiltcal.core.estimation.linear import linear
 from tiltcal.core.estimation.system import System, system_of
 from tiltcal.core.estimation.uncertainty import stated_budget
@@ -133,7 +133,7 @@ def predicted_covariance(
     return Prediction(
         names=names,
         budget=own,
-        dof=degrees_of_freedom(system) if design.free else system.readings - _unknown_coefficients(system),
+        dof=system.degrees_of_freedom(near.jacobian),
         correlations=strong_correlations(names, own.covariance),
         worth_adding=_worth_adding(design, positions, noise, sensitivity, adc, sensors, own.u),
     )
@@ -198,10 +198,6 @@ def _nominal(design: Design, system: System, sensitivity: float) -> Array:
     return z
 
 
-def _unknown_coefficients(system: System) -> int:
-    return int(np.sum(~system.fixed[: system.coefficients] & ~np.isfinite(system.prior_u)))
-
-
 def _worth_adding(
     design: Design,
     positions: Sequence[Planned],
@@ -213,13 +209,14 @@ def _worth_adding(
 ) -> tuple[tuple[str, str, float], ...]:
     """Positions that would make some coefficient much better known."""
     found = []
+    assumed = np.array([name in design.priors for name in design.names])
     usual = next((one.temperature for one in positions if one.temperature is not None), None)
     for name, gravity, temperature in _candidates(design, positions, usual):
         longer = [*positions, Planned(name, gravity, temperature, positions[0].heading)]
         system, z = _system(design, longer, noise, sensitivity, adc, sensors)
         after = stated_budget(system, linear(system, z)).u[: len(before)]
         share = after / np.where(before > 0.0, before, np.inf)
-        share[before == 0.0] = 1.0
+        share[(before == 0.0) | assumed] = 1.0
         most = int(np.argmin(np.round(share, 6)))
         if share[most] < WORTH:
             found.append((name, design.names[most], round(float(share[most]), 3)))

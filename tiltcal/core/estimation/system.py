@@ -107,6 +107,8 @@ class System:
         What is known of them; infinite u for nothing.
     jig, table : float
         Radians; a jig of 0 has no attitude angles.
+    table_stated : bool
+        Whether ``table`` was said, and is no mere bound.
     thermometer : float
         °C; 0 has no temperature errors.
     """
@@ -122,6 +124,7 @@ class System:
     prior_u: Array
     jig: float
     table: float
+    table_stated: bool
     thermometer: float
 
     @cached_property
@@ -264,6 +267,23 @@ class System:
         jacobian[np.arange(len(known)), columns] = 1.0 / u
         return (centre - z)[columns] / u, jacobian
 
+    def degrees_of_freedom(self, jacobian: Array) -> int:
+        """How many equations are left over when each unknown has one; below zero where some have none.
+
+        Parameters
+        ----------
+        jacobian : ndarray, shape (equations, unknowns)
+        """
+        moving = ~self.fixed
+        left = len(jacobian) - int(np.sum(moving))
+        if self.lever is None or self.table_stated:
+            return left
+        # The bound that keeps the lean finite judges nothing: it counts where no reading tells the lean.
+        telling = np.array([True] * self.readings + [source != TABLE for source in self.sources])
+        size = np.linalg.norm(jacobian, axis=0)
+        rows = (jacobian / np.where(size > 0.0, size, 1.0))[np.ix_(telling, moving)]
+        return len(rows) - int(np.linalg.matrix_rank(rows, tol=SAME))
+
     def unweighted(self) -> System:
         """The same equations with a perfect jig and thermometer, in which all positions count the same."""
         blocks = tuple(replace(block, u=np.full_like(block.u, np.sqrt(np.mean(block.u**2)))) for block in self.blocks)
@@ -301,6 +321,7 @@ def system_of(sensors: Sequence[Sensor]) -> System:
         prior_u=np.array([prior.u if prior else inf for prior in priors]),
         jig=radians(design.jig or 0.0),
         table=radians(UNKNOWN_TABLE if design.table is None else design.table),
+        table_stated=design.table is not None,
         thermometer=design.thermometer if any(sensor.design.thermal for sensor in sensors) else 0.0,
     )
 

@@ -95,7 +95,13 @@ def scattered_budget(system: System, near: Linear, levers: Levers, scatter: Scat
         covariance = covariance + squares
         jig = jig + np.diag(squares)
         felt = felt + 2.0 * np.diag(squares) / scatter.jig
-    variance = {NOISE: noise - adc, ADC: adc, JIG: jig, THERMOMETER: np.sum(by_warmth**2, axis=1)}
+    # A q below zero says that the noise, by chance, was less than measured; no jig takes uncertainty away.
+    variance = {
+        NOISE: noise - adc + np.minimum(jig, 0.0),
+        ADC: adc,
+        JIG: np.maximum(jig, 0.0),
+        THERMOMETER: np.sum(by_warmth**2, axis=1),
+    }
     for source in dict.fromkeys(system.sources):
         rows = [k for k, name in enumerate(system.sources) if name == source]
         variance[source] = variance.get(source, np.zeros(count)) + np.sum(rest[:, rows] ** 2, axis=1)
