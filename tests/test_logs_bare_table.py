@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from io import BytesIO
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tiltcal.errors import InputError
-from tiltcal.logs.bare_table import BlankSeparated, numbered_columns
+from tiltcal.logs.bare_table import BlankSeparated, blank_separated_names, numbered_columns
 from tiltcal.logs.columns import locate_columns
 from tiltcal.logs.csv_log import CsvLog
 
@@ -92,6 +93,45 @@ def test_bad_rows_can_be_kept() -> None:
     rows = table(b"1.5 2\nx 3\n4 5\n", skip_bad_rows=True)
     assert [row for row in rows if row[0] == row[0]] == [(1.5, 2.0), (4.0, 5.0)]
     assert len(rows) == 3
+
+
+@pytest.mark.parametrize("block", [1, 3, 1 << 20])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"time x\n1.5 2\n3 4\n",
+        b"# time x\r\n1.5 2\r\n3 4\r\n",
+        b"#time\tx\n1.5\t2\n3\t4\n",
+        b"  time   x  \n  1.5  2  \n 3 4",
+        b"\xef\xbb\xbftime x\n1.5 2\n3 4\n",
+    ],
+)
+def test_names_may_be_parted_by_blanks_too(content: bytes, block: int) -> None:
+    log = CsvLog(BytesIO(content), name="log.txt", block=block)
+    assert log.names == ("time", "x")
+    assert log.header == b"time,x"
+    values = np.concatenate([np.stack([rows.values[0], rows.values[1]], axis=1) for rows in log.rows([0, 1])])
+    assert values.tolist() == [[1.5, 2.0], [3.0, 4.0]]
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("Reading of x", "1.5"),
+        ("time x,y", "1 2,3"),
+        ("time x", "1,2"),
+        ("time", "1"),
+        ("date and time", "2026-11-21 08:36:25"),
+        ("time x", ""),
+    ],
+)
+def test_blanks_within_a_name_part_nothing(first: str, second: str) -> None:
+    assert blank_separated_names(first, second) is None
+
+
+def test_a_name_that_is_there_twice_is_refused_however_names_are_parted() -> None:
+    with pytest.raises(InputError, match="names column 'x' twice"):
+        CsvLog(BytesIO(b"x x\n1 2\n"), name="log.txt")
 
 
 def test_columns_are_told_by_number() -> None:

@@ -1,8 +1,11 @@
-"""Tables of numbers without a header: their columns are called by number, counted from 1.
+"""Tables of numbers as programs print them: without a header, or parted by blanks.
 
-A log whose first line holds nothing but numbers has no header. Its fields are parted by commas, or, where that line has
-no comma, by blanks and tabs, which the readers behind this door see as commas. A first line that merely counts
-(0,1,2 or 1,2,3), as some programs write above columns that nobody named, is a header.
+A log whose first line holds nothing but numbers has no header: its columns are called by number, counted from 1. A
+first line that merely counts (0,1,2 or 1,2,3), as some programs write above columns that nobody named, is a header.
+
+Where the first line has no comma, its fields may be parted by blanks and tabs, which the readers behind this door see
+as commas. A header is, where the line below it has as many fields and no comma either; a ``#`` in front of its names
+is none of them.
 """
 
 from __future__ import annotations
@@ -33,6 +36,19 @@ def numbered_columns(first_line: str) -> tuple[str, ...] | None:
     numbers = tuple(str(number) for number in range(1, len(fields) + 1))
     counted = tuple(fields) in (numbers, tuple(str(number) for number in range(len(fields))))
     return None if counted and len(fields) > 1 else numbers
+
+
+def blank_separated_names(first_line: str, second_line: str) -> tuple[str, ...] | None:
+    """The columns that a first line names whose fields are parted by blanks; None where they are not.
+
+    Parameters
+    ----------
+    first_line, second_line : str
+        With or without their line ends.
+    """
+    names = first_line.removeprefix("#").split()
+    parted = len(names) > 1 and "," not in first_line + second_line and len(second_line.split()) == len(names)
+    return tuple(names) if parted else None
 
 
 class BlankSeparated:

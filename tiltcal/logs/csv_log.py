@@ -1,8 +1,8 @@
 """The CSV door: a recorded log, read block by block so that its size does not matter.
 
 The first line names the columns, every other line is a row (:mod:`tiltcal.logs.csv_rows` says what that is). Where the
-first line holds numbers alone it is a row, and the columns are called by number (:mod:`tiltcal.logs.bare_table`). Empty
-lines at the very end of the file are nothing.
+first line holds numbers alone it is a row, and the columns are called by number; fields may be parted by blanks
+(:mod:`tiltcal.logs.bare_table`). Empty lines at the very end of the file are nothing.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import BinaryIO
 
 from tiltcal.errors import InputError
-from tiltcal.logs.bare_table import BlankSeparated, numbered_columns
+from tiltcal.logs.bare_table import BlankSeparated, blank_separated_names, numbered_columns
 from tiltcal.logs.csv_rows import Rows, parse_rows
 
 _BLOCK = 4 << 20
@@ -38,8 +38,8 @@ class CsvLog:
     Attributes
     ----------
     header : bytes
-        The first line as it stands, byte-order mark and all, without its line end; the columns' numbers in a log
-        without a header.
+        The first line as it stands, byte-order mark and all, without its line end; the columns, parted by commas, in a
+        log without a header or parted by blanks.
     names : tuple of str
         The columns.
     line_end : str
@@ -64,10 +64,17 @@ class CsvLog:
         self._line = 2
         self.line_end = "\r\n" if first.endswith(b"\r\n") else "\n"
         self.header = first.removesuffix(b"\n").removesuffix(b"\r")
-        numbers = numbered_columns(_text(self.header.removeprefix(_UTF8_BOM)))
-        self.names = self._column_names() if numbers is None else numbers
+        self._refuse_what_is_no_text()
+        text = _text(self.header.removeprefix(_UTF8_BOM))
+        numbers = numbered_columns(text)
         if numbers is not None:
+            self.names = numbers
             self._begin_without_header(first, stream)
+            return
+        names = blank_separated_names(text, self._second_line(text))
+        self.names = self._distinct(self._comma_separated_names(text) if names is None else names)
+        if names is not None:
+            self._begin_behind_blanks(stream)
 
     def rows(self, columns: Sequence[int]) -> Iterator[Rows]:
         """The rows, block after block.
@@ -135,16 +142,19 @@ class CsvLog:
             raise InputError("the log is empty", file=self._name)
         return first + end, rest
 
-    def _column_names(self) -> tuple[str, ...]:
+    def _refuse_what_is_no_text(self) -> None:
         if self.header.startswith(_UTF16_BOMS) or b"\0" in self.header:
             raise self._error("this is no CSV text: save the log as CSV in UTF-8", 1)
         if b"\r" in self.header:
             raise self._error("the lines end in CR alone: save the log with LF or CRLF", 1)
-        text = self.header.removeprefix(_UTF8_BOM)
+
+    def _comma_separated_names(self, header: str) -> tuple[str, ...]:
         try:
-            names = tuple(name.strip() for name in next(csv.reader([_text(text)], strict=True), []))
+            return tuple(name.strip() for name in next(csv.reader([header], strict=True), []))
         except csv.Error as failure:
             raise self._error(f"the header cannot be parsed: {failure}", 1) from None
+
+    def _distinct(self, names: tuple[str, ...]) -> tuple[str, ...]:
         if not any(names):
             raise self._error("the first line is empty: it must name the columns", 1)
         seen: set[str] = set()
@@ -161,6 +171,20 @@ class CsvLog:
         self._pending = first.removeprefix(_UTF8_BOM) + self._pending
         if len(self.names) > 1 and b"," not in first:
             self._stream, self._pending = BlankSeparated(self._pending, stream), b""
+
+    def _second_line(self, first: str) -> str:
+        """The line below a header that may be parted by blanks; it stays to be read."""
+        if "," in first or len(first.split()) < 2:
+            return ""
+        while b"\n" not in self._pending and (more := self._read()):
+            self._pending += more
+            self._refuse_endless(self._pending)
+        return _text(self._pending.partition(b"\n")[0])
+
+    def _begin_behind_blanks(self, stream: BinaryIO) -> None:
+        """Take all lines below the header for rows that are parted by blanks."""
+        self.header = ",".join(self.names).encode()
+        self._stream, self._pending = BlankSeparated(self._pending, stream), b""
 
     def _refuse_endless(self, pending: bytes, before: bytes = b"") -> None:
         """Stop at what is no log, before it fills the memory; ``before`` are the lines in front of it."""
