@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from tiltcal.errors import UsageError
+from tiltcal.files import whole
 from tiltcal.files.whole import check_writable, whole_file, write_whole
 
 
@@ -27,6 +31,32 @@ def test_file_is_there_only_after_the_block(tmp_path: Path) -> None:
         assert not path.exists()
         stream.write(b"b")
     assert path.read_bytes() == b"ab"
+    assert os.listdir(tmp_path) == ["out.csv"]
+
+
+def test_nothing_is_left_by_a_program_that_is_killed(tmp_path: Path) -> None:
+    if not hasattr(os, "O_TMPFILE"):
+        pytest.skip("this system has no files without a name")
+    program = (
+        "import os, signal; from tiltcal.files.whole import whole_file\n"
+        "with whole_file('out.csv') as stream:\n"
+        "    stream.write(b'half'); stream.flush(); os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path)
+    assert done.returncode == -signal.SIGKILL
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_system_without_nameless_files_does_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(whole, "_nameless", lambda folder: None)
+    path = tmp_path / "out.csv"
+    with whole_file(path) as stream:
+        stream.write(b"a")
+        assert not path.exists()
+    assert path.read_bytes() == b"a"
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_write(path, KeyboardInterrupt())
+    assert path.read_bytes() == b"a"
     assert os.listdir(tmp_path) == ["out.csv"]
 
 

@@ -22,9 +22,10 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 def whole_file(path: str | Path) -> Iterator[BinaryIO]:
     """A binary stream whose content becomes the file when the block ends well.
 
-    The stream writes to a temporary file in the same folder. At the end it is flushed to the disk and renamed; where
-    the block raises, it is removed and a file that stood at ``path`` is as it was. A device or pipe has no such end: it
-    is written as it comes.
+    The stream writes to a file without a name in the same folder, so that a program that is killed leaves nothing
+    behind; where the system knows no such files, to a temporary one. At the end it is flushed to the disk and renamed;
+    where the block raises, it is gone and a file that stood at ``path`` is as it was. A device or pipe has no such end:
+    it is written as it comes.
 
     Parameters
     ----------
@@ -107,15 +108,19 @@ def check_writable(path: str | Path) -> None:
 def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
     part = target.with_name(f".tiltcal-{token_hex(6)}.part")
     try:
-        stream = open(part, "xb")  # noqa: SIM115  (a failure to open is told apart from one to write)
+        nameless = _nameless(target.parent)
+        stream = open(part, "xb") if nameless is None else open(nameless, "wb")  # noqa: SIM115  (told apart from writing)
     except OSError as failure:
         raise _cannot_write(target, failure) from failure
     try:
         with stream:
             yield stream
             stream.flush()
-            _keep_permissions(target, part)
+            _keep_permissions(target, stream)
             os.fsync(stream.fileno())
+            if nameless is not None:
+                # A folder's descriptor has to be given for the link behind /proc to be followed; its value is ignored.
+                os.link(f"/proc/self/fd/{nameless}", part, src_dir_fd=nameless)
         os.replace(part, target)
     except BaseException:
         part.unlink(missing_ok=True)
@@ -123,10 +128,22 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
     _sync_folder(target.parent)
 
 
-def _keep_permissions(target: Path, part: Path) -> None:
+def _nameless(folder: Path) -> int | None:
+    """A file that is gone with its last descriptor, unless it is given a name; None where there are none such."""
+    if not hasattr(os, "O_TMPFILE") or not os.path.exists("/proc/self/fd"):
+        return None
+    try:
+        return os.open(folder, os.O_TMPFILE | os.O_WRONLY | os.O_CLOEXEC, 0o666)
+    except OSError as failure:
+        if failure.errno in _NO_ROOM:
+            raise
+        return None
+
+
+def _keep_permissions(target: Path, stream: BinaryIO) -> None:
     """Give the new file the permissions of the one that it replaces; some file systems have none to give."""
     with suppress(OSError):
-        part.chmod(stat.S_IMODE(target.stat().st_mode))
+        os.fchmod(stream.fileno(), stat.S_IMODE(target.stat().st_mode))
 
 
 def _sync_folder(folder: Path) -> None:
