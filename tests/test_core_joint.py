@@ -194,6 +194,19 @@ class TestTable:
         assert {one.dof for one in found} == {4}
         assert stats.kstest([one.p for one in found], "uniform").pvalue > 0.01
 
+    def test_a_bench_far_worse_than_it_was_stated_to_be_gives_a_result_and_a_verdict(self) -> None:
+        """0.3° where the jig was stated to be perfect: the way to the minimum is long, and chi-square says why."""
+        _, sessions = self.reversals(0.3, 60)
+        assert max(estimate(one, self.design(0.0)).p for one in sessions) < 1e-6
+
+    def test_what_is_assumed_of_a_sensitivity_is_left_as_it_is(self) -> None:
+        """Readings whose uncertainty nobody stated cannot correct it; its uncertainty is the offsets' too."""
+        _, sessions = self.reversals(0.3, 3)
+        for one in sessions:
+            found = estimate(one, self.design(None))
+            assert found.coefficients.sensitivity.tolist() == [[800.0, 0.0], [0.0, 800.0]]
+            assert found.uncertainty()["sensitivity.x.x"] == pytest.approx(8.0)
+
     def test_the_residuals_of_a_reversal_say_how_good_its_jig_was(self) -> None:
         """Where it is not stated: the offsets are in 95 % of the intervals, which are not much wider than needed."""
         offset, sessions = self.reversals(0.05, 300)
@@ -202,8 +215,8 @@ class TestTable:
         errors = np.array([one.coefficients.offset - offset for one in found])
         half = np.array([(one.budget.factors * one.budget.u)[own] for one in found])
         assert np.mean(np.abs(errors) <= half) == pytest.approx(0.95, abs=0.03)
-        # Four degrees of freedom, of which least squares uses up no more than the lean and the offsets.
-        assert np.median([one.budget.factors[own] for one in found]) < stats.t.ppf(0.975, 2.5)
+        # Eight readings, of which the lean and the offsets use up four.
+        assert np.median([one.budget.factors[own] for one in found]) == pytest.approx(stats.t.ppf(0.975, 4), rel=0.02)
         assert all(share >= 0.0 for one in found for column in one.budget.shares.values() for share in column[own])
 
 

@@ -225,16 +225,12 @@ def _unstated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]
 
 
 def _scatter(plain: System, z: Array, near: Linear, levers: Levers) -> Scatter:
-    """What the residuals say of the jig; a coefficient that is known before counts as so much more noise."""
+    """What the residuals say of the jig; that a coefficient is only assumed counts as so much more noise."""
     unit = plain.sigma
-    jacobian = near.jacobian[: plain.readings]
-    known = np.flatnonzero((plain.prior_u > 0.0) & np.isfinite(plain.prior_u))
-    assumed = jacobian[:, known] * plain.prior_u[known]
+    noise = levers.covariance + levers.assumed @ levers.assumed.T
+    jacobian = near.jacobian[: plain.readings, ~plain.fixed]
     return scatter_of(
-        plain.unexplained(z) / unit + jacobian[:, known] @ (z[known] - plain.prior_value[known]),
-        np.delete(jacobian, known, axis=1),
-        levers.covariance / np.outer(unit, unit) + assumed @ assumed.T,
-        levers.attitude / unit[:, None],
+        plain.unexplained(z) / unit, jacobian, noise / np.outer(unit, unit), levers.attitude / unit[:, None]
     )
 
 
@@ -274,6 +270,7 @@ def _first(system: System) -> Array:
     set_right = replace(system, jig=0.0, thermometer=0.0)
     z = set_right.start()
     moving = ~set_right.fixed
+    moving[set_right.assumed] = False
     lever = np.linalg.norm(set_right.at(z).jacobian, axis=0) > 0
     # Gain and non-linearity have no lever before a sensitivity is known: they join in the second round.
     z = minimise(set_right.at, z, moving & lever)
@@ -290,13 +287,20 @@ def _settled(system: System, first: Array) -> Array:
 
 
 def _levers(system: System, plain: System, z: Array) -> Levers:
-    """What noise, attitudes and temperatures do to the readings near a point that was found without them."""
+    """What noise, attitudes, temperatures and assumptions do to the readings near a point found without them."""
     attitude, _, _ = attitude_lever(plain, z)
     warm = replace(system, jig=0.0)
     z_warm = np.append(z, np.zeros(warm.unknowns - len(z)))
-    by_warmth = warm.at(z_warm).jacobian[: warm.readings, warm.warmth] * warm.sigma[:, None]
+    slopes = warm.at(z_warm).jacobian[: warm.readings] * warm.sigma[:, None]
     adc = np.concatenate([block.adc for block in system.blocks])
-    return Levers(system.sigma, adc, attitude, by_warmth * system.thermometer)
+    return Levers(
+        noise=system.sigma,
+        adc=adc,
+        attitude=attitude,
+        warmth=slopes[:, warm.warmth] * system.thermometer,
+        assumed=slopes[:, system.assumed] * system.prior_u[system.assumed],
+        known=np.eye(system.coefficients)[:, system.assumed] * system.prior_u[system.assumed],
+    )
 
 
 def _attitudes(sensors: Sequence[Sensor], system: System, z: Array, near: Linear) -> tuple[Attitude, ...]:

@@ -196,6 +196,11 @@ class System:
                 known += [(source, column, u) for column in range(columns.start, columns.stop)]
         return tuple(known)
 
+    @cached_property
+    def assumed(self) -> Indices:
+        """Which coefficients something uncertain is known of, shape (assumed,)."""
+        return np.flatnonzero((self.prior_u > 0.0) & np.isfinite(self.prior_u))
+
     def start(self) -> Array:
         """Every unknown at what is known of it, shape (unknowns,)."""
         z = np.zeros(self.unknowns)
@@ -285,9 +290,13 @@ class System:
         return len(rows) - int(np.linalg.matrix_rank(rows, tol=SAME))
 
     def unweighted(self) -> System:
-        """The same equations with a perfect jig and thermometer, in which all positions count the same."""
+        """The same equations with a perfect jig and thermometer, in which all positions count the same.
+
+        What is known of a coefficient cannot be weighed against readings whose uncertainty is not: it is held.
+        """
         blocks = tuple(replace(block, u=np.full_like(block.u, np.sqrt(np.mean(block.u**2)))) for block in self.blocks)
-        return replace(self, blocks=blocks, jig=0.0, thermometer=0.0)
+        held = np.where(np.isfinite(self.prior_u), 0.0, np.inf)
+        return replace(self, blocks=blocks, prior_u=held, jig=0.0, thermometer=0.0)
 
 
 def system_of(sensors: Sequence[Sensor]) -> System:

@@ -14,7 +14,7 @@ import numpy as np
 from tiltcal.core.budget import Budget, welch_satterthwaite
 from tiltcal.core.estimation.linear import Linear
 from tiltcal.core.estimation.scatter import Scatter
-from tiltcal.core.estimation.system import ADC, JIG, NOISE, THERMOMETER, System
+from tiltcal.core.estimation.system import ADC, JIG, NOISE, PRIOR, THERMOMETER, System
 from tiltcal.core.model import Array
 
 
@@ -86,7 +86,8 @@ def scattered_budget(system: System, near: Linear, levers: Levers, scatter: Scat
     by_warmth = gain @ levers.warmth
     rest = near.gain[:count, readings:]
     readings_covariance = scatter.noise * levers.covariance + scatter.jig * levers.attitude @ levers.attitude.T
-    covariance = gain @ readings_covariance @ gain.T + rest @ rest.T
+    by_assumption = levers.known - gain @ levers.assumed
+    covariance = gain @ readings_covariance @ gain.T + rest @ rest.T + by_assumption @ by_assumption.T
     angles = np.sum(by_angle**2, axis=1)
     jig = scatter.jig * angles
     # A part that goes with the square of the jig's variance is twice as uncertain as one that goes with it.
@@ -101,6 +102,7 @@ def scattered_budget(system: System, near: Linear, levers: Levers, scatter: Scat
         ADC: adc,
         JIG: np.maximum(jig, 0.0),
         THERMOMETER: np.sum(by_warmth**2, axis=1),
+        PRIOR: np.sum(by_assumption**2, axis=1),
     }
     for source in dict.fromkeys(system.sources):
         rows = [k for k, name in enumerate(system.sources) if name == source]
@@ -141,16 +143,22 @@ class Levers:
         Per radian.
     warmth : ndarray, shape (readings, temperatures)
         Per standard uncertainty of the thermometer.
+    assumed : ndarray, shape (readings, assumed)
+        Per standard uncertainty of each coefficient that something is known of.
+    known : ndarray, shape (coefficients, assumed)
+        Those standard uncertainties, each in its coefficient's row.
     """
 
     noise: Array
     adc: Array
     attitude: Array
     warmth: Array
+    assumed: Array
+    known: Array
 
     @property
     def covariance(self) -> Array:
-        """Of the readings, without the attitudes."""
+        """Of the readings, without the attitudes and the assumptions."""
         return np.diag(self.noise**2) + self.warmth @ self.warmth.T
 
 
