@@ -27,6 +27,9 @@ from tiltcal.logs.csv_log import CsvLog
 FEWEST = 2
 """Samples that a segment needs for a standard deviation."""
 
+FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
+"""Samples that tell a rise from their scatter, and by how many of its standard deviations."""
+
 
 @dataclass(frozen=True)
 class Record:
@@ -70,6 +73,8 @@ class Hold:
         °C.
     line : int or None
         Where it stands in its file.
+    warming : float
+        By how much the temperature rose from beginning to end, °C.
     where : mapping of str to Any
         How it is found again: rows of the log, or the line of a table.
     """
@@ -80,6 +85,7 @@ class Hold:
     summaries: Mapping[str, Summary]
     temperature: float | None
     line: int | None
+    warming: float = 0.0
     where: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -140,7 +146,7 @@ def holds_of_table(positions: Sequence[TabledPosition]) -> list[Hold]:
             _tabled(position),
             position.temperature,
             position.line,
-            {} if position.line is None else {"line": position.line},
+            where={} if position.line is None else {"line": position.line},
         )
         for position, name in zip(positions, names, strict=True)
     ]
@@ -160,9 +166,12 @@ def placed(holds: Sequence[Hold], procedure: Procedure, *, file: str) -> list[Me
     Raises
     ------
     InputError
-        A position is named that the procedure does not have.
+        A position is named that the procedure does not have, or the temperature did not stand still where it counts.
     """
     known = {position.name: position for position in procedure.positions}
+    if procedure.determines.drift or procedure.determines.gain:
+        for hold in holds:
+            _require_steady(hold, procedure, file)
     return [_placed(hold, _place(hold, known, procedure, file)) for hold in holds]
 
 
@@ -202,6 +211,18 @@ def _placed(hold: Hold, position: Position) -> Measurement:
     return Measurement(hold.name, position.gravity, position.tilt, temperature, hold.summaries, hold.where)
 
 
+def _require_steady(hold: Hold, procedure: Procedure, file: str) -> None:
+    """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
+    if abs(hold.warming) > procedure.soak_drift:
+        raise InputError(
+            f"segment {hold.name}: the temperature drifts by {hold.warming:+.2f} °C within it, more than the "
+            f"{procedure.soak_drift:g} °C that {procedure.name} allows: thermometer and sensor are apart while they "
+            "change; take rows where both stand still, or go slower",
+            file=file,
+            line=hold.line,
+        )
+
+
 def _hold(record: Record, parts: Sequence[Segment], name: str, file: str) -> Hold:
     samples = {role: _samples(record, role, parts) for role in record.columns}
     temperature = samples.pop(TEMPERATURE, None)
@@ -218,8 +239,21 @@ def _hold(record: Record, parts: Sequence[Segment], name: str, file: str) -> Hol
         {channel: summarise(values.tolist()) for channel, values in samples.items()},
         None if known is None or not len(known) else summarise(known.tolist()).mean,
         parts[0].line,
+        0.0 if known is None else _rise(known),
         {"rows": rows[0] if len(rows) == 1 else rows},
     )
+
+
+def _rise(values: Array) -> float:
+    """From beginning to end along the straight line through all values, as far as their scatter leaves no doubt."""
+    count = len(values)
+    if count < FEWEST_FOR_A_RISE:
+        return 0.0
+    place = np.linspace(-0.5, 0.5, count)
+    rise = float(place @ values / (place @ place))
+    scatter = values - values.mean() - rise * place
+    doubt = CERTAIN * sqrt(float(scatter @ scatter) / (count - 2) / float(place @ place))
+    return float(np.sign(rise)) * max(abs(rise) - doubt, 0.0)
 
 
 def _samples(record: Record, role: str, parts: Iterable[Segment]) -> Array:
