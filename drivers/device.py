@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import sqrt
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
@@ -198,6 +199,11 @@ class Model:
     population: Population | None = None
     scaled: bool = True
     tailor: Callable[[Address], Model] | None = None
+
+    @property
+    def thermometer_rounding(self) -> float:
+        """Standard uncertainty of the sensor's own temperature that comes of its step, °C."""
+        return round(self.thermometer_step / sqrt(12.0), 4)
 
     def at(self, address: Address) -> Model:
         """This model as it is wired at an address.

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import subprocess
+from math import sqrt
 from pathlib import Path
 
 import numpy as np
+import pytest
 from command import tiltcal
+
+from tiltcal.files.calibration import read_calibration
 
 
 class TestTemperaturePoint:
@@ -14,7 +18,7 @@ class TestTemperaturePoint:
 
     SEGMENTS = "position,start,end\nlevel-warm,0,50\nlevel-cold,50,100\n"
 
-    def fitted(self, folder: Path, cooling: float) -> subprocess.CompletedProcess[str]:
+    def fitted(self, folder: Path, cooling: float, *options: str) -> subprocess.CompletedProcess[str]:
         """The cold point cools by so many degrees while it is recorded; both thermometers scatter by 0.05 °C."""
         draw = np.random.default_rng(6)
         rows = ["x,y,temperature"]
@@ -27,13 +31,23 @@ class TestTemperaturePoint:
         (folder / "segments.csv").write_text(self.SEGMENTS)
         return tiltcal(
             *("fit", "two-temperature", "log.csv", "--segments", "segments.csv", "--sensor", "sca100t-d02"),
-            *("--serial", "S-1", "-o", "S-1.yaml"),
+            *("--serial", "S-1", "-o", "S-1.yaml", *options),
             cwd=folder,
         )
 
     def test_one_that_stood_still_is_taken(self, tmp_path: Path) -> None:
         result = self.fitted(tmp_path, cooling=0.2)
         assert result.returncode == 0, result.stderr
+
+    def test_the_thermometer_that_was_stated_counts(self, tmp_path: Path) -> None:
+        """By hand: 0.3 count/°C over 19 °C, both ends uncertain by 0.4 °C."""
+        u = []
+        for told in ("0", "0.4"):
+            assert self.fitted(tmp_path, 0.0, "--thermometer", told, "--jig", "0").returncode == 0
+            found = read_calibration(tmp_path / "S-1.yaml")
+            u.append(found.uncertainty["temperature"]["offset"]["x"][0])
+            drift = found.coefficients.thermal.drift[0][0]  # type: ignore[union-attr]
+        assert sqrt(u[1] ** 2 - u[0] ** 2) == pytest.approx(drift * 0.4 * sqrt(2) / 19.0, rel=0.02)
 
     def test_one_that_was_heated_too_fast_is_refused_with_its_line(self, tmp_path: Path) -> None:
         result = self.fitted(tmp_path, cooling=2.0)

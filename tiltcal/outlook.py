@@ -72,7 +72,7 @@ def outlook(
     """
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
     nominal = Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
-    warmth = model.thermometer_step / sqrt(12) if thermometer is None else thermometer
+    warmth = model.thermometer_rounding if thermometer is None else thermometer
     design = design_of(Subject(identity, (), nominal), procedure, jig, warmth)
     scatter = _usual_noise(model) if noise is None else noise
     count = samples or procedure.samples

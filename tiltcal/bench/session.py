@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from math import sqrt
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,7 +18,6 @@ from tiltcal.bench.tape import Tape, TapedClock
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.bench.wiring import open_place, wired
 from tiltcal.calibrate import Measurement, Nominal, Subject, calibrate_jointly
-from tiltcal.core.rounding import significant
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import Model, Talking
 from tiltcal.errors import HardwareError
@@ -287,7 +285,7 @@ class Session:
             return self.plan.thermometer_uncertainty
         if self.plan.thermometer is not None or any(one.typed for one in walked.taken):
             return None
-        return significant(max(bay.model.thermometer_step for bay in walked.bays) / sqrt(12), 4) or None
+        return max(bay.model.thermometer_rounding for bay in walked.bays) or None
 
     def _provenance(self, place: Place, ending: Ending) -> dict[str, Any]:
         plan = self.plan

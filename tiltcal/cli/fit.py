@@ -62,6 +62,12 @@ Examples:
     metavar="DEGREES",
     help="Standard uncertainty of a set angle; where it is not stated, the positions' scatter says it.",
 )
+@click.option(
+    "--thermometer",
+    type=click.FloatRange(0.0),
+    metavar="CELSIUS",
+    help="Standard uncertainty of a temperature; where it is not stated, the step of the --sensor's own thermometer.",
+)
 @click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
 @click.option(
     "--gravity",
@@ -84,6 +90,7 @@ def command(
     serial: str,
     sensor: str | None,
     jig: float | None,
+    thermometer: float | None,
     tilt: float | None,
     gravity: float | None,
     window: int | None,
@@ -130,6 +137,7 @@ def command(
         if model
         else None,
         jig=jig,
+        thermometer=thermometer if model is None or thermometer is not None else model.thermometer_rounding,
         provenance={
             "made_by": "fit of a table of positions" if table else "fit of a recorded log",
             **positions.provenance,
