@@ -22,7 +22,7 @@ help:
 	@echo "make demo       calibrate a virtual sensor, and show what that does to a recorded log"
 	@echo "make test       run the tests"
 	@echo "make check      lint, types, layers, and what the wheel holds"
-	@echo "make bench      measure how fast the kernels are"
+	@echo "make bench      measure how fast it is; benchmarks/README.md has the long ones"
 	@echo "make fixtures   make the recorded sessions and golden files of the tests anew"
 	@echo "make reference  write docs/reference/cli.md from --help"
 	@echo "make clean      remove all that make has made"
@@ -44,7 +44,9 @@ check: $(STAMP)
 	@$(VENV)/bin/check-wheel-contents dist
 
 bench: $(STAMP)
-	@$(RUN) -m pytest benchmarks
+	@$(RUN) benchmarks/apply.py
+	@$(RUN) benchmarks/match.py
+	@$(RUN) benchmarks/capture.py --seconds 20
 
 fixtures: $(STAMP)
 	@$(RUN) fixtures/make.py

@@ -181,22 +181,24 @@ def _error(squares: list[Array], bound: Array) -> dict[str, float]:
     return found
 
 
-def table(results: Mapping[Regime, Result]) -> list[str]:
-    """A line for each regime."""
-    head = "jig °  positions  sensors  " + "  ".join(f"{method:^26}" for method in METHODS)
-    lines = [head, " " * 27 + "  ".join("  offset      own    cross " for _ in METHODS)]
-    for regime, result in results.items():
-        cells = []
-        for method in METHODS:
-            for name in CLASSES:
-                value = result.ratio[method][name]
-                told = "    -    " if np.isnan(value) else f"{value:6.3f}   "
-                if method == "joint":
-                    told = f"{value:5.2f}±{result.error[name]:.2f}".replace("±0.", "±.")
-                    told += "*" if result.attainable[name] < 1 - REACH else " "
-                cells.append(told)
-        lines.append(f"{regime.jig:5.2f}  {regime.count:9}  {regime.sensors:7}  " + "".join(cells))
-    return lines
+HEAD = (
+    "jig °  positions  sensors  " + "  ".join(f"{method:^26}" for method in METHODS),
+    " " * 27 + "  ".join("  offset      own    cross " for _ in METHODS),
+)
+
+
+def line(regime: Regime, result: Result) -> str:
+    """One regime in numbers."""
+    cells = []
+    for method in METHODS:
+        for name in CLASSES:
+            value = result.ratio[method][name]
+            told = "    -    " if np.isnan(value) else f"{value:6.3f}   "
+            if method == "joint":
+                told = f"{value:5.2f}±{result.error[name]:.2f}".replace("±0.", "±.")
+                told += "*" if result.attainable[name] < 1 - REACH else " "
+            cells.append(told)
+    return f"{regime.jig:5.2f}  {regime.count:9}  {regime.sensors:7}  " + "".join(cells)
 
 
 def below(results: Mapping[Regime, Result]) -> list[str]:
@@ -217,11 +219,13 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
     regimes = [Regime(*one, options.noise) for one in product(JIGS, COUNTS, SENSORS)]
+    results = {}
+    print(f"Cramér-Rao bound over mean square error, noise {1e3 * options.noise:g} mg a position", *HEAD, sep="\n")
     with ProcessPoolExecutor(options.jobs) as pool:
         futures = [pool.submit(simulate, regime, options.calibrations, options.seed) for regime in regimes]
-        results = {regime: future.result() for regime, future in zip(regimes, futures, strict=True)}
-    print(f"Cramér-Rao bound over mean square error, noise {1e3 * options.noise:g} mg a position")
-    print("\n".join(table(results)))
+        for regime, future in zip(regimes, futures, strict=True):
+            results[regime] = future.result()
+            print(line(regime, results[regime]), flush=True)
     failing = below(results)
     print("\n".join(failing) if failing else "nowhere below 0.95 where the bound is attainable")
     return 1 if failing else 0
