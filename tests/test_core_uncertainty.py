@@ -24,7 +24,7 @@ from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.core.intrinsic import intrinsic, separated
 from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
-from tiltcal.core.propagation import propagated, tilt_uncertainty
+from tiltcal.core.propagation import propagated
 from tiltcal.errors import EstimateError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -200,30 +200,6 @@ class TestPooling:
         variance, dof = pooled(np.array([1.0, 2.0]), np.full(2, np.inf))
         assert variance.tolist() == [1.0, 2.0]
         assert np.all(np.isinf(dof))
-
-
-class TestTilt:
-    def test_level_by_hand(self) -> None:
-        """One axis near level: offset's and reading's uncertainty over S, in degrees."""
-        known = Coefficients(("x",), ("x",), np.array([1024.0]), np.array([[819.0]]))
-        names, covariance = ("offset.x", "sensitivity.x.x"), np.diag([0.3**2, 0.5**2])
-        u = tilt_uncertainty(known, names, covariance, np.array([[1024.0], [1024.0 + 819.0 / 2]]), u_readings=0.4)
-        assert u[0, 0] == pytest.approx(degrees(0.5 / 819.0), rel=1e-3)
-        expected = np.hypot(0.5, 0.5 * 0.5) / 819.0 / cos(radians(30))
-        assert u[1, 0] == pytest.approx(degrees(expected), rel=1e-3)
-
-    def test_correlations_count(self) -> None:
-        """Offset and sensitivity that err together cancel where the reading is below level."""
-        known = Coefficients(("x",), ("x",), np.array([0.0]), np.array([[1.0]]))
-        covariance = 1e-6 * np.array([[1.0, 1.0], [1.0, 1.0]])
-        u = tilt_uncertainty(known, ("offset.x", "sensitivity.x.x"), covariance, np.array([[-0.5], [0.5]]))
-        assert u[0, 0] == pytest.approx(degrees(0.5e-3 / cos(radians(30))), rel=1e-3)
-        assert u[1, 0] == pytest.approx(degrees(1.5e-3 / cos(radians(30))), rel=1e-3)
-
-    def test_a_coefficient_that_is_not_there_is_named(self) -> None:
-        known = Coefficients(("x",), ("x",), np.array([0.0]), np.array([[1.0]]))
-        with pytest.raises(EstimateError, match=r"offset\.q"):
-            tilt_uncertainty(known, ("offset.q",), np.eye(1), np.array([[0.1]]))
 
 
 class TestIntrinsic:

@@ -16,7 +16,7 @@ the sensor upside down.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import pi, radians, sin
 
@@ -45,6 +45,9 @@ REASONS = {
     NO_TEMPERATURE: "temperature missing",
     NOT_A_NUMBER: "not a number",
 }
+
+DIRECTIONS = ("pitch", "roll", "inclination")
+"""The angles over the full circle that three axes have."""
 
 CLIP_LIMIT = 1.02
 """An arcsine argument up to this is taken for ±90°, g."""
@@ -104,6 +107,34 @@ class Compensated:
             )
 
 
+@dataclass(frozen=True)
+class Stage:
+    """Some rows on their way through the kernel, for who wants to know more of them than comes out.
+
+    Attributes
+    ----------
+    rows : slice
+        Which of all rows these are.
+    dt : ndarray, shape (n,), or None
+        T - T_ref, °C; 0 where the temperature is missing, None where none counts.
+    signal : ndarray, shape (channels, n)
+        S g: the readings without offset, drift, gain and bend, unit.
+    own : ndarray, shape (axes, n)
+        Up in the sensor's frame, g.
+    hidden : ndarray, shape (n,), or None
+        g_z in the sensor's frame, of a sensor that sees x and y only, where it is needed.
+    out : Compensated
+        What comes out.
+    """
+
+    rows: slice
+    dt: Array | None
+    signal: Array
+    own: Array
+    hidden: Array | None
+    out: Compensated
+
+
 class Compensation:
     """One sensor's calibration, ready to be applied to any number of rows.
 
@@ -121,6 +152,12 @@ class Compensation:
     ----------
     axes : tuple of str
         The axes that are reported: those of the sensor, without z where two channels measure x and y.
+    inverse : ndarray, shape (axes, channels)
+        From the signal to the sensor's own axes, g/unit.
+    coupling : ndarray, shape (2,)
+        What a hidden g_z adds to x and y.
+    rotation : ndarray, shape (3, 3), or None
+        From the sensor's frame to the application's; None where they are one.
 
     Raises
     ------
@@ -153,17 +190,17 @@ class Compensation:
         self._bend = None if coefficients.nonlinearity is None else Bend(coefficients)
         self._thermal = coefficients.thermal
         square = sensitivity[:, : len(self.axes)]
-        self._inverse = _first_order_inverse(square) if first_order else _inverse(square)
-        self._rotation = None
+        self.inverse = _first_order_inverse(square) if first_order else _inverse(square)
+        self.rotation: Array | None = None
         if coefficients.mounting is not None:
             rotation = mounting_matrix(coefficients.mounting)
             if not np.array_equal(rotation, np.eye(3)):
                 if self.axes not in (("x", "y"), AXES):
                     raise EstimateError("a mounting rotation takes a sensor that measures at least x and y")
-                self._rotation = rotation
-        self._coupling = self._inverse @ sensitivity[:, 2] if len(own) > channels else np.zeros(2)
-        self._hidden = channels == 2 and (len(own) > channels or self._rotation is not None)
-        self._upside_down = self._rotation is not None and bool(self._rotation[2, 2] < -_ROUNDING)
+                self.rotation = rotation
+        self.coupling = self.inverse @ sensitivity[:, 2] if len(own) > channels else np.zeros(2)
+        self._hidden = channels == 2 and (len(own) > channels or self.rotation is not None)
+        self._upside_down = self.rotation is not None and bool(self.rotation[2, 2] < -_ROUNDING)
 
         self._rails = _bounds(limits.reading, coefficients.channels)
         self._reach = _bounds(
@@ -173,10 +210,14 @@ class Compensation:
         self._temperatures = _overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
 
     @property
+    def angles(self) -> tuple[str, ...]:
+        """Names of the columns of :meth:`table` that are angles."""
+        return (*(f"tilt_{axis}" for axis in self.axes), *(DIRECTIONS if len(self.axes) == 3 else ()))
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns that :meth:`table` gives."""
-        angles = ("pitch", "roll", "inclination") if len(self.axes) == 3 else ()
-        return (*(f"g_{a}" for a in self.axes), *(f"tilt_{a}" for a in self.axes), *angles, "flag", "reason")
+        return (*(f"g_{axis}" for axis in self.axes), *self.angles, "flag", "reason")
 
     def table(self, compensated: Compensated) -> dict[str, NDArray[np.float64] | Bytes]:
         """The columns of a result under the names that :attr:`columns` lists."""
@@ -196,7 +237,12 @@ class Compensation:
         )
 
     def __call__(
-        self, readings: ArrayLike, temperature: ArrayLike | None = None, *, out: Compensated | None = None
+        self,
+        readings: ArrayLike,
+        temperature: ArrayLike | None = None,
+        *,
+        out: Compensated | None = None,
+        follow: Callable[[Stage], None] | None = None,
     ) -> Compensated:
         """Compensate rows.
 
@@ -209,6 +255,8 @@ class Compensation:
             °C; NaN where it is missing.
         out : Compensated, optional
             Room for n rows, from :meth:`Compensated.empty`, that an earlier call has filled: its memory is used again.
+        follow : callable, optional
+            Told of every few rows while they are in the cache.
 
         Returns
         -------
@@ -231,17 +279,20 @@ class Compensation:
             raise ValueError(f"out has shape {result.gravity.shape}; the result has ({len(u)}, {len(self.axes)})")
         with np.errstate(all="ignore"):
             for rows, part in result.chunks():
-                self._compensate(u[rows].T, None if t is None else t[rows], part)
+                stage = self._compensate(rows, u[rows].T, None if t is None else t[rows], part)
+                if follow is not None:
+                    follow(stage)
         return result
 
-    def _compensate(self, u: Array, temperature: Array | None, out: Compensated) -> None:
+    def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> Stage:
         """One chunk, ``u`` having a row per channel, into ``out``."""
         out.flag.fill(PASS)
         out.reason.fill(0)
-        signal = self._signal(u, temperature, out)
+        dt = self._warmth(temperature, out)
+        signal = self._signal(u, dt)
         if self._bend is not None:
             self._bend.straighten(signal)
-        own = self._inverse @ signal
+        own = self.inverse @ signal
         hidden = self._solve_hidden(own, out) if self._hidden else None
         application = out.gravity.T
         self._mount(own, hidden, application)
@@ -251,10 +302,10 @@ class Compensation:
             _directions(application, out)
         self._judge_tilt(own, out)
         self._judge_readings(u, out)
+        return Stage(rows, dt, signal, own, hidden, out)
 
-    def _signal(self, u: Array, temperature: Array | None, out: Compensated) -> Array:
-        """The readings without offset, drift and gain: S g, unit."""
-        signal: Array = u - self._offset[:, None]
+    def _warmth(self, temperature: Array | None, out: Compensated) -> Array | None:
+        """How much warmer than at the reference temperature, °C, where that counts; marks the rows that do not say."""
         known = None
         if temperature is not None:
             known = np.isfinite(temperature)
@@ -262,14 +313,21 @@ class Compensation:
                 low, high = self._temperatures
                 _mark(out, known & ((temperature < low) | (temperature > high)), SUSPECT, TEMPERATURE_RANGE)
         if self._thermal is None:
-            return signal
+            return None
         if temperature is None or known is None:
-            _mark(out, np.ones(u.shape[1], bool), SUSPECT, NO_TEMPERATURE)
-            return signal
-        dt = temperature - self._thermal.reference
+            _mark(out, np.ones(len(out.flag), bool), SUSPECT, NO_TEMPERATURE)
+            return None
+        dt: Array = temperature - self._thermal.reference
         if not known.all():
             _mark(out, ~known, SUSPECT, NO_TEMPERATURE)
             dt[~known] = 0.0
+        return dt
+
+    def _signal(self, u: Array, dt: Array | None) -> Array:
+        """The readings without offset, drift and gain: S g, still bent; unit."""
+        signal: Array = u - self._offset[:, None]
+        if self._thermal is None or dt is None:
+            return signal
         for row, drift, gain in zip(signal, self._thermal.drift, self._thermal.gain, strict=True):
             if drift.any():
                 row -= _polynomial(drift, dt)
@@ -279,7 +337,7 @@ class Compensation:
 
     def _solve_hidden(self, own: Array, out: Compensated) -> Array:
         """g_z of a sensor that sees x and y only; takes its coupling out of ``own``."""
-        q = self._coupling
+        q = self.coupling
         excess = np.einsum("ij,ij->j", own, own) - 1.0
         along = q @ own
         curvature = 1.0 + q @ q
@@ -297,13 +355,13 @@ class Compensation:
 
     def _mount(self, own: Array, hidden: Array | None, application: Array) -> None:
         """Turn ``own`` into the application frame."""
-        if self._rotation is None:
+        if self.rotation is None:
             application[...] = own
         elif hidden is None:
-            np.matmul(self._rotation, own, out=application)
+            np.matmul(self.rotation, own, out=application)
         else:
-            np.matmul(self._rotation[:2, :2], own, out=application)
-            application += self._rotation[:2, 2:] * hidden
+            np.matmul(self.rotation[:2, :2], own, out=application)
+            application += self.rotation[:2, 2:] * hidden
 
     def _judge_tilt(self, own: Array, out: Compensated) -> None:
         """Mark rows that tilt a sensor axis further than the calibration covers."""
