@@ -11,12 +11,21 @@ from command import tiltcal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
+from tiltcal.calibrate import Measurement
+from tiltcal.core.angles import UncertainCompensation
+from tiltcal.core.compensate import Compensation
+from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.model import Mounting
 from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.statistics import Summary
 from tiltcal.core.wahba import solve_mounting
 from tiltcal.errors import EstimateError
-from tiltcal.files.calibration import read_calibration
+from tiltcal.files.calibration import Calibration, SensorIdentity, read_calibration
+from tiltcal.files.uncertainty import stated_uncertainty
+from tiltcal.findings import rounded, uncertainty_record
+from tiltcal.mount import mount
 
 POSITIONS = np.array([[0, 0, 1], [0.5, 0, 0.866], [-0.5, 0, 0.866], [0, 0.5, 0.866], [0, -0.5, 0.866]])
 KNOWN = POSITIONS / np.linalg.norm(POSITIONS, axis=1, keepdims=True)
@@ -51,6 +60,34 @@ def test_the_stated_uncertainty_covers_the_truth() -> None:
             inside += abs(np.angle(np.exp(1j * error))) < 1.96 * getattr(found.u, name)
             total += 1
     assert inside / total == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / total))
+
+
+def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
+    """Base and mounting err together: 250 sensors are calibrated on one jig and mounted on another, both of 0.2°."""
+    rng = np.random.default_rng(31)
+    plan, sigma, inside, scatter = plan_of(12, noise=1e-4, jig=0.2), radians(0.2), [], []
+    for _ in range(250):
+        truth, turned = part(rng), mounting_matrix(Mounting(*rng.uniform(-1.2, 1.2, 3)))
+        (found,) = estimate_jointly(fixture(measured(rng, plan, [truth]), design(plan, jig=0.2)))
+        identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
+        base = Calibration(identity, rounded(found), uncertainty_record(found, {}))
+        read = truth.reading(noisy(rng, turned, sigma), np.zeros(len(KNOWN)))
+        mounted = mount(base, [_measured(known, row) for known, row in zip(KNOWN, read, strict=True)], jig=0.2)
+        doubt = stated_uncertainty(mounted.uncertainty, mounted.coefficients, reading_noise=0.0).doubt
+        kernel = UncertainCompensation(Compensation(mounted.coefficients), mounted.coefficients, doubt)
+        gravity = Rotation.from_euler("xy", rng.uniform(-40.0, 40.0, (20, 2)), degrees=True).apply([0.0, 0.0, 1.0])
+        result = kernel(truth.reading(gravity @ turned, np.zeros(20)), np.zeros(20))
+        error = result.compensated.tilt[:, :2] - np.degrees(np.arcsin(gravity[:, :2]))
+        inside.append(np.mean(np.abs(error) <= result.expanded[:, :2]))
+        scatter.append(np.mean((error / result.standard[:, :2]) ** 2))
+    assert np.mean(inside) == pytest.approx(0.95, abs=3 * np.std(inside) / np.sqrt(len(inside)) + 0.005)
+    assert np.sqrt(np.mean(scatter)) == pytest.approx(1.0, abs=0.07)
+
+
+def _measured(gravity: np.ndarray, readings: np.ndarray) -> Measurement:
+    summaries = {c: Summary(float(value), 0.0, 1, 0.0) for c, value in zip(XYZ, readings, strict=True)}
+    x, y, z = gravity.tolist()
+    return Measurement("here", (x, y, z), None, None, summaries)
 
 
 def test_one_direction_leaves_the_turn_about_it_undetermined() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import asin, degrees, inf, radians
+from math import asin, degrees, fsum, inf, radians, sqrt
 from typing import Any
 
 import numpy as np
@@ -157,7 +157,7 @@ def calibrate_jointly(
             Calibration(
                 sensor=replace(subject.sensor, channels=design.channels),
                 coefficients=rounded(one),
-                uncertainty=uncertainty_record(one),
+                uncertainty=uncertainty_record(one, _reading(subject.measurements, design)),
                 limits=_limits(design, subject.measurements, subject.nominal, one.coefficients.thermal is not None),
                 derived=derived_record(one, design),
                 fit=fit_record(one, design, _largest_noise(subject.measurements, design.channels)),
@@ -247,6 +247,20 @@ def _stands(measurement: Measurement) -> tuple[object, ...]:
 
 def _largest_noise(measurements: Sequence[Measurement], channels: Sequence[str]) -> float:
     return max(measurement.summaries[channel].u for measurement in measurements for channel in channels)
+
+
+def _reading(measurements: Sequence[Measurement], design: Design) -> dict[str, float]:
+    """What a single reading is uncertain by: the samples' scatter within the positions, and what rounding leaves."""
+    known: dict[str, float] = {}
+    for channel in design.channels:
+        summaries = [measurement.summaries[channel] for measurement in measurements]
+        dof = sum(summary.n - 1 for summary in summaries)
+        if dof:
+            scatter = fsum((summary.n - 1) * summary.std**2 for summary in summaries) / dof
+            known[channel] = sqrt(scatter + max(summary.quantisation for summary in summaries) ** 2)
+    if known and design.thermometer and (design.drift or design.gain):
+        known["temperature"] = design.thermometer
+    return known
 
 
 def _limits(design: Design, measurements: Sequence[Measurement], nominal: Nominal | None, thermal: bool) -> Limits:

@@ -54,8 +54,15 @@ def rounded(found: Estimate) -> Coefficients:
     )
 
 
-def uncertainty_record(found: Estimate) -> dict[str, Any]:
-    """The ``uncertainty`` section: standard uncertainties in the shape of ``calibration``, and their covariance."""
+def uncertainty_record(found: Estimate, reading: Mapping[str, float]) -> dict[str, Any]:
+    """The ``uncertainty`` section: standard uncertainties in the shape of ``calibration``, and how they hang together.
+
+    Parameters
+    ----------
+    found : Estimate
+    reading : mapping of str to float
+        Standard uncertainty of a single reading by channel, unit, and of its temperature, °C; where they are known.
+    """
     coefficients, u = found.coefficients, found.uncertainty()
     channels = coefficients.channels
     shaped: dict[str, Any] = {
@@ -78,8 +85,21 @@ def uncertainty_record(found: Estimate) -> dict[str, Any]:
             for name, order in orders.items()
             if order
         }
-    shaped["covariance"] = _covariance(found)
+    if reading:
+        shaped["reading"] = {name: significant(value, DIGITS) for name, value in reading.items()}
+    shaped["coverage_factor"] = {n: round(factor, 3) for n, factor in found.coverage_factors().items() if u[n] > 0.0}
+    shaped["covariance"] = covariance_record(found.names, found.covariance)
     return shaped
+
+
+def covariance_record(names: Sequence[str], covariance: Array) -> dict[str, Any]:
+    """Of the coefficients that are uncertain at all, without the dust that stands for zero."""
+    u = np.sqrt(np.diag(covariance))
+    some = np.flatnonzero(u > 0.0).tolist()
+    return {
+        "parameters": [names[i] for i in some],
+        "matrix": [[round_to(float(covariance[i, j]), float(u[i] * u[j]) / MATRIX_DIGITS) for j in some] for i in some],
+    }
 
 
 def derived_record(found: Estimate, design: Design) -> dict[str, Any]:
@@ -141,9 +161,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> dict[str, Any]:
     if found.scatter_jig is not None:
         record["jig_that_shows_degrees"] = significant(found.scatter_jig, SHARE_DIGITS)
     if design.thermometer:
-        record["thermometer_degrees"] = design.thermometer
-    u = found.uncertainty()
-    record["coverage_factor"] = {n: round(factor, 3) for n, factor in found.coverage_factors().items() if u[n] > 0.0}
+        record["thermometer_celsius"] = design.thermometer
     record["budget"] = _budget(found)
     if found.notes:
         record["notes"] = list(found.notes)
@@ -156,18 +174,6 @@ def _rounded_rows(table: Array, channels: Sequence[str], name: str, u: Mapping[s
         for channel, row in zip(channels, table, strict=True)
     ]
     return np.array(rows).reshape(table.shape)
-
-
-def _covariance(found: Estimate) -> dict[str, Any]:
-    """Of the coefficients that are uncertain at all, without the dust that stands for zero."""
-    u = found.budget.u
-    some = np.flatnonzero(u > 0.0)
-    return {
-        "parameters": [found.names[i] for i in some],
-        "matrix": [
-            [round_to(float(found.covariance[i, j]), float(u[i] * u[j]) / MATRIX_DIGITS) for j in some] for i in some
-        ],
-    }
 
 
 def _intrinsic_record(found: Estimate, design: Design) -> dict[str, Any]:

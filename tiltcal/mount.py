@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import degrees, radians
 from typing import Any
 
 import numpy as np
 
 from tiltcal.calibrate import Measurement
+from tiltcal.core.budget import coverage_factor
 from tiltcal.core.compensate import Compensation
-from tiltcal.core.model import Array, Coefficients, Mounting
+from tiltcal.core.features import TURN
+from tiltcal.core.model import AXES, Array, Coefficients, Mounting
+from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.propagation import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.wahba import MountingEstimate, solve_mounting
+from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, rotation_vector, solve_mounting
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration
+from tiltcal.files.coefficients import ANGLES
+from tiltcal.files.uncertainty import SHAPED, stated_uncertainty
+from tiltcal.findings import covariance_record
 
 
 def mount(
@@ -48,12 +55,13 @@ def mount(
         One direction of gravity alone, or a sensor without x and y.
     """
     known = np.array([measurement.gravity for measurement in measurements])
-    found = _best(base.coefficients, measurements, known, jig)
-    mounting, u = _rounded(found)
+    found, side = _best(base.coefficients, measurements, known, jig)
+    joint = _joined(base, found, lambda c: _solved(_directions(c, measurements) * side, known, jig))
+    mounting, u = _rounded(found, joint)
     return replace(
         base,
         coefficients=replace(base.coefficients, mounting=mounting),
-        uncertainty={**base.uncertainty, **({} if u is None else {"mounting": u})},
+        uncertainty=_uncertainty(base.uncertainty, joint, u),
         derived={**base.derived, "gimbal_lock": True} if found.gimbal_lock else base.derived,
         fit={**base.fit, "mounting": _record(found, measurements, jig)},
         procedure={**base.procedure, "mounting": {**(settings or {}), "positions": [m.position for m in measurements]}},
@@ -61,15 +69,78 @@ def mount(
     )
 
 
+@dataclass(frozen=True)
+class _Joint:
+    """The base's coefficients and the mounting's turn about the application's axes, radians, with their covariance."""
+
+    names: tuple[str, ...]
+    covariance: Array
+    factors: Array
+
+
 def _best(
     coefficients: Coefficients, measurements: Sequence[Measurement], known: Array, jig: float | None
-) -> MountingEstimate:
-    """The mounting; of a sensor of two axes it may hang upside down, and the better of the two is taken."""
-    sigma = None if jig is None else np.full(len(known), max(radians(jig), 1e-6))
+) -> tuple[MountingEstimate, Array]:
+    """The mounting, and the side of z: a sensor of two axes may hang upside down, and the better one is taken."""
     read = _directions(coefficients, measurements)
-    candidates = [read] if len(coefficients.channels) == 3 else [read, read * [1.0, 1.0, -1.0]]
-    found = [solve_mounting(directions, known, sigma) for directions in candidates]
-    return min(found, key=lambda estimate: float(np.sum(estimate.residuals**2)))
+    sides = [np.ones(3)] if len(coefficients.channels) == 3 else [np.ones(3), np.array([1.0, 1.0, -1.0])]
+    found = [(_solved(read * side, known, jig), side) for side in sides]
+    return min(found, key=lambda one: float(np.sum(one[0].residuals ** 2)))
+
+
+def _solved(read: Array, known: Array, jig: float | None) -> MountingEstimate:
+    sigma = None if jig is None else np.full(len(known), max(radians(jig), 1e-6))
+    return solve_mounting(read, known, sigma)
+
+
+def _joined(base: Calibration, found: MountingEstimate, solve: Callable[[Coefficients], MountingEstimate]) -> _Joint:
+    """What the base is uncertain by goes into the mounting that was found with it, and the two err together."""
+    coefficients = replace(base.coefficients, mounting=None)
+    names, covariance, factors = _own(base.uncertainty, coefficients)
+    vector, u = vector_of(coefficients, names), np.sqrt(np.diag(covariance))
+    moved = np.zeros((3, len(names)))
+    for k in np.flatnonzero(u > 0.0):
+        step = np.where(np.arange(len(names)) == k, u[k], 0.0)
+        ends = [
+            mounting_matrix(solve(with_vector(coefficients, names, vector + side * step)).mounting)
+            for side in (1.0, -1.0)
+        ]
+        moved[:, k] = rotation_vector(ends[0] @ ends[1].T) / (2.0 * u[k])
+    all_moved = np.vstack([np.eye(len(names)), moved])
+    joint = all_moved @ covariance @ all_moved.T
+    joint[-3:, -3:] += found.covariance
+    normal = coverage_factor(np.array([np.inf]))[0]
+    stretched = all_moved @ (covariance * np.outer(factors, factors)) @ all_moved.T
+    own = normal if found.stated else coverage_factor(np.array([float(found.dof)]))[0]
+    wide = np.diag(stretched)[-3:] + own**2 * np.diag(found.covariance)
+    return _Joint(
+        (*names, *(f"{TURN}{axis}" for axis in AXES)),
+        joint,
+        np.concatenate([factors, np.sqrt(wide / np.diag(joint)[-3:])]),
+    )
+
+
+def _own(uncertainty: Mapping[str, Any], coefficients: Coefficients) -> tuple[tuple[str, ...], Array, Array]:
+    """Names, covariance and coverage factors of the base's coefficients in the sensor's own frame."""
+    try:
+        doubt = stated_uncertainty(uncertainty, coefficients).doubt
+    except EstimateError:
+        return (), np.zeros((0, 0)), np.zeros(0)
+    kept = [k for k, name in enumerate(doubt.names) if not name.startswith(TURN)]
+    return tuple(doubt.names[k] for k in kept), doubt.covariance[np.ix_(kept, kept)], doubt.factors[kept]
+
+
+def _uncertainty(before: Mapping[str, Any], joint: _Joint, u: Mapping[str, float] | None) -> dict[str, Any]:
+    """The base's section with the mounting's in it, degrees."""
+    scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in joint.names])
+    shaped = {key: before[key] for key in SHAPED if key in before and key != "mounting"}
+    return {
+        **shaped,
+        **({} if u is None else {"mounting": u}),
+        **({"reading": before["reading"]} if "reading" in before else {}),
+        "coverage_factor": {n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)},
+        "covariance": covariance_record(joint.names, joint.covariance * np.outer(scale, scale)),
+    }
 
 
 def _directions(coefficients: Coefficients, measurements: Sequence[Measurement]) -> Array:
@@ -86,11 +157,12 @@ def _directions(coefficients: Coefficients, measurements: Sequence[Measurement])
     return np.column_stack([gravity, rest])
 
 
-def _rounded(found: MountingEstimate) -> tuple[Mounting, dict[str, float] | None]:
+def _rounded(found: MountingEstimate, joint: _Joint) -> tuple[Mounting, dict[str, float] | None]:
     """The angles with the digits that their uncertainty warrants, radians; and that, degrees."""
-    if found.u is None:
+    if found.gimbal_lock:
         return found.mounting, None
-    u = {name: degrees(getattr(found.u, name)) for name in ("roll", "pitch", "yaw")}
+    doubt = angle_uncertainty(mounting_matrix(found.mounting), joint.covariance[-3:, -3:])
+    u = {name: degrees(getattr(doubt, name)) for name in ANGLES}
     angles = {name: radians(round_to(degrees(getattr(found.mounting, name)), u[name])) for name in u}
     return Mounting(**angles), {name: significant(value, 4) for name, value in u.items()}
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -27,12 +25,12 @@ def command(before: Path, after: Path, as_json: bool) -> None:
     coefficients that are compared: of two calibrations of an unchanged sensor it calls 5 % different.
     """
     from tiltcal.core.change import changes
+    from tiltcal.files.uncertainty import named_uncertainties
 
     old, new = read_calibration(before), read_calibration(after)
     _require_same_sensor(old, new)
-    found = changes(
-        old.coefficients, new.coefficients, dict(_by_name(old.uncertainty)), dict(_by_name(new.uncertainty))
-    )
+    u_old, u_new = (dict(named_uncertainties(one.uncertainty)) for one in (old, new))
+    found = changes(old.coefficients, new.coefficients, u_old, u_new)
     ratios = [change.ratio for change in found if change.ratio is not None]
     threshold = _threshold(len(ratios)) if ratios else None
     changed = [change.name for change in found if threshold and change.ratio is not None and change.ratio > threshold]
@@ -86,17 +84,3 @@ def _require_same_sensor(old: Calibration, new: Calibration) -> None:
         a, b = getattr(old.sensor, what), getattr(new.sensor, what)
         if a != b:
             raise UsageError(f"not two calibrations of one sensor: its {what} is {a} in one and {b} in the other")
-
-
-def _by_name(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:
-    """Standard uncertainties by dotted name; a list counts from 1, the power of dT."""
-    for key, value in section.items():
-        if lead == "" and key not in ("offset", "sensitivity", "temperature"):
-            continue
-        name = f"{lead}{key}"
-        if isinstance(value, Mapping):
-            yield from _by_name(value, f"{name}.")
-        elif isinstance(value, list):
-            yield from ((f"{name}.{power}", float(u)) for power, u in enumerate(value, start=1))
-        else:
-            yield name, float(value)

@@ -95,12 +95,20 @@ def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> Mou
     information = np.einsum("p,pij->ij", weights, np.eye(3) - np.einsum("pi,pj->pij", known, known))
     covariance = variance * np.linalg.inv(information)
     angles = mounting_angles(matrix)
-    u = None if angles.gimbal_lock else _angle_uncertainty(matrix, covariance)
+    u = None if angles.gimbal_lock else angle_uncertainty(matrix, covariance)
     return MountingEstimate(angles.mounting, angles.gimbal_lock, covariance, u, residuals, dof, stated)
 
 
-def _angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
-    """Standard uncertainty of roll, pitch and yaw, by their derivatives with respect to a small turn."""
+def angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
+    """Standard uncertainty of roll, pitch and yaw, by their derivatives with respect to a small turn.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (3, 3)
+        The mounting's, clear of gimbal lock.
+    covariance : ndarray, shape (3, 3)
+        Of the rotation vector in the application's frame, rad².
+    """
     columns = []
     for axis in range(3):
         turn = np.zeros(3)
@@ -110,6 +118,13 @@ def _angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
     jacobian = np.stack(columns, axis=1)
     roll, pitch, yaw = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T)).tolist()
     return Mounting(roll, pitch, yaw)
+
+
+def rotation_vector(matrix: Array) -> Array:
+    """The turn that a rotation matrix makes, radians, shape (3,)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
 
 
 def _angles(matrix: Array) -> Array:

@@ -15,20 +15,17 @@ from typing import Any
 
 from tiltcal.core.model import AXES, Coefficients, Limits
 from tiltcal.files.coefficients import (
-    ANGLES,
     in_degrees,
     read_coefficients,
-    read_polynomials,
     write_coefficients,
 )
 from tiltcal.files.document import FORMAT_VERSION, read_tiltcal_file
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
+from tiltcal.files.uncertainty import read_uncertainty
 from tiltcal.files.whole import write_whole
 
 RECORDS = ("derived", "fit", "procedure", "positions", "provenance")
-
-_SYMMETRY = 1e-9
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,7 @@ class Calibration:
         Angles in radians.
     uncertainty : mapping
         Standard uncertainties (k = 1) as plain data in the shape and units of the file's ``calibration`` section, and
-        optionally ``covariance``: the parameters' names and their matrix.
+        what else :mod:`tiltcal.files.uncertainty` reads.
     limits : Limits
         Where the calibration holds; angles in radians.
     derived, fit, procedure, provenance : mapping
@@ -158,7 +155,7 @@ def calibration_of(document: Node) -> Calibration:
     return Calibration(
         sensor=sensor,
         coefficients=coefficients,
-        uncertainty=_read_uncertainty(top["uncertainty"], coefficients) if "uncertainty" in top else {},
+        uncertainty=read_uncertainty(top["uncertainty"], coefficients) if "uncertainty" in top else {},
         limits=_read_limits(top["limits"], coefficients) if "limits" in top else Limits(),
         **records,
     )
@@ -180,60 +177,6 @@ def _read_record(node: Node, name: str) -> Any:
     else:
         node.entries()
     return node.plain()
-
-
-def _read_uncertainty(node: Node, coefficients: Coefficients) -> dict[str, Any]:
-    """Numbers that are not negative, in the shape of the ``calibration`` section; any of them may be absent."""
-    channels, axes = coefficients.channels, coefficients.axes
-    section = node.mapping(optional=("offset", "sensitivity", "nonlinearity", "temperature", "mounting", "covariance"))
-    uncertainty: dict[str, Any] = {}
-    for name, value in section.items():
-        if name == "offset":
-            uncertainty[name] = _not_negative(value, channels)
-        elif name == "sensitivity":
-            rows = value.mapping(optional=channels)
-            uncertainty[name] = {channel: _not_negative(row, axes) for channel, row in rows.items()}
-        elif name == "nonlinearity":
-            uncertainty[name] = read_polynomials(value, channels, minimum=0.0)
-        elif name == "temperature":
-            uncertainty[name] = _read_thermal_uncertainty(value, channels)
-        elif name == "mounting":
-            uncertainty[name] = _not_negative(value, ANGLES)
-        else:
-            uncertainty[name] = _read_covariance(value)
-    return uncertainty
-
-
-def _not_negative(node: Node, names: Sequence[str]) -> dict[str, float]:
-    return {name: value.number(minimum=0.0) for name, value in node.mapping(optional=names).items()}
-
-
-def _read_thermal_uncertainty(node: Node, channels: Sequence[str]) -> dict[str, Any]:
-    section = node.mapping(optional=("reference", "offset", "sensitivity"))
-    return {
-        name: value.number(minimum=0.0) if name == "reference" else read_polynomials(value, channels, minimum=0.0)
-        for name, value in section.items()
-    }
-
-
-def _read_covariance(node: Node) -> dict[str, Any]:
-    section = node.mapping(required=("parameters", "matrix"))
-    parameters = [item.text() for item in section["parameters"].items()]
-    if len(set(parameters)) < len(parameters):
-        raise section["parameters"].error("a parameter is named twice")
-    rows = section["matrix"].items()
-    matrix = [row.numbers() for row in rows]
-    size = len(parameters)
-    if len(matrix) != size or any(len(row) != size for row in matrix):
-        raise section["matrix"].error(f"{size} parameters need a matrix of {size} rows of {size} numbers")
-    for i, node_of_row in enumerate(rows):
-        if matrix[i][i] < 0.0:
-            raise node_of_row.error(f"the variance {matrix[i][i]:g} of {parameters[i]} is negative")
-        for j in range(i):
-            scale = max(abs(matrix[i][j]), abs(matrix[j][i]))
-            if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * scale:
-                raise node_of_row.error(f"the matrix is not symmetric in {parameters[i]} and {parameters[j]}")
-    return {"parameters": parameters, "matrix": matrix}
 
 
 def _read_limits(node: Node, coefficients: Coefficients) -> Limits:
