@@ -14,6 +14,7 @@ import numpy as np
 from tiltcal.core.compensate import FLAGS, REASONS
 from tiltcal.errors import UsageError
 from tiltcal.logs.columns import TEMPERATURE
+from tiltcal.logs.widths import Widths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -58,12 +59,15 @@ class Summary:
         Rows by bit of the reason; a row may have several.
     bad_rows : int
         Rows that could not be parsed and were kept as missing.
+    widths : dict of str to Widths
+        The columns that were to be watched, half widths of 95 % intervals in degrees.
     """
 
     rows: int = 0
     flags: Counter[int] = field(default_factory=Counter)
     reasons: Counter[int] = field(default_factory=Counter)
     bad_rows: int = 0
+    widths: dict[str, Widths] = field(default_factory=dict)
 
     def add(self, flag: NDArray[np.uint8], reason: NDArray[np.uint8], bad_rows: int) -> None:
         """Count some rows."""
@@ -79,11 +83,13 @@ class Summary:
 
     def as_data(self) -> dict[str, object]:
         """The counts as plain data, every flag and reason that occurred."""
+        widths = {name: {"median": one.median, "largest": one.largest} for name, one in self.widths.items()}
         return {
             "rows": self.rows,
             "flags": {str(flag): self.flags[flag] for flag in FLAGS if self.flags[flag]},
             "reasons": {str(bit): self.reasons[bit] for bit in REASONS if self.reasons[bit]},
             "bad_rows": self.bad_rows,
+            **({"uncertainty": widths} if widths else {}),
         }
 
     def as_text(self) -> str:
@@ -93,6 +99,8 @@ class Summary:
         lines += [f"  reason {bit} {why}: {self.reasons[bit]}" for bit, why in REASONS.items() if self.reasons[bit]]
         if self.bad_rows:
             lines.append(f"  {_counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
+        if self.widths:
+            lines.append(f"  median (largest) {', '.join(_told(name, one) for name, one in self.widths.items())}")
         return "\n".join(lines)
 
 
@@ -103,6 +111,7 @@ def compensate_log(
     channels: Sequence[str],
     columns: Mapping[str, int],
     progress: Callable[[int], None] | None = None,
+    watched: Sequence[str] = (),
 ) -> Summary:
     """Write a log's rows with the compensated columns behind their own.
 
@@ -120,6 +129,8 @@ def compensate_log(
         Where each channel and, if there is one, the temperature stands in the log.
     progress : callable, optional
         Told how many bytes of the log have been read.
+    watched : sequence of str
+        Columns of the result whose median and largest value belong in the summary.
 
     Returns
     -------
@@ -137,7 +148,7 @@ def compensate_log(
         raise UsageError(
             f"the log has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
         )
-    summary = Summary()
+    summary = Summary(widths={name: Widths() for name in watched})
     # One block is written while the next is read and compensated; a single writer keeps the order.
     with ThreadPoolExecutor(max_workers=1) as writer:
         added = f",{','.join(compensation.columns)}{log.line_end}".encode()
@@ -151,8 +162,11 @@ def compensate_log(
                 sink.write(log.header + added)
             else:
                 written.result()
-            written = writer.submit(_write, sink, rows, compensation.table(result), log.line_end)
+            table = compensation.table(result)
+            written = writer.submit(_write, sink, rows, table, log.line_end)
             summary.add(result.flag, result.reason, len(rows.faults))
+            for name, widths in summary.widths.items():
+                widths.add(np.asarray(table[name], dtype=float))
             if progress is not None:
                 progress(log.bytes_read)
         if written is not None:
@@ -170,6 +184,12 @@ def _write(
     frame = pl.DataFrame({"": rows.lines, **table})
     frame.write_csv(text, include_header=False, quote_style="never", line_terminator=line_end)
     sink.write(text.getbuffer() if rows.encoding == "utf-8" else text.getvalue().decode().encode(rows.encoding))
+
+
+def _told(name: str, widths: Widths) -> str:
+    if widths.median is None or widths.largest is None:
+        return f"{name} none"
+    return f"{name} {widths.median:.2g}° ({widths.largest:.2g}°)"
 
 
 def _counted(count: int, noun: str) -> str:
