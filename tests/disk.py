@@ -45,9 +45,13 @@ def record(
     offset: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     drift: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     gradient: tuple[float, float] = (0.0, 0.0),
+    corner: float = 0.0,
     seed: int = 0,
 ) -> Record:
-    """Eq. 1 and 4 of the source as they stand there; ``start`` in degrees, ``drift`` over the whole record."""
+    """Eq. 1 and 4 of the source as they stand there; ``start`` in degrees, ``drift`` over the whole record.
+
+    Below ``corner``, in Hz, the noise is mostly 1/f.
+    """
     draw = np.random.default_rng(seed)
     time = np.arange(round(seconds * rate)) / rate
     turned = 2 * np.pi * spin * time + np.deg2rad(start)
@@ -57,8 +61,18 @@ def record(
         angle = turned + phi
         felt = common * (np.sin(angle) + d * np.cos(angle))
         felt += 0.5 * gradient[0] * np.sin(2 * angle) + gradient[1] * np.cos(2 * angle)
-        columns.append(off + slope * time / seconds + k * felt + noise * draw.standard_normal(len(time)))
+        columns.append(off + slope * time / seconds + k * felt + noise * coloured(draw, len(time), corner / rate))
     return Record(time, np.rad2deg(turned) % 360.0, np.stack(columns, axis=1))
+
+
+def coloured(draw: np.random.Generator, rows: int, corner: float) -> Array:
+    """Noise of the density 1 + corner / f, shaped in a longer record's spectrum; ``corner`` in 1/row."""
+    if not corner:
+        return draw.standard_normal(rows)
+    lines = np.fft.rfft(draw.standard_normal(4 * rows))
+    frequency = np.fft.rfftfreq(4 * rows)
+    lines[1:] *= np.sqrt(1.0 + corner / frequency[1:])
+    return np.fft.irfft(lines, 4 * rows)[:rows]
 
 
 def truth(

@@ -148,13 +148,13 @@ class TestWhatAllChannelsShare:
 
 # Uncertainty
 
-RECORDS = 2000
+RECORDS = 4000
 SHORT = {"seconds": 200.0, "rate": 5.0, "spin": 0.125, "noise": 3e-3}
 
 
 @pytest.fixture(scope="module")
 def many() -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """p, q, u_p and u_q of 2,000 records of 25 turns."""
+    """p, q, u_p and u_q of 4,000 records of 25 turns."""
     found = (solve(demodulated(disk.record(**SHORT, seed=seed)), PAIR) for seed in range(RECORDS))
     return np.array([[one.p, one.q, one.u_p, one.u_q] for one in found])
 
@@ -186,6 +186,17 @@ class TestUncertainty:
             found = matched(taken)
             ratio.append((found.p - disk.truth()[0]) / found.u_p)
         assert 0.75 < float(np.std(ratio)) < 1.3
+
+    @pytest.mark.parametrize("turns", [10, 25])
+    def test_1_over_f_noise_counts_with_what_it_has_at_the_turning(self, turns: int) -> None:
+        """With its corner at 0.1 Hz; the formula for white noise covers 87 %."""
+        taken = (disk.record(seconds=8.0 * turns, rate=10, corner=0.1, noise=3e-3, seed=seed) for seed in range(1000))
+        found = (solve(demodulated(one), PAIR) for one in taken)
+        covered = [
+            (abs(one.p - disk.truth()[0]) < 1.96 * one.u_p, abs(one.q - disk.truth()[1]) < 1.96 * one.u_q)
+            for one in found
+        ]
+        assert 0.93 < float(np.mean(covered)) < 0.97
 
     def test_a_record_that_is_merged_to_coarser_blocks_says_the_same(self) -> None:
         turns = 3 * MOST_BLOCKS
@@ -230,6 +241,11 @@ class TestRefusals:
 
     def test_less_than_two_turns(self) -> None:
         assert "has 1.87 turns of the stage; at least 2" in self.refused(disk.record(seconds=15.0))
+        assert "has 1.99 turns of the stage; at least 2" in self.refused(disk.record(seconds=15.98))
+
+    def test_two_turns_of_rows_are_two_turns(self) -> None:
+        found = matched(disk.record(seconds=16.0))
+        assert (found.p, found.q) == pytest.approx(disk.truth(), abs=1e-4)
 
     def test_a_stage_that_stands(self) -> None:
         taken = disk.record(seconds=80)
@@ -238,6 +254,11 @@ class TestRefusals:
     def test_an_encoder_that_runs_backwards(self) -> None:
         taken = disk.record(seconds=80)
         assert "runs backwards, 10.00 turns" in self.refused(replace(taken, theta=360.0 - taken.theta))
+
+    def test_a_stage_that_turns_back_to_where_it_began(self) -> None:
+        taken = disk.record(seconds=80)
+        theta = np.concatenate([taken.theta[:2000], taken.theta[2000:0:-1]])
+        assert "in the middle of the record" in self.refused(replace(taken.rows(slice(4000)), theta=theta))
 
     def test_a_stage_that_turns_back_in_the_middle(self) -> None:
         taken = disk.record(seconds=80)

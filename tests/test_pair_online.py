@@ -60,6 +60,20 @@ class TestLaboratoryRecord:
             errors += [(found.p - TRUTH[0]) / found.u_p, (found.q - TRUTH[1]) / found.u_q]
         assert 0.75 < float(np.std(errors)) < 1.25
 
+    def test_1_over_f_noise_counts_with_what_it_has_at_the_turning(self) -> None:
+        """With its corner at 0.1 Hz; the formula for white noise covers 87 %."""
+        covered = []
+        for seed in range(200):
+            taken = disk.record(seconds=240, rate=5, corner=0.1, noise=3e-3, seed=seed)
+            found = pushed(taken)[0].recursive
+            covered += [abs(found.p - TRUTH[0]) < 1.96 * found.u_p, abs(found.q - TRUTH[1]) < 1.96 * found.u_q]
+        assert 0.92 < float(np.mean(covered)) < 0.98
+
+    def test_readings_that_drift_far_away_do_not_reach_the_loops(self) -> None:
+        """Over the record by 20 times their size, within a turn by a quarter of it."""
+        taken = disk.record(drift=(80.0, -40.0, 0.0, 60.0))
+        assert estimates(pushed(taken)[0]) == pytest.approx((*TRUTH, *TRUTH), abs=5e-5)
+
     def test_q_waits_until_p_has_settled(self, online: Online) -> None:
         first_q = next(one.turns for one in online.course if one.loops[1] != 0.0)
         at_that = next(one for one in online.course if one.turns == first_q)

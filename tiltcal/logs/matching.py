@@ -137,7 +137,7 @@ def demodulate_log(
     for name, present in zip((*channels, str(phase)), tally.present.tolist(), strict=True):
         if not present:
             raise InputError(f"column {name!r} has no value in any row: is {name} connected?", file=file)
-    if not live:
+    if not live or not stage.moved:
         stage.require_turns()
     missing = tally.rows - stage.rows
     return Demodulated(demodulator.result(), stage.turns, stage.rows, missing, tally.seconds, spin)

@@ -25,9 +25,10 @@ from tiltcal.errors import EstimateError
 HARMONICS = 4
 MOST_BLOCKS = 512
 _COARSE_BLOCKS = 10
-_FEWEST_BLOCKS = 5
-_SURPRISE = 0.01
-"""How unlikely the scatter between blocks must be for white noise before the noise counts as coloured."""
+_WHITE = 4
+"""Degrees of freedom that count for white noise, whatever the blocks say."""
+_SURPRISE = 0.005
+"""How unlikely the scatter of coarse blocks must be, for what finer ones say, before it counts."""
 _SINGULAR = 1e-9
 _DRIFT_UNIT = 1e6
 """Rows; keeps the drift's column near the size of the others."""
@@ -169,22 +170,27 @@ class Demodulation:
     def covariance(self, mix: Array) -> Array:
         """Covariance of :meth:`components`, shape (2, 2), unit².
 
-        That of white noise as it is left between the harmonics; where the blocks of turns scatter otherwise, what they
-        say.
+        That of noise with the density that the blocks of turns scatter by, which is its density around the turning.
         """
         # A record without noise leaves less than the rounding of its sums, which may be negative.
         variance = max(float(mix @ self.residual @ mix), 0.0)
-        return np.asarray(variance * self._colour(mix, variance) * self.inverse[:2, :2])
+        return np.asarray(variance * self.colour(mix) * self.inverse[:2, :2])
 
-    def _colour(self, mix: Array, variance: float) -> float:
-        """Noise power at the turning over that of all frequencies; 1 where nothing speaks against it."""
-        if variance <= 0.0 or len(self.scores) < _FEWEST_BLOCKS:
+    def colour(self, mix: Array) -> float:
+        """Noise power at the turning over that of all frequencies, as a standard uncertainty needs it.
+
+        Few turns know it badly. It is pooled with a few degrees of freedom of white noise, and widened as Student's
+        distribution is (GUM Supplement 1, 6.4.9.4), so that 1.96 standard uncertainties are 95 %.
+        """
+        variance = float(mix @ self.residual @ mix)
+        if variance <= 0.0 or len(self.scores) < 2:
             return 1.0
         scores = self.scores @ mix
         fine, dof = _scatter(scores, self.weights, variance)
-        ratio = fine if _surprising(fine, dof, None) else 1.0
+        pooled = (_WHITE + dof * fine) / (_WHITE + dof)
+        widened = pooled * _student(_WHITE + dof)
         if len(scores) < 4 * _COARSE_BLOCKS:
-            return ratio
+            return widened
         groups = np.array_split(np.arange(len(scores)), _COARSE_BLOCKS)
         coarse, coarse_dof = _scatter(
             np.stack([scores[group].sum(axis=0) for group in groups]),
@@ -192,7 +198,7 @@ class Demodulation:
             variance,
         )
         # Slower than a turn: amplitudes that wander.
-        return coarse if coarse > ratio and _surprising(coarse / ratio, coarse_dof, dof) else ratio
+        return coarse * _student(coarse_dof) if _surprising(coarse / pooled, coarse_dof, dof) else widened
 
 
 def regress(blocks: Array, channels: Sequence[str], harmonics: int) -> Demodulation:
@@ -261,9 +267,13 @@ def _scatter(scores: Array, weights: Array, variance: float) -> tuple[float, int
     return float(squares.sum()) / variance / dof, dof
 
 
-def _surprising(ratio: float, dof: int, other: int | None) -> bool:
-    """Whether a ratio of variances is other than chance would have it."""
-    from scipy.special import chdtr, fdtr
+def _student(dof: int) -> float:
+    """Variance of Student's distribution."""
+    return dof / (dof - 2.0)
 
-    below = chdtr(dof, ratio * dof) if other is None else fdtr(dof, other, ratio)
-    return bool(2.0 * min(below, 1.0 - below) < _SURPRISE)
+
+def _surprising(ratio: float, dof: int, other: int) -> bool:
+    """Whether a ratio of variances is larger than chance would have it."""
+    from scipy.special import fdtrc
+
+    return bool(fdtrc(dof, other, ratio) < _SURPRISE)

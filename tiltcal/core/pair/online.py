@@ -21,15 +21,19 @@ from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import regress
 from tiltcal.core.pair.matching import Coefficients, solve
 from tiltcal.core.pair.model import Pair, sum_weights
-from tiltcal.core.pair.stream import HARMONICS, SECTORS, Notice, Sector, SectorStream, moved
+from tiltcal.core.pair.stream import HARMONICS, SECTORS, Notice, Sector, SectorStream, later, moved
 from tiltcal.errors import EstimateError
 
+_ONE, _DRIFT, _READINGS = 2 * HARMONICS, 2 * HARMONICS + 1, 2 * HARMONICS + 2
+"""Where they stand among the products of a sector."""
 MEMORY = 100.0
 """Turns after which a row counts 1/e."""
 _SETTLED = 1e-3
 """In-phase residual, relative, below which the loop of p lets the loop of q begin."""
 _PATIENCE = 20 * SECTORS
 """Sectors after which it begins anyway: noise may not let the residual be that small."""
+_DRIFT_MEMORY = 16 * SECTORS
+"""Sectors over which the drift of the readings is averaged."""
 _FARTHEST = 0.9
 _LEAST_QUADRATURE = 0.1
 
@@ -83,15 +87,21 @@ class Loops:
     p, q : float
     in_phase, quadrature : float
         Components of the matched sum over the last turn, relative to the first accelerometer.
+
+    Notes
+    -----
+    A single turn can hardly tell a drift of the readings from a sine. The drift is averaged over many turns, and what is
+    demodulated is what it leaves.
     """
 
     def __init__(self, pair: Pair, channels: Sequence[str], gains: Gains | None = None) -> None:
         self.p = self.q = 0.0
         self.in_phase = self.quadrature = float("nan")
         self._trims = [Controller(gains or Gains(), 1.0 / SECTORS) for _ in range(2)]
-        self._where = [2 * HARMONICS + 2 + channels.index(channel) for channel in pair.channels]
+        self._where = [_READINGS + channels.index(channel) for channel in pair.channels]
         self._pair = pair
-        self._turn: deque[tuple[Array, Array]] = deque(maxlen=SECTORS)
+        self._turn: deque[tuple[Array, int, Array]] = deque(maxlen=SECTORS)
+        self._slopes = np.zeros(3)
         self._settled: deque[bool] = deque(maxlen=SECTORS)
         self._sectors = 0
         self._trims_q = False
@@ -108,29 +118,21 @@ class Loops:
             self._turn.clear()
             for trim in self._trims:
                 trim.forget()
-        # What the trimmed hardware would have put out in this sector, with p and q as they were.
-        first, second, orthogonal = sector.products[: 2 * HARMONICS + 1, self._where].T
-        trimmed = np.array([first, second, orthogonal]).T @ sum_weights(self.p, self.q)
-        self._turn.append(
-            (
-                sector.products[: 2 * HARMONICS + 1, : 2 * HARMONICS + 1],
-                np.stack([trimmed, first, orthogonal], axis=1),
-            )
-        )
+        table = sector.products[: 2 * HARMONICS + 2]
+        readings = table[:, self._where]
+        self._turn.append((np.hstack([table[:, :_READINGS], readings]), sector.end, sum_weights(self.p, self.q)))
         if len(self._turn) == SECTORS:
-            self._trim()
+            self._trim(sector.end)
 
-    def _trim(self) -> None:
-        columns = np.sum([one for one, _ in self._turn], axis=0)
-        solved = np.linalg.solve(columns, np.sum([one for _, one in self._turn], axis=0))
-        total, first, orthogonal = (complex(sin, cos) for sin, cos in solved[:2].T)
+    def _trim(self, end: int) -> None:
+        solved = self._demodulated(end)
+        total, first, orthogonal = (complex(sin, cos) for sin, cos in solved[:2, [0, 1, 3]].T)
         if abs(first) < 1e-300:
             raise EstimateError(f"{self._pair.first} has no signal at the turning of the stage")
         lever = (orthogonal / first).imag
         if abs(lever) < _LEAST_QUADRATURE:
             raise EstimateError(f"{self._pair.orthogonal} has no signal in quadrature to {self._pair.first}")
         self.in_phase, self.quadrature = (total / first).real, (total / first).imag
-        self._sectors += 1
         self._settled.append(abs(self.in_phase) < _SETTLED)
         rest = 1.0 - self.p
         p = self.p + rest * self._trims[0](self.in_phase)
@@ -140,6 +142,24 @@ class Loops:
         self._trims_q |= (len(self._settled) == SECTORS and all(self._settled)) or self._sectors > _PATIENCE
         if self._trims_q:
             self.q -= rest / lever * self._trims[1](self.quadrature)
+
+    def _demodulated(self, end: int) -> Array:
+        """Coefficients of the trimmed sum and the three channels over the last turn, less their drift."""
+        tables = [later(table, end - of) for table, of, _ in self._turn]
+        whole = np.sum(tables, axis=0)
+        columns, readings = whole[:, :_READINGS], whole[:, _READINGS:]
+        line = np.linalg.solve(columns, readings)[[_ONE, _DRIFT]]
+        now = sum_weights(self.p, self.q)
+        # What the trimmed hardware would have put out, with p and q as they were in each sector; a change of them steps
+        # the signal and not the offset that the readings may have.
+        trimmed = readings @ now
+        for table, (_, _, weights) in zip(tables, self._turn, strict=True):
+            trimmed += (table[:, _READINGS:] - table[:, [_ONE, _DRIFT]] @ line) @ (weights - now)
+        self._sectors += 1
+        self._slopes = self._slopes + (line[1] - self._slopes) / min(self._sectors, _DRIFT_MEMORY)
+        drifts = np.outer(columns[:, _DRIFT], [self._slopes @ now, *self._slopes])
+        against = np.column_stack([trimmed, readings]) - drifts
+        return np.linalg.solve(columns[:_DRIFT, :_DRIFT], against[:_DRIFT])
 
 
 class Recursive:
@@ -156,13 +176,11 @@ class Recursive:
     Attributes
     ----------
     p, q : float
-    u_p, u_q : float
-        Standard uncertainties, infinite before the first estimate.
     """
 
     def __init__(self, pair: Pair, channels: Sequence[str], memory: float = MEMORY) -> None:
         self.p = self.q = 0.0
-        self.u_p = self.u_q = float("inf")
+        self._white = (float("inf"), float("inf"))
         self._pair = pair
         self._channels = tuple(channels)
         self._fade = exp(-1.0 / (SECTORS * memory))
@@ -170,6 +188,18 @@ class Recursive:
         self._end = 0
         self._sectors = 0
         self._squared_weights = 0.0
+        self._turn: Array | None = None
+        self._turns: deque[tuple[Array, int]] = deque(maxlen=round(2 * memory))
+
+    @property
+    def u_p(self) -> float:
+        """Standard uncertainty of p; infinite before the first estimate."""
+        return self._white[0] * sqrt(self._colour())
+
+    @property
+    def u_q(self) -> float:
+        """Standard uncertainty of q."""
+        return self._white[1] * sqrt(self._colour())
 
     def update(self, sector: Sector) -> None:
         """Go on by one sector.
@@ -179,25 +209,42 @@ class Recursive:
         EstimateError
             The sums cannot determine p and q; they stay as they are.
         """
-        one = 2 * HARMONICS
-        rows = float(sector.products[one, one])
+        rows = float(sector.products[_ONE, _ONE])
         if self._products is None:
             self._products = sector.products.copy()
         else:
             self._products = self._fade * moved(self._products, sector.end - self._end) + sector.products
         self._squared_weights = self._fade**2 * self._squared_weights + rows
+        self._remember(sector)
         self._end = sector.end
         self._sectors += 1
         if self._sectors < SECTORS:
             return
         found = self._solved()
         # Faded rows tell less of the mean than whole ones would, and have less noise in it too.
-        fading = sqrt(self._squared_weights / float(self._products[one, one]))
-        self.p, self.q, self.u_p, self.u_q = found.p, found.q, found.u_p * fading, found.u_q * fading
+        fading = sqrt(self._squared_weights / float(self._products[_ONE, _ONE]))
+        self.p, self.q = found.p, found.q
+        self._white = found.u_p * fading, found.u_q * fading
 
     def _solved(self) -> Coefficients:
         products = np.zeros((1, 0, 0)) if self._products is None else self._products[None]
         return solve(regress(products, self._channels, HARMONICS), self._pair)
+
+    def _remember(self, sector: Sector) -> None:
+        """Keep the products of the latest turns: how they scatter tells how much noise there is at the turning."""
+        before = self._turn
+        self._turn = sector.products if before is None else moved(before, sector.end - self._end) + sector.products
+        if self._sectors % SECTORS == SECTORS - 1:
+            self._turns.append((self._turn, sector.end))
+            self._turn = None
+
+    def _colour(self) -> float:
+        """Noise power at the turning over that of all frequencies."""
+        if len(self._turns) < 2:
+            return 1.0
+        blocks = np.stack([moved(products, self._end - end) for products, end in self._turns])
+        recent = regress(blocks, self._channels, HARMONICS)
+        return recent.colour(recent.mix(dict(zip(self._pair.channels, (1.0 - self.p, 1.0, self.q), strict=True))))
 
 
 @dataclass(frozen=True)

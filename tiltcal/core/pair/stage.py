@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import floor
+
 import numpy as np
 
 from tiltcal.core.model import Array
@@ -14,6 +16,7 @@ _JUMP = 0.125
 """Turns."""
 STANDSTILL = 0.05
 """Turns in a whole record below which the stage does not turn."""
+_ROUNDING = 1e-6
 
 
 class Stage:
@@ -25,6 +28,8 @@ class Stage:
         Angles that were followed.
     turns : float
         From the first angle to the last.
+    moved : bool
+        Whether the angle has changed enough to be one.
     backlash : float
         The most that the angle has fallen behind its highest so far, turns.
     """
@@ -39,6 +44,10 @@ class Stage:
     @property
     def turns(self) -> float:
         return self._last - self._first
+
+    @property
+    def moved(self) -> bool:
+        return max(self._highest - self._first, self.backlash) >= STANDSTILL
 
     def follow(self, theta: Array) -> Array:
         """Go on with more angles.
@@ -80,22 +89,25 @@ class Stage:
         EstimateError
             The stage does not turn, turns backwards, or turns less than twice.
         """
-        if self.turns < -STANDSTILL:
-            raise EstimateError(
-                f"the stage angle runs backwards, {-self.turns:.2f} turns in all: the encoder must count up in the "
-                "direction in which the stage turns; swap its two tracks, or log the angle with the other sign"
-            )
-        if self.turns < STANDSTILL:
+        if not self.moved:
             raise EstimateError(
                 f"the stage is not turning: its angle changes by {360.0 * self.turns:.2f}° over {self.rows} rows; is "
                 "this the column of the stage angle, in degrees?"
+            )
+        if self._highest - self._first < STANDSTILL:
+            raise EstimateError(
+                f"the stage angle runs backwards, {-self.turns:.2f} turns in all: the encoder must count up in the "
+                "direction in which the stage turns; swap its two tracks, or log the angle with the other sign"
             )
         if self.backlash > BACKLASH:
             raise EstimateError(
                 f"the stage angle runs backwards by {360.0 * self.backlash:.0f}° in the middle of the record: match a "
                 "stretch in which the stage turns one way, and check the encoder"
             )
-        if self.turns < FEWEST_TURNS:
+        # Each row stands for one step, the last one too.
+        covered = self.turns * self.rows / (self.rows - 1)
+        if covered < FEWEST_TURNS - _ROUNDING:
             raise EstimateError(
-                f"the record has {self.turns:.2f} turns of the stage; at least {FEWEST_TURNS:g} are needed"
+                f"the record has {floor(100.0 * covered) / 100.0:.2f} turns of the stage; at least {FEWEST_TURNS:g} are "
+                "needed"
             )

@@ -25,6 +25,11 @@ Rows = NDArray[np.int64]
 Bits = NDArray[np.bool_]
 
 STANDS = "the stage stands still"
+GAP = "the stream has a gap"
+COARSE = (
+    "from one angle to the next are more than 45°, which is too coarse to be followed: more rows a turn, or a finer "
+    "encoder; without --online they will do"
+)
 
 SECTORS = 8
 """Of a turn."""
@@ -188,7 +193,8 @@ class SectorStream:
             return
         gap = self._number is not None and number != self._number + 1
         if gap:
-            self._hold(row, "the stream has a gap", found)
+            # A stream that has never come from a sector into the next one cannot have lost much.
+            self._hold(row, GAP if self._typical else COARSE, found)
         elif self._open is not None:
             self._close(self._open, row, found)
         # The stream came into the first sector, and into the one behind a gap, in its middle.
@@ -257,7 +263,20 @@ class SectorStream:
 
 def moved(products: Array, rows: int) -> Array:
     """Products in which rows are counted from a row that is so many rows later."""
-    one = 2 * HARMONICS
-    shift = np.eye(len(products))
-    shift[one + 1, one] = -float(rows)
+    shift = _shift(len(products), rows)
     return np.asarray(shift @ products @ shift.T)
+
+
+def later(table: Array, rows: int) -> Array:
+    """The same for products of the demodulating columns with themselves and some signals, side by side."""
+    shift = _shift(len(table), rows)
+    table = shift @ table
+    table[:, : len(shift)] = table[:, : len(shift)] @ shift.T
+    return np.asarray(table)
+
+
+def _shift(size: int, rows: int) -> Array:
+    one = 2 * HARMONICS
+    shift = np.eye(size)
+    shift[one + 1, one] = -float(rows)
+    return shift
