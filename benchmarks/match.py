@@ -23,7 +23,8 @@ from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
 from tiltcal.logs.csv_log import CsvLog
-from tiltcal.logs.matching import Stretch, demodulate_log
+from tiltcal.logs.matching import demodulate_log
+from tiltcal.logs.stretch import Stretch
 
 PAIR = Pair("a1", "a2", "a4")
 CHANNELS = ("a1", "a2", "a3", "a4")

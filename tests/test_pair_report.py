@@ -14,7 +14,7 @@ from tiltcal.core.pair.demodulate import Demodulator
 from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Course
-from tiltcal.report.pair import bracketed, draw_matching, summary, table
+from tiltcal.report.pair import Drawing, bracketed, draw_matching, summary, table
 
 
 class TestBrackets:
@@ -92,7 +92,7 @@ class TestFigure:
     DENSITIES = {name: np.full(200, 1e-6) for name in ("a1", "sum after p", "sum after p and q")}  # noqa: RUF012
 
     def test_has_every_curve_by_name(self, tmp_path: Path) -> None:
-        draw_matching(tmp_path / "six.svg", self.FREQUENCY, self.DENSITIES, 0.125, "Hz")
+        draw_matching(tmp_path / "six.svg", Drawing(self.FREQUENCY, self.DENSITIES, 0.125, "Hz"))
         drawn = (tmp_path / "six.svg").read_text(encoding="utf-8")
         ElementTree.fromstring(drawn)
         for text in (*self.DENSITIES, "frequency [Hz]"):
@@ -100,12 +100,12 @@ class TestFigure:
 
     def test_shows_both_estimators_beside_each_other(self, tmp_path: Path) -> None:
         course = [Course(k, (0.01 / k, 0.02 / k), (0.01, 0.02)) for k in (1.0, 2.0, 3.0)]
-        draw_matching(tmp_path / "both.svg", self.FREQUENCY, self.DENSITIES, None, "1/row", course)
+        draw_matching(tmp_path / "both.svg", Drawing(self.FREQUENCY, self.DENSITIES, 0.0025, "1/row", course))
         drawn = (tmp_path / "both.svg").read_text(encoding="utf-8")
         for text in ("p, loops", "q, recursive", "turns"):
             assert text in drawn
 
     def test_is_the_same_each_time(self, tmp_path: Path) -> None:
         for name in ("a.svg", "b.svg"):
-            draw_matching(tmp_path / name, self.FREQUENCY, self.DENSITIES, 0.125, "Hz")
+            draw_matching(tmp_path / name, Drawing(self.FREQUENCY, self.DENSITIES, 0.125, "Hz"))
         assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()

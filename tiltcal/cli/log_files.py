@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 import sys
@@ -32,27 +31,17 @@ def require_csv(*names: str) -> None:
             raise UsageError(f"{name}: logs are CSV for now; convert it to CSV first")
 
 
-class _AsItComes(io.RawIOBase):
-    """Standard input, handed on as it arrives and not when a block is full."""
-
-    def read(self, size: int = -1) -> bytes:
-        arrived: bytes = cast("io.BufferedReader", sys.stdin.buffer).read1(size)
-        return arrived
-
-
 @contextmanager
-def log_source(log: str, *, live: bool = False) -> Iterator[tuple[BinaryIO, str, int | None]]:
+def log_source(log: str) -> Iterator[tuple[BinaryIO, str, int | None]]:
     """The log's bytes, what to call it in messages, and its size where it has one.
 
     Parameters
     ----------
     log : str
         A file, or ``-`` for standard input.
-    live : bool
-        Do not wait for more of standard input than has arrived.
     """
     if log == STANDARD:
-        yield cast("BinaryIO", _AsItComes()) if live else sys.stdin.buffer, "standard input", None
+        yield sys.stdin.buffer, "standard input", None
         return
     try:
         stream = open(log, "rb")  # noqa: SIM115 (only what opening raises is about opening)

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 import click
 
 import tiltcal
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import EstimateError, Stopped, UsageError
 
 if TYPE_CHECKING:
+    from tiltcal.cli.live_stream import LiveStream
     from tiltcal.core.pair.matching import Matching
     from tiltcal.core.pair.model import Pair
     from tiltcal.files.pair import PairCalibration
     from tiltcal.logs.matching import Demodulated
     from tiltcal.logs.pair_witness import SpectralWitness, Watch
+    from tiltcal.report.pair import Drawing
 
 _EXAMPLES = """\b
 Examples:
   tiltcal match disk.csv --pair a1,a2 --orthogonal a4 --phase theta -o disk.yaml
   tiltcal match disk.csv --pair a1,a2 --orthogonal a4 --pair a3,a4 --orthogonal a1 --phase theta -o disk.yaml
-  tiltcal match - --pair a1,a2 --orthogonal a4 --phase theta --online -o disk.yaml < disk.csv
+  tail -n +1 -f disk.csv | tiltcal match - --pair a1,a2 --orthogonal a4 --phase theta --online -o disk.yaml
 """
 
 
@@ -77,15 +80,15 @@ def command(
 
     LOG is CSV with a header, or - for standard input; it is read once, whatever its size. The sum
     FIRST + (SECOND + q ORTHOGONAL) / (1 - p) is free of the acceleration that all of them feel; `tiltcal apply` adds it
-    to a log. Two pairs give the gradient signal as well.
+    to a log. Two pairs give the gradient signal as well. A column called time is in seconds or ISO 8601.
+
+    With --online, Ctrl-C ends a stream that has no end of its own, and what was found until then is the result.
     """
-    from tiltcal.cli.log_files import log_source, progress_bar, require_csv
+    from tiltcal.cli.log_files import require_csv
     from tiltcal.files.pair import write_pair
     from tiltcal.files.whole import check_writable
-    from tiltcal.logs.csv_log import CsvLog
-    from tiltcal.logs.matching import demodulate_log
     from tiltcal.logs.pair_witness import SpectralWitness, Watch
-    from tiltcal.report.pair import summary
+    from tiltcal.report.pair import draw_matching, summary
 
     if loops and not online:
         raise UsageError("--loops says which of the --online estimators is meant; give --online too")
@@ -94,23 +97,19 @@ def command(
     channels = tuple(dict.fromkeys(channel for pair in wanted for channel in pair.channels))
     for path in filter(None, (output, figure)):
         check_writable(path)
-    watch = Watch(wanted, channels, lambda line: click.echo(line, err=True)) if online else None
+    say = partial(click.echo, err=True)
+    watch = Watch(wanted, channels, say) if online else None
     spectra = SpectralWitness(channels) if figure else None
-    with log_source(log, live=online) as (stream, name, size), progress_bar("match", size) as progress:
-        rows = CsvLog(stream, name=name, skip_bad_rows=skip_bad_rows)
-        witness = [look for look in (watch, spectra) if look is not None]
-        with _naming(name):
-            found = demodulate_log(rows, channels, phase, file=name, witness=witness, live=online, progress=progress)
-    if found.missing:
-        click.echo(
-            f"{found.missing} of {found.rows + found.missing} rows have a missing value and are left out", err=True
-        )
-    with _naming(name):
+    with _source(log, online) as (stream, name, size), _told_why(name, stream):
+        found, digest = _read(stream, name, size, channels, phase, skip_bad_rows, (watch, spectra), say)
         matchings = [_matched(found, pair, watch, loops) for pair in wanted]
+        drawing = _drawing(spectra, found, matchings[0], watch) if spectra else None
+    if found.missing:
+        say(f"{found.missing} of {found.rows + found.missing} rows have a missing value and are left out")
     if output:
-        write_pair(output, _calibration(matchings, found, phase, online, name))
-    if spectra and figure:
-        _draw(figure, spectra, found, matchings[0], watch)
+        write_pair(output, _calibration(matchings, found, phase, online, {"name": Path(name).name, "sha256": digest}))
+    if figure and drawing:
+        draw_matching(figure, drawing)
     if as_json:
         shown = [_as_data(matching) for matching in matchings]
         click.echo(json.dumps(shown[0] if len(shown) == 1 else {"pairs": shown}))
@@ -118,13 +117,48 @@ def command(
         click.echo("\n\n".join(summary(matching) for matching in matchings))
 
 
+def _source(log: str, online: bool) -> AbstractContextManager[tuple[BinaryIO | LiveStream, str, int | None]]:
+    from tiltcal.cli.live_stream import live_source
+    from tiltcal.cli.log_files import log_source
+
+    return live_source(log) if online else log_source(log)
+
+
 @contextmanager
-def _naming(log: str) -> Iterator[None]:
-    """Put the log's name in front of why it cannot be matched."""
+def _told_why(log: str, stream: BinaryIO | LiveStream) -> Iterator[None]:
+    """Put the log's name in front of why it cannot be matched, and say what to do where Ctrl-C came too early."""
     try:
         yield
     except EstimateError as refusal:
+        if getattr(stream, "interrupted", False):
+            raise Stopped(f"interrupted; {log}: {refusal}; let the stream run for longer, nothing is written") from None
         raise EstimateError(f"{log}: {refusal}") from refusal
+
+
+def _read(
+    stream: BinaryIO | LiveStream,
+    name: str,
+    size: int | None,
+    channels: Sequence[str],
+    phase: str | None,
+    skip_bad_rows: bool,
+    looks: tuple[Watch | None, SpectralWitness | None],
+    say: Callable[[str], None],
+) -> tuple[Demodulated, str]:
+    """The log, demodulated, and the checksum of what was read of it."""
+    from tiltcal.cli.log_files import progress_bar
+    from tiltcal.logs.csv_log import CsvLog
+    from tiltcal.logs.digest import Digested
+    from tiltcal.logs.matching import demodulate_log
+
+    digested = Digested(stream)
+    witness = [look for look in looks if look is not None]
+    with progress_bar("match", size) as progress:
+        rows = CsvLog(cast("BinaryIO", digested), name=name, skip_bad_rows=skip_bad_rows)
+        found = demodulate_log(
+            *(rows, channels, phase), file=name, witness=witness, say=say, live=looks[0] is not None, progress=progress
+        )
+    return found, digested.sha256
 
 
 def _matched(found: Demodulated, pair: Pair, watch: Watch | None, loops: bool) -> Matching:
@@ -137,26 +171,25 @@ def _matched(found: Demodulated, pair: Pair, watch: Watch | None, loops: bool) -
 
 
 def _calibration(
-    matchings: Sequence[Matching], found: Demodulated, phase: str | None, online: bool, name: str
+    matchings: Sequence[Matching], found: Demodulated, phase: str | None, online: bool, log: Mapping[str, str]
 ) -> PairCalibration:
     from tiltcal.files.pair import PairCalibration
 
     provenance: dict[str, Any] = {
         "made_by": "match of a recorded log",
         "software": f"tiltcal {tiltcal.__version__}",
-        "log": {"name": Path(name).name, "rows": found.rows + found.missing, "missing": found.missing},
+        "log": {**log, "rows": found.rows + found.missing, "missing": found.missing},
     }
     if found.spin is not None:
         provenance["stage_angle"] = "estimated from the readings"
     return PairCalibration(tuple(matchings), phase, found.turns, found.frequency, online, provenance)
 
 
-def _draw(figure: Path, spectra: SpectralWitness, found: Demodulated, matching: Matching, watch: Watch | None) -> None:
-    from tiltcal.report.pair import draw_matching
+def _drawing(spectra: SpectralWitness, found: Demodulated, matching: Matching, watch: Watch | None) -> Drawing:
+    from tiltcal.report.pair import Drawing
 
     frequency, densities = spectra.densities(matching.pair, matching.p, matching.q, found)
-    draw_matching(
-        figure,
+    return Drawing(
         frequency,
         densities,
         found.frequency or found.turns / (found.rows + found.missing),

@@ -46,7 +46,13 @@ def parse_columns(text: str, channels: Sequence[str]) -> dict[str, str]:
 
 
 def locate_columns(
-    names: Sequence[str], channels: Sequence[str], named: Mapping[str, str], *, file: str, line: int = 1
+    names: Sequence[str],
+    channels: Sequence[str],
+    named: Mapping[str, str],
+    *,
+    file: str,
+    line: int = 1,
+    option: str = "--columns {role}=",
 ) -> dict[str, int]:
     """Where the readings stand in a log.
 
@@ -64,6 +70,8 @@ def locate_columns(
         The log as the user named it, for the message.
     line : int
         Where its header stands.
+    option : str
+        What on the command line names the column of a ``{role}``, for the message.
 
     Returns
     -------
@@ -82,12 +90,12 @@ def locate_columns(
         if column in where:
             located[role] = where[column]
         elif role in named or role in channels:
-            raise InputError(_absent(role, column, names), file=file, line=line)
+            raise InputError(_absent(role, column, names, option.format(role=role)), file=file, line=line)
     located.pop(TIME, None)
     return located
 
 
-def _absent(role: str, column: str, names: Sequence[str]) -> str:
+def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
         return f"the header {names[0]!r} is one single column: part the columns with commas"
     if all(is_number(name) for name in names if name):
@@ -95,13 +103,10 @@ def _absent(role: str, column: str, names: Sequence[str]) -> str:
             return f"there is no column {column}; the log has {len(names)} columns, called 1 to {len(names)}"
         return (
             "the first line holds numbers: it must name the columns, such as time,x,y,temperature, or say which column "
-            f"is which by its number from 1 to {len(names)}, such as --columns {role}={min(2, len(names))}"
+            f"is which by its number from 1 to {len(names)}, such as {option}{min(2, len(names))}"
         )
     listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
-    return (
-        f"there is no column {column!r}{_suggestion(column, names)}; the log has {listed}. "
-        f"Name it with --columns {role}=NAME"
-    )
+    return f"there is no column {column!r}{_suggestion(column, names)}; the log has {listed}. Name it with {option}NAME"
 
 
 def _suggestion(wanted: str, present: Sequence[str]) -> str:

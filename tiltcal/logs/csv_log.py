@@ -76,13 +76,15 @@ class CsvLog:
         if names is not None:
             self._begin_behind_blanks(stream)
 
-    def rows(self, columns: Sequence[int]) -> Iterator[Rows]:
+    def rows(self, columns: Sequence[int], time: int | None = None) -> Iterator[Rows]:
         """The rows, block after block.
 
         Parameters
         ----------
         columns : sequence of int
             Indices of the columns that hold needed numbers.
+        time : int, optional
+            Of them, the one that may hold moments in ISO 8601, which become seconds.
 
         Yields
         ------
@@ -95,7 +97,7 @@ class CsvLog:
         """
         empty = True
         for data, ended, unended in self._blocks():
-            rows = parse_rows(data, self.names, columns, unended=unended)
+            rows = parse_rows(data, self.names, columns, time=time, unended=unended)
             if rows.faults and not self._skip_bad_rows:
                 row = min(rows.faults)
                 raise self._error(rows.faults[row], self._line + rows.starts[row])

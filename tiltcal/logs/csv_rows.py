@@ -8,7 +8,7 @@ the grammar is our own, and the same for every row of every file:
 - Lines end in LF or CRLF. A NUL byte, or a bare CR outside quotes, is damage.
 - An empty line is a row that cannot be parsed.
 - A last line that has no end is torn where it is short, or stops inside a number.
-- What is a number says :mod:`tiltcal.logs.cells`.
+- What is a number says :mod:`tiltcal.logs.cells`, and what is a time :mod:`tiltcal.logs.times`.
 
 Rows that break a rule are kept with the text that they had: missing fields are added empty at the end, surplus fields
 are joined into the last one, in quotes, and a bad row that has quotes already becomes one quoted field.
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.logs.cells import is_cut, numbers
+from tiltcal.logs.times import seconds
 
 if TYPE_CHECKING:
     import polars as pl
@@ -69,7 +70,9 @@ class Rows:
     rest: bytes
 
 
-def parse_rows(data: bytes, names: Sequence[str], columns: Sequence[int], *, unended: bool = False) -> Rows:
+def parse_rows(
+    data: bytes, names: Sequence[str], columns: Sequence[int], *, time: int | None = None, unended: bool = False
+) -> Rows:
     """Parse rows.
 
     Parameters
@@ -80,6 +83,8 @@ def parse_rows(data: bytes, names: Sequence[str], columns: Sequence[int], *, une
         The header.
     columns : sequence of int
         Indices of the columns that hold needed numbers.
+    time : int, optional
+        Of them, the one that may hold moments in ISO 8601; what is neither is missing there.
     unended : bool
         The last line had no end in the file.
 
@@ -92,7 +97,7 @@ def parse_rows(data: bytes, names: Sequence[str], columns: Sequence[int], *, une
     starts: Sequence[int]
     if b'"' in data:
         lines, cells, faults, starts, rest = _split_quoted(data.decode(), len(names), columns, unended)
-        series, values = _series(lines), _parse_cells(cells, names, faults)
+        series, values = _series(lines), _parse_cells(cells, names, faults, time)
         line_count = data.count(b"\n") - rest.count("\n")
     else:
         if b"\r" in data:
@@ -101,7 +106,7 @@ def parse_rows(data: bytes, names: Sequence[str], columns: Sequence[int], *, une
         numeric = data
         if faults:
             data, numeric = _repaired(data, faults, len(names))
-        series, values = _plain_lines(data), _plain_values(numeric, names, columns, faults)
+        series, values = _plain_lines(data), _plain_values(numeric, names, columns, faults, time)
         line_count, rest = len(series), ""
         starts = range(line_count)
     for column in values.values():
@@ -189,25 +194,29 @@ def _engine(data: bytes, **options: Any) -> pl.DataFrame:
 
 
 def _plain_values(
-    data: bytes, names: Sequence[str], columns: Sequence[int], faults: dict[int, str]
+    data: bytes, names: Sequence[str], columns: Sequence[int], faults: dict[int, str], time: int | None
 ) -> dict[int, Array]:
     """Numbers straight from the bytes; by way of their text where the engine's rule could differ from ours."""
     import polars as pl
 
-    def read(kind: type[pl.Float64] | type[pl.String]) -> pl.DataFrame:
-        schema = {str(index): kind if index in columns else pl.String for index in range(len(names))}
+    def read(numeric: Sequence[int]) -> pl.DataFrame:
+        schema = {str(index): pl.Float64 if index in numeric else pl.String for index in range(len(names))}
         wanted = sorted(set(columns))
         return _engine(data, schema=schema, columns=wanted)
 
-    if not _has_open_points(data):
+    # Moments are the one kind of text that is read as fast as numbers are.
+    tries = [columns] if time is None else [columns, [index for index in columns if index != time]]
+    for numeric in [] if _has_open_points(data) else tries:
         try:
-            frame = read(pl.Float64)
+            frame = read(numeric)
         except pl.exceptions.ComputeError:
-            pass
-        else:
-            return {index: frame[str(index)].fill_null(np.nan).to_numpy(writable=True) for index in columns}
-    texts = read(pl.String)
-    return _parse_cells({index: texts[str(index)] for index in columns}, names, faults)
+            continue
+        values = {index: frame[str(index)].fill_null(np.nan).to_numpy(writable=True) for index in numeric}
+        if time is not None and time not in values:
+            values[time] = seconds(frame[str(time)])
+        return values
+    texts = read([])
+    return _parse_cells({index: texts[str(index)] for index in columns}, names, faults, time)
 
 
 def _has_open_points(data: bytes) -> bool:
@@ -290,10 +299,15 @@ def _records(text: str) -> Iterator[tuple[int, str, list[str] | None, str]]:
 # ------------------------------------------------------------------------------------------------------------- shared
 
 
-def _parse_cells(cells: Mapping[int, pl.Series], names: Sequence[str], faults: dict[int, str]) -> dict[int, Array]:
+def _parse_cells(
+    cells: Mapping[int, pl.Series], names: Sequence[str], faults: dict[int, str], time: int | None
+) -> dict[int, Array]:
     """Numbers from text; adds what is none to ``faults``."""
     values: dict[int, Array] = {}
     for index, column in cells.items():
+        if index == time:
+            values[index] = seconds(column)
+            continue
         values[index], wrong = numbers(column)
         if wrong is None:
             continue

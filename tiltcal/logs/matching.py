@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import Demodulation, Demodulator
@@ -15,39 +14,11 @@ from tiltcal.core.pair.stage import Stage
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.logs.columns import TIME, locate_columns
 from tiltcal.logs.csv_log import CsvLog
+from tiltcal.logs.stretch import Stretch
+from tiltcal.logs.stuck_values import StuckValues
 
 ROWS_FOR_SPIN = 1 << 20
 """Rows from whose beginning the spin is estimated where there is no encoder; they are what is kept in memory."""
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Some rows of a log, in order.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (n,)
-        Stage angle, degrees; NaN where it is missing.
-    readings : ndarray, shape (n, channels)
-        NaN where a value is missing.
-    time : ndarray, shape (n,), or None
-        Seconds; None where the log has no such column.
-    first : int
-        Number of the first row, counted from 0.
-    """
-
-    theta: Array
-    readings: Array
-    time: Array | None
-    first: int
-
-    def complete(self) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Angle, readings and number of the rows in which no value is missing."""
-        rows = self.first + np.arange(len(self.theta), dtype=np.int64)
-        good = np.isfinite(self.theta) & np.isfinite(self.readings).all(axis=1)
-        if good.all():
-            return self.theta, self.readings, rows
-        return self.theta[good], self.readings[good], rows[good]
 
 
 @dataclass
@@ -94,6 +65,7 @@ def demodulate_log(
     *,
     file: str,
     witness: Sequence[Callable[[Stretch], None]] = (),
+    say: Callable[[str], None] = lambda line: None,
     live: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> Demodulated:
@@ -110,7 +82,9 @@ def demodulate_log(
     file : str
         The log as the user named it.
     witness : sequence of callable
-        Shown every stretch as it is read, rows with missing values and all.
+        Shown every stretch as it is read, rows with missing values and all; stuck ones are among them.
+    say : callable
+        Told which channel is stuck, and from which row on.
     live : bool
         The log is taken for a stream: a stage that turns too little, or backwards, is left to the witnesses.
     progress : callable, optional
@@ -124,12 +98,11 @@ def demodulate_log(
         The stage does not turn as it must.
     """
     stage, demodulator, tally = Stage(), Demodulator(channels), _Tally(len(channels))
-    spin: Spin | None = None
-    for stretch, estimated in _stretches(log, channels, phase, file):
-        spin = estimated
+    angles = _Angles(phase)
+    rows = tally.counted(angles.told(_stretches(log, channels, phase, file)))
+    for stretch in StuckValues(channels, say).cleaned(rows):
         theta, readings, numbers = stretch.complete()
         demodulator.add(stage.follow(theta), readings, numbers)
-        tally.count(stretch)
         for look in witness:
             look(stretch)
         if progress is not None:
@@ -140,7 +113,7 @@ def demodulate_log(
     if not live or not stage.moved:
         stage.require_turns()
     missing = tally.rows - stage.rows
-    return Demodulated(demodulator.result(), stage.turns, stage.rows, missing, tally.seconds, spin)
+    return Demodulated(demodulator.result(), stage.turns, stage.rows, missing, tally.seconds, angles.spin)
 
 
 class _Tally:
@@ -152,13 +125,16 @@ class _Tally:
         self._begin: float | None = None
         self._end = 0.0
 
-    def count(self, stretch: Stretch) -> None:
-        self.rows += len(stretch.theta)
-        self.present += [*np.isfinite(stretch.readings).sum(axis=0), np.isfinite(stretch.theta).sum()]
-        timed = np.empty(0) if stretch.time is None else stretch.time[np.isfinite(stretch.time)]
-        if len(timed):
-            self._begin = float(timed[0]) if self._begin is None else self._begin
-            self._end = float(timed[-1])
+    def counted(self, stretches: Iterator[Stretch]) -> Iterator[Stretch]:
+        """The stretches, counted."""
+        for stretch in stretches:
+            self.rows += len(stretch.theta)
+            self.present += [*np.isfinite(stretch.readings).sum(axis=0), np.isfinite(stretch.theta).sum()]
+            timed = np.empty(0) if stretch.time is None else stretch.time[np.isfinite(stretch.time)]
+            if len(timed):
+                self._begin = float(timed[0]) if self._begin is None else self._begin
+                self._end = float(timed[-1])
+            yield stretch
 
     @property
     def seconds(self) -> float | None:
@@ -166,37 +142,39 @@ class _Tally:
         return None if self._begin is None or self._end <= self._begin else self._end - self._begin
 
 
-def _stretches(
-    log: CsvLog, channels: Sequence[str], phase: str | None, file: str
-) -> Iterator[tuple[Stretch, Spin | None]]:
-    """The log's rows with their stage angle, measured or estimated."""
-    needed = (*channels, phase) if phase is not None else tuple(channels)
-    where = locate_columns(log.names, needed, {}, file=file)
+class _Angles:
+    """The stage angle of a log's rows, as it was measured, or estimated where it was not."""
+
+    def __init__(self, phase: str | None) -> None:
+        self._measured = phase is not None
+        self.spin: Spin | None = None
+
+    def told(self, stretches: Iterator[Stretch]) -> Iterator[Stretch]:
+        """The stretches with their stage angle."""
+        if self._measured:
+            yield from stretches
+            return
+        held: list[Stretch] = []
+        rows = 0
+        for stretch in stretches:
+            held.append(stretch)
+            rows += len(stretch.theta)
+            if rows >= ROWS_FOR_SPIN:
+                break
+        spin = self.spin = _spin_of(held)
+        yield from (_turned(stretch, spin) for stretch in held)
+        yield from (_turned(stretch, spin) for stretch in stretches)
+
+
+def _stretches(log: CsvLog, channels: Sequence[str], phase: str | None, file: str) -> Iterator[Stretch]:
+    """The log's rows."""
+    where = locate_columns(log.names, channels, {}, file=file, option="--pair or --orthogonal ")
+    if phase is not None:
+        where |= locate_columns(log.names, (phase,), {}, file=file, option="--phase ")
     if TIME in log.names:
         where[TIME] = log.names.index(TIME)
-    blocks = _blocks(log, where, channels, phase)
-    if phase is not None:
-        yield from ((stretch, None) for stretch in blocks)
-        return
-    held: list[Stretch] = []
-    spin: Spin | None = None
-    for stretch in blocks:
-        if spin is None:
-            held.append(stretch)
-            if sum(len(one.theta) for one in held) < ROWS_FOR_SPIN:
-                continue
-            spin = _spin_of(held)
-            yield from ((_turned(one, spin), spin) for one in held)
-        else:
-            yield _turned(stretch, spin), spin
-    if spin is None:
-        spin = _spin_of(held)
-        yield from ((_turned(one, spin), spin) for one in held)
-
-
-def _blocks(log: CsvLog, where: dict[str, int], channels: Sequence[str], phase: str | None) -> Iterator[Stretch]:
     first = 0
-    for rows in log.rows(sorted(set(where.values()))):
+    for rows in log.rows(sorted(set(where.values())), where.get(TIME)):
         readings = np.stack([rows.values[where[channel]] for channel in channels], axis=1)
         theta = np.full(len(readings), np.nan) if phase is None else rows.values[where[phase]]
         yield Stretch(theta, readings, rows.values[where[TIME]] if TIME in where else None, first)
@@ -212,6 +190,8 @@ def _spin_of(held: Sequence[Stretch]) -> Spin:
     time = np.concatenate([_clock(stretch) for stretch in held])
     readings = np.concatenate([stretch.readings for stretch in held])
     good = np.isfinite(time) & np.isfinite(readings).all(axis=1)
+    if not np.isfinite(time).any():
+        raise EstimateError("no row has a time: write it in seconds, or in ISO 8601 such as 2026-05-01T12:00:00.5Z")
     if not good.any():
         raise EstimateError("no row of the record has all readings: is every accelerometer connected?")
     return estimate_spin(time[good], readings[good])

@@ -14,7 +14,8 @@ from tiltcal.core.pair.online import Course, Online
 from tiltcal.core.pair.spectrum import Spectra
 from tiltcal.core.pair.stage import FEWEST_TURNS, Stage
 from tiltcal.errors import EstimateError
-from tiltcal.logs.matching import Demodulated, Stretch
+from tiltcal.logs.matching import Demodulated
+from tiltcal.logs.stretch import Stretch
 
 _TURNS_OF_SEGMENT = 8
 _LONGEST_SEGMENT = 1 << 18

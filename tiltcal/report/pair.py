@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from math import isfinite
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
+from tiltcal.files.whole import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,53 +77,66 @@ def summary(matching: Matching) -> str:
     )
 
 
-def draw_matching(
-    path: Path,
-    frequency: Array,
-    densities: Mapping[str, Array],
-    spin: float | None,
-    unit: str,
-    course: Sequence[Course] = (),
-) -> None:
-    """Write amplitude spectral densities as SVG (the source's figure 6), and beside them how the estimators settled.
+@dataclass(frozen=True)
+class Drawing:
+    """What the figure shows.
 
-    Parameters
+    Attributes
     ----------
-    path : Path
     frequency : ndarray, shape (n,)
         Hz, or 1/row where the record has no time.
     densities : mapping of str to ndarray, shape (n,)
         Power spectral density by what it is of: one accelerometer, the sum after p, the sum after p and q; unit²/Hz.
-    spin : float or None
+    spin : float
         Where the stage turns, same unit as ``frequency``.
     unit : str
         Of ``frequency``.
     course : sequence of Course
         Of the online estimators; empty for none.
     """
+
+    frequency: Array
+    densities: Mapping[str, Array]
+    spin: float
+    unit: str
+    course: Sequence[Course] = ()
+
+
+def draw_matching(path: Path, drawing: Drawing) -> None:
+    """Write amplitude spectral densities as SVG (the source's figure 6), and beside them how the estimators settled.
+
+    Parameters
+    ----------
+    path : Path
+    drawing : Drawing
+
+    Raises
+    ------
+    UsageError
+        The file cannot be written there.
+    """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context({"svg.hashsalt": "tiltcal", "svg.fonttype": "none", "font.size": 10}):
-        figure = Figure(figsize=(8.0, 8.0 if course else 4.5), layout="constrained")
-        panels = figure.subplots(2 if course else 1, 1, squeeze=False)[:, 0]
-        _draw_spectra(panels[0], frequency, densities, spin, unit)
-        if course:
-            _draw_course(panels[1], course)
+    with rc_context({"svg.hashsalt": "tiltcal", "svg.fonttype": "none", "font.size": 10}), whole_file(path) as stream:
+        figure = Figure(figsize=(8.0, 8.0 if drawing.course else 4.5), layout="constrained")
+        panels = figure.subplots(2 if drawing.course else 1, 1, squeeze=False)[:, 0]
+        _draw_spectra(panels[0], drawing)
+        if drawing.course:
+            _draw_course(panels[1], drawing.course)
         for panel in panels:
             panel.legend(loc="upper right", frameon=False)
             panel.spines[["top", "right"]].set_visible(False)
             panel.margins(x=0.01)
-        figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "tiltcal"})
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": "tiltcal"})
 
 
-def _draw_spectra(panel: Axes, frequency: Array, densities: Mapping[str, Array], spin: float | None, unit: str) -> None:
-    if spin is not None:
-        panel.axvline(spin, color="black", linewidth=0.5, linestyle=":")
-    for (name, density), colour in zip(densities.items(), COLOURS, strict=False):
-        panel.loglog(frequency[1:], density[1:] ** 0.5, color=colour, linewidth=0.9, label=name)
-    panel.set_xlabel(f"frequency [{unit}]")
-    panel.set_ylabel(f"amplitude density [reading/√({unit})]")
+def _draw_spectra(panel: Axes, drawing: Drawing) -> None:
+    panel.axvline(drawing.spin, color="black", linewidth=0.5, linestyle=":")
+    for (name, density), colour in zip(drawing.densities.items(), COLOURS, strict=False):
+        panel.loglog(drawing.frequency[1:], density[1:] ** 0.5, color=colour, linewidth=0.9, label=name)
+    panel.set_xlabel(f"frequency [{drawing.unit}]")
+    panel.set_ylabel(f"amplitude density [reading/√({drawing.unit})]")
 
 
 def _draw_course(panel: Axes, course: Sequence[Course]) -> None:

@@ -90,8 +90,8 @@ class Loops:
 
     Notes
     -----
-    A single turn can hardly tell a drift of the readings from a sine. The drift is averaged over many turns, and what is
-    demodulated is what it leaves.
+    A single turn can hardly tell a drift of the readings from a sine. The drift is averaged over many turns, and what
+    it leaves is demodulated.
     """
 
     def __init__(self, pair: Pair, channels: Sequence[str], gains: Gains | None = None) -> None:

@@ -107,7 +107,5 @@ class Stage:
         # Each row stands for one step, the last one too.
         covered = self.turns * self.rows / (self.rows - 1)
         if covered < FEWEST_TURNS - _ROUNDING:
-            raise EstimateError(
-                f"the record has {floor(100.0 * covered) / 100.0:.2f} turns of the stage; at least {FEWEST_TURNS:g} are "
-                "needed"
-            )
+            shown = floor(100.0 * covered) / 100.0
+            raise EstimateError(f"the record has {shown:.2f} turns of the stage; at least {FEWEST_TURNS:g} are needed")

@@ -1,0 +1,136 @@
+"""Values that a channel keeps while the stage turns on: stuck, not still.
+
+A converter that hangs, or an input that is held at its rail, repeats a value that nobody would miss and that counts
+heavily. No channel that feels the turning keeps one for a quarter of a turn, unless its steps are a third of what it
+feels. Such values are left out as missing ones are, from the first to the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.model import Array
+from tiltcal.core.pair.stage import Stage
+from tiltcal.logs.stretch import Stretch
+
+_TURN = 0.25
+"""Turns over which a value must stay the same to be stuck."""
+_STANDING = 0.01
+"""Turns below which the stage stands, so that nothing need change."""
+_FEW = 16
+_MOST_HELD = 1 << 20
+"""Rows."""
+
+
+class StuckValues:
+    """Leaves stuck values out of a log.
+
+    Rows whose value is the same as the one before are held back until it is clear what they are, a quarter of a turn
+    at most; all others go through at once.
+
+    Parameters
+    ----------
+    channels : sequence of str
+        Of the stretches' readings.
+    say : callable
+        Told which channel is stuck, and from which row on.
+    """
+
+    def __init__(self, channels: Sequence[str], say: Callable[[str], None]) -> None:
+        self._channels = tuple(channels)
+        self._say = say
+        self._held: Stretch | None = None
+        # Of the row before: its values, its angle, and how far the stage has turned since each value came up.
+        self._values = np.full(len(self._channels), np.nan)
+        self._theta = np.nan
+        self._turned = np.zeros(len(self._channels))
+        self._stuck = np.zeros(len(self._channels), dtype=bool)
+
+    def cleaned(self, stretches: Iterable[Stretch]) -> Iterator[Stretch]:
+        """The stretches, with NaN where a value is stuck; rows may move to a later stretch, in order."""
+        for stretch in stretches:
+            if len(stretch.theta):
+                yield from self._judged(stretch if self._held is None else self._held.followed_by(stretch))
+        if self._held is not None:
+            yield self._held
+
+    def _judged(self, stretch: Stretch) -> Iterator[Stretch]:
+        readings = stretch.readings
+        same = np.empty(readings.shape, dtype=bool)
+        same[0] = readings[0] == self._values
+        np.equal(readings[1:], readings[:-1], out=same[1:])
+        repeated = np.flatnonzero(same.any(axis=0)).tolist()
+        turns = self._turns(stretch.theta) if repeated else np.empty(0)
+        cleaned = readings.copy() if repeated else readings
+        last = {
+            channel: self._left_out(channel, same[:, channel], turns, cleaned, stretch.first) for channel in repeated
+        }
+        ready = min([len(readings), *(run.first for run in last.values() if run.doubtful)])
+        # What is held back is judged anew, as it was read.
+        self._held = stretch.rows(slice(ready, None)) if ready < len(readings) else None
+        if not ready:
+            return
+        self._values = readings[ready - 1]
+        self._turned[:], self._stuck[:] = 0.0, False
+        for channel, run in last.items():
+            if run.first < ready and not run.standing:
+                self._turned[channel], self._stuck[channel] = abs(turns[ready - 1] - run.begun), run.stuck
+        told = stretch.theta[:ready][np.isfinite(stretch.theta[:ready])]
+        self._theta = float(told[-1]) if len(told) else self._theta
+        yield replace(stretch.rows(slice(ready)), readings=cleaned[:ready])
+
+    def _turns(self, theta: Array) -> Array:
+        """How far the stage has turned since the row before; where the angle is missing, what it was."""
+        known = np.append(self._theta, theta)
+        told = np.isfinite(known)
+        if not told.any():
+            return np.zeros(len(theta))
+        turns = Stage().follow(known[told])
+        latest = np.maximum(np.cumsum(told) - 1, 0)
+        return np.asarray((turns[latest] - turns[0])[1:])
+
+    def _left_out(self, channel: int, same: NDArray[np.bool_], turns: Array, readings: Array, number: int) -> _Run:
+        """Leave out a channel's stuck values; the run of the last one."""
+        rows = np.flatnonzero(same)
+        cuts = np.flatnonzero(np.diff(rows) > 1) + 1
+        firsts, lasts = rows[np.append(0, cuts)] - 1, rows[np.append(cuts, len(rows)) - 1]
+        begun = np.where(firsts >= 0, turns[firsts], -self._turned[channel])
+        turned = np.abs(turns[lasts] - begun)
+        for run in np.flatnonzero(turned >= _TURN).tolist():
+            first, last = max(int(firsts[run]), 0), int(lasts[run])
+            if not (firsts[run] < 0 and self._stuck[channel]):
+                self._say(
+                    f"row {number + first}: {self._channels[channel]} is stuck at {readings[last, channel]:.6g} while "
+                    "the stage turns; left out until it changes"
+                )
+            readings[first : last + 1, channel] = np.nan
+        first = max(int(firsts[-1]), 0)
+        if lasts[-1] < len(same) - 1:
+            return _Run(len(same), 0.0, 0.0, 0)
+        return _Run(first, float(begun[-1]), float(turned[-1]), len(same) - first)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Rows at the end that have one value: the first of them, the angle there, how far it went, how many they are."""
+
+    first: int
+    begun: float
+    turned: float
+    length: int
+
+    @property
+    def stuck(self) -> bool:
+        return self.turned >= _TURN
+
+    @property
+    def standing(self) -> bool:
+        return self.length > _MOST_HELD or (self.length > _FEW and self.turned < _STANDING)
+
+    @property
+    def doubtful(self) -> bool:
+        return self.length > 0 and not self.stuck and not self.standing
