@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
+import os
+import signal
+import subprocess
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 import disk
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from command import tiltcal
+from command import TILTCAL, tiltcal
 
 from tiltcal.cli.apply import command as apply_command
 from tiltcal.cli.match import command as match_command
@@ -139,6 +145,153 @@ class TestMatch:
         assert as_json(result)["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
 
 
+class TestTimes:
+    """The column ``time`` as the recorder writes it, and as others do."""
+
+    @pytest.mark.parametrize(
+        "written",
+        [
+            lambda moment: moment.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            lambda moment: moment.astimezone(timezone(timedelta(hours=2))).isoformat(),
+            lambda moment: moment.strftime("%Y-%m-%d %H:%M:%S.%f"),
+            lambda moment: f'"{moment.isoformat()}"',
+        ],
+        ids=["as recorded", "another zone", "no zone", "in quotes"],
+    )
+    @pytest.mark.parametrize("phase", [("--phase", "theta"), ()], ids=["encoder", "no encoder"])
+    def test_moments(self, tmp_path: Path, written: Callable[[datetime], str], phase: tuple[str, ...]) -> None:
+        path = small(tmp_path)
+        header, *rows = path.read_text().splitlines()
+        begin = datetime(2026, 3, 29, 0, 59, 30, tzinfo=UTC)  # where clocks in Europe change
+        for number, row in enumerate(rows):
+            rows[number] = ",".join([written(begin + timedelta(seconds=number / 20)), *row.split(",")[1:]])
+        path.write_text("\n".join([header, *rows]) + "\n")
+        found = as_json(match(path, *PAIR, *phase, "--json", "-o", tmp_path / "p.yaml"))
+        assert found["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
+        assert read_pair(tmp_path / "p.yaml").frequency == pytest.approx(0.125, rel=1e-5)
+
+    def test_what_is_no_time_is_needed_only_without_an_encoder(self, tmp_path: Path) -> None:
+        path = small(tmp_path)
+        header, *rows = path.read_text().splitlines()
+        path.write_text("\n".join([header, *(f"noon,{row.partition(',')[2]}" for row in rows)]) + "\n")
+        assert match(path, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
+        assert read_pair(tmp_path / "p.yaml").frequency is None
+        assert "no row has a time: write it in seconds, or in ISO 8601" in refused(match(path, *PAIR), EstimateError)
+
+
+class TestStuckValues:
+    ROWS = slice(600, 1000)
+
+    def stuck(self, tmp_path: Path, channel: int, rows: slice = ROWS) -> Path:
+        taken = disk.record(seconds=80, rate=20)
+        taken.readings[rows, channel] = taken.readings[rows.start, channel]
+        return taken.write(tmp_path / "stuck.csv")
+
+    @pytest.mark.parametrize(
+        ("how", "within"),
+        [((), 1e-4), (("--online",), 2e-4), (("--online", "--loops"), 1e-3)],  # ten turns do not settle the loops
+        ids=["offline", "recursive", "loops"],
+    )
+    @pytest.mark.parametrize("channel", [0, 1, 3])
+    def test_are_named_and_left_out(self, tmp_path: Path, how: tuple[str, ...], within: float, channel: int) -> None:
+        result = match(self.stuck(tmp_path, channel), *PAIR, "--phase", "theta", *how, "--json")
+        assert f"row 600: {disk.NAMES[channel]} is stuck at " in result.stderr
+        assert "400 of 1600 rows have a missing value and are left out" in result.stderr
+        found = as_json(result)
+        assert (found["p"], found["q"]) == pytest.approx(disk.truth(), abs=within)
+
+    def test_to_the_end(self, tmp_path: Path) -> None:
+        result = match(self.stuck(tmp_path, 1, slice(1000, 1600)), *PAIR, "--phase", "theta", "--json")
+        assert result.stderr.count("is stuck") == 1
+        assert as_json(result)["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
+
+    def test_a_stage_that_stands_is_no_reason(self, tmp_path: Path) -> None:
+        taken = disk.record(seconds=80, rate=20, noise=0.0)
+        rows = np.concatenate([np.arange(800), np.repeat(800, 500), np.arange(800, 1600)])
+        path = disk.Record(np.arange(len(rows)) / 20, taken.theta[rows], taken.readings[rows]).write(tmp_path / "s.csv")
+        result = match(path, *PAIR, "--phase", "theta", "--json")
+        assert result.stderr == ""
+        assert as_json(result)["p"] == pytest.approx(disk.truth()[0], abs=1e-6)
+
+    def test_coarse_steps_are_no_reason(self, tmp_path: Path) -> None:
+        """Steps of a tenth of the amplitude, and no noise to cross them."""
+        taken = disk.record(seconds=80, rate=20, noise=0.0)
+        path = disk.Record(taken.time, taken.theta, np.round(taken.readings / 0.34) * 0.34).write(tmp_path / "s.csv")
+        assert match(path, *PAIR, "--phase", "theta").stderr == ""
+
+
+class TestLiveStream:
+    def begun(self, *more: str | Path, log: str = "-") -> subprocess.Popen[bytes]:
+        pipe = subprocess.PIPE
+        # Ctrl-C reaches whom the shell that runs the tests does not shield from it.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            return subprocess.Popen(
+                [*TILTCAL, "match", log, *PAIR, "--phase", "theta", "--online", "--json", *map(str, more)],
+                stdin=pipe,
+                stdout=pipe,
+                stderr=pipe,
+            )
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    def fed(self, process: subprocess.Popen[bytes], lines: Sequence[str]) -> None:
+        """Hand over some rows, then a stage that stands, and wait until that is told: all rows have gone through."""
+        assert process.stdin is not None
+        assert process.stderr is not None
+        process.stdin.write("".join(lines).encode())
+        process.stdin.flush()
+        last = lines[-1].split(",")
+        for number in range(200):
+            process.stdin.write(
+                ",".join([*last[:2], *(f"{float(cell) + 1e-4 * number}" for cell in last[2:])]).encode()
+            )
+            process.stdin.write(b"\n")
+            process.stdin.flush()
+        assert b"the stage stands still" in process.stderr.readline()
+
+    def test_rows_count_as_they_arrive_and_ctrl_c_gives_the_result(self, tmp_path: Path) -> None:
+        lines = small(tmp_path).read_text().splitlines(keepends=True)
+        process = self.begun("-o", tmp_path / "p.yaml")
+        self.fed(process, lines[:1200])
+        assert process.stdin is not None
+        process.stdin.write(b"60.0,12")  # a row that does not end
+        process.stdin.flush()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=60) == 0
+        assert process.stdout is not None
+        assert json.loads(process.stdout.read())["p"] == pytest.approx(disk.truth()[0], abs=2e-4)
+        process.communicate()
+        assert read_pair(tmp_path / "p.yaml").provenance["log"]["rows"] == 1399
+
+    def test_ctrl_c_before_two_turns_says_what_to_do(self, tmp_path: Path) -> None:
+        lines = small(tmp_path).read_text().splitlines(keepends=True)
+        process = self.begun("-o", tmp_path / "p.yaml")
+        self.fed(process, lines[:300])
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=60)[1].decode()
+        assert process.returncode == 130
+        assert "whole turns and need 2" in said
+        assert "let the stream run for longer" in said
+        assert not (tmp_path / "p.yaml").exists()
+
+    def test_a_pipe_with_a_name_is_a_stream_too(self, tmp_path: Path) -> None:
+        os.mkfifo(tmp_path / "device")
+        lines = small(tmp_path).read_text().splitlines(keepends=True)
+        process = self.begun(log=str(tmp_path / "device"))
+        with open(tmp_path / "device", "wb") as device:
+            device.write("".join(lines).encode())
+        assert json.loads(process.communicate(timeout=60)[0])["p"] == pytest.approx(disk.truth()[0], abs=2e-4)
+
+    @pytest.mark.parametrize(("rate", "rows_a_turn"), [(0.5, 4), (0.75, 6)])
+    def test_too_few_rows_a_turn_are_told(self, tmp_path: Path, rate: float, rows_a_turn: int) -> None:
+        path = disk.record(seconds=800, rate=rate).write(tmp_path / "few.csv")
+        said = refused(match(path, *PAIR, "--phase", "theta", "--online"), EstimateError)
+        assert "more than 45°" in said
+        found = as_json(match(path, *PAIR, "--phase", "theta", "--json"))
+        assert found["p"] == pytest.approx(disk.truth()[0], abs=1e-4), rows_a_turn
+
+
 class TestRefusals:
     @pytest.mark.parametrize("how", [(), ("--online",)], ids=["offline", "online"])
     @pytest.mark.parametrize(
@@ -167,6 +320,9 @@ class TestRefusals:
         path = small(tmp_path)
         said = refused(match(path, "--pair", "a1,a2", "--orthogonal", "a5", "--phase", "theta"), InputError)
         assert "there is no column 'a5'; the log has time, theta, a1, a2, a3, a4" in said
+        assert said.endswith("Name it with --pair or --orthogonal NAME")
+        said = refused(match(path, *PAIR, "--phase", "angle"), InputError)
+        assert said.endswith("Name it with --phase NAME")
 
     def test_a_channel_without_a_value(self, tmp_path: Path) -> None:
         path = small(tmp_path)
@@ -198,8 +354,23 @@ class TestRefusals:
         result = match(path, *PAIR, "--phase", "theta", "--figure", tmp_path / "f.svg")
         assert "too short for a spectrum" in refused(result, EstimateError)
 
+    def test_nothing_is_written_where_the_figure_cannot_be_drawn(self, tmp_path: Path) -> None:
+        path = disk.record(seconds=24, rate=20).write(tmp_path / "short.csv")
+        wanted = tmp_path / "p.yaml", tmp_path / "f.svg"
+        refused(match(path, *PAIR, "--phase", "theta", "-o", wanted[0], "--figure", wanted[1]), EstimateError)
+        assert not wanted[0].exists()
+
 
 class TestPairFile:
+    @pytest.mark.parametrize("how", [(), ("--online",)], ids=["offline", "online"])
+    def test_keeps_the_checksum_of_what_was_read(self, tmp_path: Path, how: tuple[str, ...]) -> None:
+        path = small(tmp_path)
+        wanted = hashlib.sha256(path.read_bytes()).hexdigest()
+        match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml")
+        assert read_pair(tmp_path / "p.yaml").provenance["log"]["sha256"] == wanted
+        match("-", *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml", stdin=path.read_bytes())
+        assert read_pair(tmp_path / "p.yaml").provenance["log"]["sha256"] == wanted
+
     def test_a_log_without_time_has_turns_and_no_frequency(self, tmp_path: Path) -> None:
         path = small(tmp_path)
         path.write_text("".join(line.partition(",")[2] + "\n" for line in path.read_text().splitlines()))

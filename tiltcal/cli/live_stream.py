@@ -7,6 +7,7 @@ import signal
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from select import select
 from types import FrameType
 from typing import TYPE_CHECKING, cast
 
@@ -44,6 +45,9 @@ class LiveStream:
         while not self.interrupted:
             try:
                 self._waiting = True
+                if self.endless and os.name == "posix":
+                    # The engine that parses the rows has its own word on signals, and lets a read go on after one.
+                    select([self._stream], [], [])
                 arrived = self._stream.read1(size)
             except KeyboardInterrupt:
                 break

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 import click
 
 import tiltcal
-from tiltcal.errors import EstimateError, Stopped, UsageError
+from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 
 if TYPE_CHECKING:
     from tiltcal.cli.live_stream import LiveStream
@@ -129,10 +129,13 @@ def _told_why(log: str, stream: BinaryIO | LiveStream) -> Iterator[None]:
     """Put the log's name in front of why it cannot be matched, and say what to do where Ctrl-C came too early."""
     try:
         yield
-    except EstimateError as refusal:
+    except (EstimateError, InputError) as refusal:
+        why = str(refusal) if isinstance(refusal, InputError) else f"{log}: {refusal}"
         if getattr(stream, "interrupted", False):
-            raise Stopped(f"interrupted; {log}: {refusal}; let the stream run for longer, nothing is written") from None
-        raise EstimateError(f"{log}: {refusal}") from refusal
+            raise Stopped(f"interrupted, and nothing is written: {why}; let the stream run for longer") from None
+        if isinstance(refusal, EstimateError):
+            raise EstimateError(why) from refusal
+        raise
 
 
 def _read(

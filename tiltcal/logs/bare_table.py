@@ -76,7 +76,7 @@ class BlankSeparated:
         """
         data, more = self._pending, b" "
         # A line is turned as a whole: a blank at the end of what was read may be a margin or a gap.
-        while b"\n" not in data[len(self._pending) :] and more and len(data) < _LONGEST_LINE:
+        while b"\n" not in data and more and len(data) < _LONGEST_LINE:
             more = self._stream.read(size)
             data += more
         cut = data.rfind(b"\n") + 1 if more else len(data)

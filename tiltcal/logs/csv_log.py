@@ -114,10 +114,14 @@ class CsvLog:
     def _blocks(self) -> Iterator[tuple[bytes, bool, bool]]:
         """Whole lines; whether they are the last; whether the very last had no end."""
         ended = False
+        # A stream may have brought rows along with its header, and nothing more for a while.
+        arrived = _end_of_content(self._pending) > 0
         while not ended:
-            more = self._read()
-            ended = not more
-            self._pending += more
+            if not arrived:
+                more = self._read()
+                ended = not more
+                self._pending += more
+            arrived = False
             unended = ended and not self._pending.endswith(b"\n")
             if unended and self._pending:
                 data, self._pending = self._pending + b"\n", b""

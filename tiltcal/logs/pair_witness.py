@@ -13,6 +13,7 @@ from tiltcal.core.pair.model import Pair, sum_weights
 from tiltcal.core.pair.online import Course, Online
 from tiltcal.core.pair.spectrum import Spectra
 from tiltcal.core.pair.stage import FEWEST_TURNS, Stage
+from tiltcal.core.pair.stream import COARSE
 from tiltcal.errors import EstimateError
 from tiltcal.logs.matching import Demodulated
 from tiltcal.logs.stretch import Stretch
@@ -64,8 +65,8 @@ class Watch:
             It was held for so long that it has no estimate.
         """
         online = self._online[pair]
-        if online.stream.turns < FEWEST_TURNS:
-            why = online.stream.why or "the record is too short"
+        if online.stream.turns < FEWEST_TURNS or online.stream.coarse:
+            why = COARSE if online.stream.coarse else online.stream.why or "the record is too short"
             raise EstimateError(
                 f"the online estimators had {online.stream.turns:.2f} whole turns and need {FEWEST_TURNS:g}: {why}"
             )

@@ -39,6 +39,8 @@ _TYPICAL = 16
 _STANDING = 4.0
 """Times the rows of a typical sector after which the stage stands."""
 _COMPLETE = 0.5
+_MOST_GAPS = 0.2
+"""Of all sectors; where there are more it is no gap that the stream has."""
 _BACKWARDS = 1.5 / SECTORS
 """Turns that the angle may fall back."""
 
@@ -125,6 +127,12 @@ class SectorStream:
         self._highest = -np.inf
         self._lowest: float | None = None
         self._typical: deque[int] = deque(maxlen=_TYPICAL)
+        self._entered = self._gaps = 0
+
+    @property
+    def coarse(self) -> bool:
+        """Whether the angle jumps over sectors so often that it cannot be followed."""
+        return self._gaps > _MOST_GAPS * self._entered
 
     def push(self, theta: Array, readings: Array) -> list[Sector | Notice]:
         """Take samples.
@@ -191,10 +199,11 @@ class SectorStream:
         """Come to a row of a sector: end the one before, where it is another."""
         if number == self._number:
             return
+        self._entered += 1
         gap = self._number is not None and number != self._number + 1
         if gap:
-            # A stream that has never come from a sector into the next one cannot have lost much.
-            self._hold(row, GAP if self._typical else COARSE, found)
+            self._gaps += 1
+            self._hold(row, COARSE if self.coarse else GAP, found)
         elif self._open is not None:
             self._close(self._open, row, found)
         # The stream came into the first sector, and into the one behind a gap, in its middle.
