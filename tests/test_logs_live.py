@@ -25,7 +25,7 @@ class StillWritten:
 
 @pytest.mark.parametrize(
     "arrivals",
-    [(b"a,b\n1,2\n",), (b"a,b\n", b"1,2\n"), (b"1,2\n",), (b"1 2\n",), (b"a,b\n1", b",2\n3,")],
+    [(b"a,b\n1,2\n",), (b"a,b\n", b"1,2\n"), (b"5,2\n",), (b"5 2\n",), (b"a,b\n1", b",2\n3,")],
     ids=["with its header", "behind its header", "no header", "blanks", "in pieces"],
 )
 def test_a_row_is_read_when_its_line_ends(arrivals: tuple[bytes, ...]) -> None:

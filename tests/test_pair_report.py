@@ -100,9 +100,9 @@ class TestFigure:
 
     def test_shows_both_estimators_beside_each_other(self, tmp_path: Path) -> None:
         course = [Course(k, (0.01 / k, 0.02 / k), (0.01, 0.02)) for k in (1.0, 2.0, 3.0)]
-        draw_matching(tmp_path / "both.svg", Drawing(self.FREQUENCY, self.DENSITIES, 0.0025, "1/row", course))
+        draw_matching(tmp_path / "both.svg", Drawing(self.FREQUENCY, self.DENSITIES, 0.0025, "1/row", course, 1e-3))
         drawn = (tmp_path / "both.svg").read_text(encoding="utf-8")
-        for text in ("p, loops", "q, recursive", "turns"):
+        for text in ("p, loops", "q, recursive", "stated uncertainty", "turns"):
             assert text in drawn
 
     def test_is_the_same_each_time(self, tmp_path: Path) -> None:

@@ -198,6 +198,7 @@ def _drawing(spectra: SpectralWitness, found: Demodulated, matching: Matching, w
         found.frequency or found.turns / (found.rows + found.missing),
         "Hz" if found.rate else "1/row",
         watch.course(matching.pair) if watch else (),
+        max(matching.u_p, matching.u_q),
     )
 
 

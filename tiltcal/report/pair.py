@@ -93,6 +93,8 @@ class Drawing:
         Of ``frequency``.
     course : sequence of Course
         Of the online estimators; empty for none.
+    uncertainty : float
+        Stated for p and q, the larger of the two; below it no course says anything.
     """
 
     frequency: Array
@@ -100,6 +102,7 @@ class Drawing:
     spin: float
     unit: str
     course: Sequence[Course] = ()
+    uncertainty: float = 0.0
 
 
 def draw_matching(path: Path, drawing: Drawing) -> None:
@@ -123,7 +126,7 @@ def draw_matching(path: Path, drawing: Drawing) -> None:
         panels = figure.subplots(2 if drawing.course else 1, 1, squeeze=False)[:, 0]
         _draw_spectra(panels[0], drawing)
         if drawing.course:
-            _draw_course(panels[1], drawing.course)
+            _draw_course(panels[1], drawing)
         for panel in panels:
             panel.legend(loc="upper right", frameon=False)
             panel.spines[["top", "right"]].set_visible(False)
@@ -132,21 +135,26 @@ def draw_matching(path: Path, drawing: Drawing) -> None:
 
 
 def _draw_spectra(panel: Axes, drawing: Drawing) -> None:
-    panel.axvline(drawing.spin, color="black", linewidth=0.5, linestyle=":")
+    panel.axvline(drawing.spin, color="black", linewidth=0.8, linestyle=":", label="turning of the stage")
     for (name, density), colour in zip(drawing.densities.items(), COLOURS, strict=False):
         panel.loglog(drawing.frequency[1:], density[1:] ** 0.5, color=colour, linewidth=0.9, label=name)
     panel.set_xlabel(f"frequency [{drawing.unit}]")
     panel.set_ylabel(f"amplitude density [reading/√({drawing.unit})]")
 
 
-def _draw_course(panel: Axes, course: Sequence[Course]) -> None:
+def _draw_course(panel: Axes, drawing: Drawing) -> None:
     """How far p and q of both estimators are from where the recursive one ends."""
+    course = drawing.course
     turns = [one.turns for one in course]
     end = course[-1].recursive
+    least = max(drawing.uncertainty / 5.0, 1e-9)
     for index, name in enumerate(("p", "q")):
         for kind, colour in (("loops", COLOURS[1]), ("recursive", COLOURS[2])):
-            away = [max(abs(getattr(one, kind)[index] - end[index]), 1e-9) for one in course]
+            away = [max(abs(getattr(one, kind)[index] - end[index]), least) for one in course]
             style = "-" if index == 0 else "--"
             panel.semilogy(turns, away, style, color=colour, linewidth=0.9, label=f"{name}, {kind}")
+    if drawing.uncertainty:
+        panel.axhline(drawing.uncertainty, color="black", linewidth=0.8, linestyle=":", label="stated uncertainty")
+        panel.set_ylim(bottom=least)
     panel.set_xlabel("turns")
     panel.set_ylabel("distance from the end")
