@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.signal import welch
 
 from tiltcal.core.pair.spectrum import Spectra
-from tiltcal.core.pair.spin import estimate_spin
+from tiltcal.core.pair.spin import Spin, estimate_spin, followed_spin
 from tiltcal.errors import EstimateError
 
 
@@ -49,6 +49,26 @@ class TestSpin:
         sine, cosine = np.linalg.lstsq(columns, taken.readings[:, 0], rcond=None)[0]
         assert sine == pytest.approx(3.383 * np.hypot(1, 0.022), abs=1e-9)
         assert cosine == pytest.approx(0.0, abs=1e-9)
+
+    def test_a_speed_that_changes_is_followed_from_rows_to_rows(self) -> None:
+        """By a turn over 100, which a single frequency would take for no signal at all."""
+        time = np.arange(40_000) / 50.0
+        turned = 0.125 * time + (time / 800.0) ** 3
+        readings = 3.4 * np.sin(2 * np.pi * turned[:, None] + disk.PHASES)
+        spin, off = Spin(0.125, 0.0), []
+        for start in range(0, 40_000, 2000):
+            rows = slice(start, start + 2000)
+            spin = followed_spin(spin, time[rows], readings[rows])
+            away = spin.theta(time[rows]) / 360.0 - turned[rows]
+            off.append(float(np.max(np.abs(away - np.round(away)))))
+        assert max(off) < 2e-3
+
+    def test_rows_that_do_not_say_keep_the_spin_before(self) -> None:
+        known = Spin(0.125, 0.25)
+        taken = disk.record(seconds=80)
+        assert followed_spin(known, taken.time[:300], taken.readings[:300]) == known
+        noise = np.random.default_rng(2).standard_normal(taken.readings.shape)
+        assert abs(followed_spin(known, taken.time, noise).frequency - 0.125) < 0.5 / 80
 
     @pytest.mark.parametrize(
         ("taken", "said"),

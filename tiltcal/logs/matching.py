@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import Demodulation, Demodulator
-from tiltcal.core.pair.spin import Spin, estimate_spin
+from tiltcal.core.pair.spin import Spin, estimate_spin, followed_spin
 from tiltcal.core.pair.stage import Stage
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.logs.columns import TIME, locate_columns
@@ -161,9 +162,10 @@ class _Angles:
             rows += len(stretch.theta)
             if rows >= ROWS_FOR_SPIN:
                 break
-        spin = self.spin = _spin_of(held)
-        yield from (_turned(stretch, spin) for stretch in held)
-        yield from (_turned(stretch, spin) for stretch in stretches)
+        self.spin = _spin_of(held)
+        for stretch in chain(held, stretches):
+            self.spin = _followed(self.spin, stretch)
+            yield Stretch(self.spin.theta(_clock(stretch)), stretch.readings, stretch.time, stretch.first)
 
 
 def _stretches(log: CsvLog, channels: Sequence[str], phase: str | None, file: str) -> Iterator[Stretch]:
@@ -197,5 +199,7 @@ def _spin_of(held: Sequence[Stretch]) -> Spin:
     return estimate_spin(time[good], readings[good])
 
 
-def _turned(stretch: Stretch, spin: Spin) -> Stretch:
-    return Stretch(spin.theta(_clock(stretch)), stretch.readings, stretch.time, stretch.first)
+def _followed(spin: Spin, stretch: Stretch) -> Spin:
+    time = _clock(stretch)
+    good = np.isfinite(time) & np.isfinite(stretch.readings).all(axis=1)
+    return followed_spin(spin, time[good], stretch.readings[good])

@@ -14,6 +14,10 @@ from tiltcal.errors import EstimateError
 _STEPS = 20
 _CONVERGED = 1e-12
 """Turns over the whole record."""
+_FOLLOWING_STEPS = 3
+_MOST_SLIP = 0.5
+"""Turns, over some rows, by which their spin may differ from that before."""
+_FEWEST_ROWS = 16
 _PADDING = 4
 _CLEAREST = 30.0
 """How far the spin's line must stand above the median of the spectrum, in power."""
@@ -58,7 +62,7 @@ def estimate_spin(time: Array, readings: Array) -> Spin:
         No line stands out, or it turns less than twice.
     """
     span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
-    if len(time) < 16 or not span > 0.0:
+    if len(time) < _FEWEST_ROWS or not span > 0.0:
         raise EstimateError("the record is too short, or its time stands still: the spin cannot be estimated")
     middle = 0.5 * float(time[0] + time[-1])
     centred = (time - middle) / span
@@ -77,6 +81,38 @@ def estimate_spin(time: Array, readings: Array) -> Spin:
     frequency = turns / span
     phase = atan2(cosine, sine) / (2.0 * pi) - frequency * middle
     return Spin(frequency, phase % 1.0)
+
+
+def followed_spin(before: Spin, time: Array, readings: Array) -> Spin:
+    """The spin of some rows, where that of the rows before is known: no stage keeps its speed to the turn for hours.
+
+    Parameters
+    ----------
+    before : Spin
+    time : ndarray, shape (n,)
+        Finite.
+    readings : ndarray, shape (n, channels)
+        Finite.
+
+    Returns
+    -------
+    Spin
+        That of before, where the rows have less than two turns or do not say.
+    """
+    span = float(time[-1] - time[0]) if len(time) > _FEWEST_ROWS else 0.0
+    expected = before.frequency * span
+    if expected < FEWEST_TURNS:
+        return before
+    middle = 0.5 * float(time[0] + time[-1])
+    centred = (time - middle) / span
+    turns, coefficients = expected, np.zeros((2, 1))
+    for _ in range(_FOLLOWING_STEPS):
+        step, coefficients = _refined(centred, readings, turns)
+        turns += step
+        if not abs(turns - expected) < _MOST_SLIP:
+            return before
+    phase = atan2(coefficients[1, 0], coefficients[0, 0]) / (2.0 * pi)
+    return Spin(turns / span, (phase - turns / span * middle) % 1.0)
 
 
 def _strongest(centred: Array, readings: Array) -> float:
