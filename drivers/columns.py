@@ -6,7 +6,8 @@ The address says which number is which::
     serial:socket://192.168.1.7:4000?columns=-,-,x,y,z&separator=semicolon&unit=g
 
 ``columns`` names the numbers in the order they are printed: x, y, z, temperature (°C), and ``-`` or nothing for one
-that is skipped. ``sensitivity`` (unit/g) and ``offset`` (unit at 0 g) are what such a device nominally has; they let a
+that is skipped; ``time``, the device's own clock, is skipped too. Any other name of letters and digits is a reading that
+is no tilt, such as the accelerometers a1 to a4 of a rotary stage and its angle ``theta``. ``sensitivity`` (unit/g) and ``offset`` (unit at 0 g) are what such a device nominally has; they let a
 wrong position and a movement be caught. Where the unit is g or m/s2 they follow from it; where nothing says what 1 g
 is, the device is calibrated all the same, without these checks.
 """
@@ -16,6 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
 
 AXES = ("x", "y", "z")
 TEMPERATURE = "temperature"
+TIME = "time"
+"""The device's own clock: a session, and a log of `tiltcal record`, have their own."""
 SKIPPED = ("", "-")
 
 SEPARATORS = {"comma": rb",", "semicolon": rb";", "tab": rb"\t", "space": rb"[ \t]+", "any": rb"[,;][ \t]*|[ \t]+"}
@@ -53,6 +57,7 @@ OFFSET_SPREAD, ANYWHERE = 0.1, 1e4
 RAIL = 1e12
 """Where the address names no rails, no number that a device prints is at one."""
 
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
 _NUMBER = re.compile(rb"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 
 
@@ -73,8 +78,9 @@ class Columns:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The axes among the names, in the order x, y, z."""
-        return tuple(axis for axis in AXES if axis in self.names)
+        """The axes among the names in the order x, y, z, then the other readings as they are printed."""
+        others = [name for name in self.names if name not in (*AXES, TEMPERATURE, TIME, "-")]
+        return (*(axis for axis in AXES if axis in self.names), *others)
 
     def reading(self, line: bytes) -> Reading | None:
         """The reading of a line; None where it is damaged: another number of columns, or one that is no number."""
@@ -83,7 +89,7 @@ class Columns:
             return None
         numbers = {}
         for name, cell in zip(self.names, cells, strict=True):
-            if name == "-":
+            if name in ("-", TIME):
                 continue
             text = cell.strip()
             if not _NUMBER.fullmatch(text) or not isfinite(float(text)):
@@ -162,32 +168,50 @@ class ColumnsDriver:
         return {"lines": self._used, "damaged": self._damaged}
 
 
-def _columns(address: Address) -> Columns:
+def columns_of(address: Address, default: str | None = None) -> Columns:
     """What the address says of a line.
+
+    Parameters
+    ----------
+    address : Address
+    default : str, optional
+        The columns where the address names none; without it they are required.
 
     Raises
     ------
     UsageError
-        A name that is none, a name twice, or no axis.
+        A name that is none, a name twice, or no reading.
     """
-    written = address.text("columns", "x,y,temperature" if address.simulated else None)
+    written = address.text("columns", default)
     names = tuple("-" if name.strip() in SKIPPED else name.strip() for name in written.split(","))
     for name in names:
-        if name not in (*AXES, TEMPERATURE, "-"):
-            address.refuse(f"column {name!r} is none of x, y, z, temperature, - (for one that is skipped)")
+        _require_name(address, name)
         if name != "-" and names.count(name) > 1:
             address.refuse(f"columns names {name!r} twice")
-    if not set(names) & set(AXES):
-        address.refuse("columns names none of x, y, z")
     separator = address.text("separator", "any")
     if separator not in SEPARATORS:
         address.refuse(f"option separator={separator} is none of {', '.join(SEPARATORS)}")
-    return Columns(names, SEPARATORS[separator])
+    columns = Columns(names, SEPARATORS[separator])
+    if not columns.channels:
+        address.refuse("columns names no reading: x, y, z, or another name that is neither time nor temperature")
+    return columns
+
+
+def _require_name(address: Address, name: str) -> None:
+    if name != "-" and not _NAME.fullmatch(name):
+        address.refuse(f"column {name!r} is no name of letters and digits, nor - (for one that is skipped)")
+    if name != TEMPERATURE and get_close_matches(name.lower(), [TEMPERATURE], cutoff=0.8):
+        address.refuse(f"column {name!r}: did you mean {TEMPERATURE!r}?")
 
 
 def _tailored(model: Model, address: Address) -> Model:
     """The model with what the address says of the device."""
-    columns = _columns(address)
+    columns = columns_of(address, "x,y,temperature" if address.simulated else None)
+    if address.simulated and not set(columns.channels) <= set(AXES):
+        address.refuse(
+            "the virtual device has x, y, z and temperature alone; four accelerometers on a virtual stage are the model "
+            "gradiometer"
+        )
     unit = address.text("unit", "g" if address.simulated else UNSTATED)
     default = ONE_G.get(unit)
     scaled = default is not None or "sensitivity" in address.options

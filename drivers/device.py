@@ -129,7 +129,7 @@ class Model:
     title : str
         Maker, part and interface.
     channels : tuple of str
-        Names of the readings, a subset of x, y, z.
+        Names of the readings: x, y, z of a tilt sensor, any others of another device.
     unit : str
         Unit of a reading: ``count``, ``V`` or ``duty``.
     schemes : tuple of str
@@ -204,6 +204,11 @@ class Model:
     def thermometer_rounding(self) -> float:
         """Standard uncertainty of the sensor's own temperature that comes of its step, °C."""
         return round(self.thermometer_step / sqrt(12.0), 4)
+
+    @property
+    def senses_tilt(self) -> bool:
+        """Whether the readings are components of gravity, x, y and z, and nothing else."""
+        return set(self.channels) <= {"x", "y", "z"}
 
     def at(self, address: Address) -> Model:
         """This model as it is wired at an address.

@@ -91,5 +91,5 @@ def truth_of(address: Address, model: Model) -> Truth:
         address.refuse(f"the twin file is of a {named}, not of a {model.name}")
     missing = [channel for channel in model.channels if channel not in truth.channels]
     if missing:
-        address.refuse(f"the twin file has no offset of {' and '.join(missing)}, which a {model.name} reads")
+        address.refuse(f"the twin file has no {' and no '.join(missing)}, which a {model.name} reads")
     return truth

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from tiltcal.files.procedure import Determines, Procedure, find_procedure, shipped_procedures
+from tiltcal.files.rotation import Rotation
 
 
 @click.command(
@@ -29,7 +30,9 @@ def command(procedure: str | None, source: bool, as_json: bool) -> None:
     elif procedure is None:
         width = max(len(one.name) for one in shown)
         for one in shown:
-            click.echo(f"{one.name:<{width}} {one.title} ({len(one.positions)} positions)")
+            turning = one.rotation
+            length = f"{len(one.positions)} positions" if turning is None else f"up to {turning.turns} turns"
+            click.echo(f"{one.name:<{width}} {one.title} ({length})")
     else:
         _show(shown[0])
 
@@ -39,6 +42,9 @@ def _show(procedure: Procedure) -> None:
     click.echo(f"{procedure.name}: {procedure.title}")
     if procedure.source:
         click.echo(f"  source      {procedure.source}")
+    if procedure.rotation is not None:
+        _show_rotation(procedure.rotation)
+        return
     click.echo(f"  determines  {_determined(determines)}")
     click.echo(f"  samples     {procedure.samples} per position, still for {procedure.settle:g} s")
     for number, position in enumerate(procedure.positions, start=1):
@@ -57,3 +63,11 @@ def _determined(determines: Determines) -> str:
     )
     bend = ", non-linearity" if determines.nonlinearity else ""
     return f"offset, {axes}{bend}{orders}{'; not the mounting' if determines.free else ''}"
+
+
+def _show_rotation(rotation: Rotation) -> None:
+    for pair in rotation.pairs:
+        click.echo(f"  determines  p and q of {pair.first} and {pair.second}, orthogonal {pair.orthogonal}")
+    enough = "" if rotation.converged is None else f", fewer where p and q are known to {rotation.converged:g}"
+    click.echo(f"  turns       {rotation.turns} by the stage angle {rotation.phase}{enough}")
+    click.echo(f"  prompt      {rotation.prompt}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -15,6 +15,7 @@ from tiltcal.core.frames import Vector, gravity_from_tilt, normalised
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.document import checked_kind, read_tiltcal_file
 from tiltcal.files.node import Node, document_of
+from tiltcal.files.rotation import Rotation, read_rotation, require_turns
 
 ORDER_LIMIT = 6
 """The highest order of a temperature polynomial."""
@@ -106,7 +107,9 @@ class Procedure:
     soak_seconds, soak_drift : float
         At a position with a temperature: the window, seconds, and the largest drift in it, °C.
     record : mapping
-        The procedure as plain data, before ``angle`` was put in.
+        The procedure as plain data, before ``angle`` and the turns were put in.
+    rotation : Rotation or None
+        What is done while a stage turns, in place of positions; such a procedure has none, and determines no tilt.
     """
 
     name: str
@@ -121,6 +124,21 @@ class Procedure:
     soak_seconds: float = 20.0
     soak_drift: float = 0.3
     record: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    rotation: Rotation | None = None
+
+    def with_turns(self, turns: int | None) -> Procedure:
+        """This procedure with so many turns at most; None leaves it as it is.
+
+        Raises
+        ------
+        UsageError
+            No stage turns in it, or the number cannot be.
+        """
+        if turns is None:
+            return self
+        if self.rotation is None:
+            raise UsageError(f"the procedure {self.name!r} has positions and no turns; leave --turns out")
+        return replace(self, rotation=replace(self.rotation, turns=require_turns(turns)))
 
 
 def shipped_procedures() -> dict[str, Path]:
@@ -204,6 +222,8 @@ def procedure_from_record(
 
 
 def _procedure_of(document: Node, angle: float | None) -> Procedure:
+    if "rotation" in document.entries():
+        return _turning_of(document, angle)
     top = document.mapping(
         required=("tiltcal", "kind", "name", "title", "determines", "positions"),
         optional=("source", "angle", "reference", "samples", "settle", "soak"),
@@ -225,6 +245,22 @@ def _procedure_of(document: Node, angle: float | None) -> Procedure:
         soak_seconds=soak["seconds"].number(above=0.0) if soak else Procedure.soak_seconds,
         soak_drift=soak["drift"].number(above=0.0) if soak else Procedure.soak_drift,
         record=document.plain(),
+    )
+
+
+def _turning_of(document: Node, angle: float | None) -> Procedure:
+    """A procedure of a stage that turns."""
+    top = document.mapping(required=("tiltcal", "kind", "name", "title", "rotation"), optional=("source",))
+    name = _read_name(top["name"])
+    return Procedure(
+        name=name,
+        title=top["title"].text(),
+        source=top["source"].text() if "source" in top else "",
+        determines=Determines(()),
+        positions=(),
+        angle=_chosen_angle(name, None, angle),
+        record=document.plain(),
+        rotation=read_rotation(top["rotation"]),
     )
 
 

@@ -1,0 +1,89 @@
+"""Four accelerometers on a rotary stage whose readings, and the angle of the stage, come as numbers on a line.
+
+It is :mod:`tiltcal.drivers.columns` with the columns of a gravity gradient instrument, and with a virtual stage behind
+``sim:``. Where the device prints something else, the address says so::
+
+    serial:///dev/ttyUSB0?columns=theta,a1,a2,-,a4&separator=semicolon
+
+Source: Misalignment Angle Compensation during Scale Factor Matching (2018), figure 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.columns import ANYWHERE, RAIL, SEPARATORS, UNKNOWN, UNSTATED, Columns, ColumnsDriver, columns_of
+from tiltcal.drivers.device import Model
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.truth import Truth
+
+PRINTED = "time,theta,a1,a2,a3,a4"
+"""What a line has where the address does not say: seconds, the stage angle in degrees, the four readings."""
+
+
+def _tailored(model: Model, address: Address) -> Model:
+    """The model with what the address says of the line."""
+    columns = columns_of(address, PRINTED)
+    return replace(
+        model,
+        channels=columns.channels,
+        unit=address.text("unit", "mA" if address.simulated else UNSTATED),
+        driver=partial(ColumnsDriver, columns),
+        twin=partial(_twin, columns),
+    )
+
+
+def _twin(columns: Columns, truth: Truth, fixture: Held, clock: Clock) -> Link:
+    from tiltcal.drivers.twin.stage import stage_twin
+
+    return stage_twin(columns, truth, clock)
+
+
+def _default_truth(seed: int) -> Truth:
+    from tiltcal.drivers.twin.stage import draw_truth
+
+    return draw_truth(seed)
+
+
+_PRINTED = Columns(tuple(PRINTED.split(",")), SEPARATORS["any"])
+
+_MODEL = Model(
+    name="gradiometer",
+    title="four accelerometers on a rotary stage, as numbers on a line",
+    channels=_PRINTED.channels,
+    unit="mA",
+    schemes=("serial",),
+    addresses=(f"serial:///dev/ttyUSB0?columns={PRINTED}",),
+    # What 1 g is, is what nobody needs to know to match a pair.
+    offset=0.0,
+    sensitivity=UNKNOWN,
+    offset_spread=ANYWHERE,
+    sensitivity_spread=0.1,
+    rails=(-RAIL, RAIL),
+    resolution=0.0,
+    # The device talks by itself: a read waits for what comes next.
+    interval=0.0,
+    thermometer=False,
+    driver=partial(ColumnsDriver, _PRINTED),
+    twin=partial(_twin, _PRINTED),
+    not_modelled=(
+        "a stage that starts, stops or changes its speed: it turns steadily from the beginning of the session",
+        "the stage's bearing, vibration and angular acceleration",
+        "output and pendulous axes: only the misalignment in the plane of the disk couples",
+        "bandwidth and delay of the accelerometers, and of the encoder behind them",
+        "temperature",
+        "loss and damage on the line",
+    ),
+    default_truth=_default_truth,
+    options=("columns", "separator", "unit"),
+    scaled=False,
+)
+
+GRADIOMETER = replace(_MODEL, tailor=partial(_tailored, _MODEL))

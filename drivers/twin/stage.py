@@ -1,0 +1,90 @@
+"""The virtual rotary stage: the twin of four accelerometers, printing its lines as time goes by."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from math import radians
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.twin.gradiometer import CHANNELS, Accelerometer, Disk, Gradiometer
+from tiltcal.drivers.twin.noise import uniform
+from tiltcal.drivers.twin.talker import Talker
+from tiltcal.drivers.twin.truth import Truth
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.columns import Columns
+
+TIME, THETA = "time", "theta"
+
+BAUDRATE = 921_600
+
+FASTEST = 400.0
+"""Lines a second that fit on the line, the longest of them."""
+
+
+@dataclass(frozen=True)
+class StageTruth(Truth):
+    """What a virtual stage really is: a disk in place of a tilt sensor's coefficients.
+
+    Attributes
+    ----------
+    disk : Disk
+    """
+
+    disk: Disk = field(default_factory=Disk)
+
+    @classmethod
+    def of(cls, disk: Disk, seed: int) -> StageTruth:
+        """The truth of a disk; its channels are all that it can print."""
+        return cls((TIME, THETA, *CHANNELS), {}, {}, seed=seed, disk=disk)
+
+
+def stage_twin(columns: Columns, truth: Truth, clock: Clock) -> Talker:
+    """A stage that prints the columns of an address; one that is skipped there, or that it has not, reads 0.
+
+    Parameters
+    ----------
+    columns : Columns
+    truth : StageTruth
+        While its fault ``stuck`` lasts, the line of its beginning is printed again and again.
+    clock : Clock
+        Session time.
+    """
+    disk = truth.disk if isinstance(truth, StageTruth) else Disk()
+    gradiometer = Gradiometer(disk, truth.seed)
+    between = next(mark for mark in (b",", b";", b"\t", b" ") if re.fullmatch(columns.separator, mark))
+
+    def line(number: int) -> bytes:
+        fault = truth.fault(number / disk.rate)
+        stuck = fault is not None and fault.kind == "stuck"
+        sample = gradiometer.sample(round(fault.start * disk.rate) if fault is not None and stuck else number)
+        printed = {TIME: number / disk.rate, THETA: sample.theta, **dict(zip(CHANNELS, sample.readings, strict=True))}
+        return between.join(f"{printed.get(name, 0.0):.9g}".encode() for name in columns.names) + b"\r\n"
+
+    return Talker(truth, clock, line, period=1.0 / disk.rate, baudrate=BAUDRATE)
+
+
+def draw_truth(seed: int) -> StageTruth:
+    """Accelerometers near those of the source; the spreads are ours.
+
+    Parameters
+    ----------
+    seed : int
+        The same seed is the same disk.
+    """
+
+    def within(limit: float, name: str) -> float:
+        return limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
+
+    parts = tuple(
+        Accelerometer(
+            scale=3.4 * (1.0 + within(0.01, f"scale {name}")),
+            misalignment=within(0.02, f"misalignment {name}"),
+            phase_error=radians(within(0.1, f"place {name}")),
+            offset=within(0.002, f"offset {name}"),
+        )
+        for name in CHANNELS
+    )
+    return StageTruth.of(replace(Disk(), accelerometers=parts, encoder_noise=0.002), seed)
