@@ -6,10 +6,11 @@ The address says which number is which::
     serial:socket://192.168.1.7:4000?columns=-,-,x,y,z&separator=semicolon&unit=g
 
 ``columns`` names the numbers in the order they are printed: x, y, z, temperature (°C), and ``-`` or nothing for one
-that is skipped; ``time``, the device's own clock, is skipped too. Any other name of letters and digits is a reading that
-is no tilt, such as the accelerometers a1 to a4 of a rotary stage and its angle ``theta``. ``sensitivity`` (unit/g) and ``offset`` (unit at 0 g) are what such a device nominally has; they let a
-wrong position and a movement be caught. Where the unit is g or m/s2 they follow from it; where nothing says what 1 g
-is, the device is calibrated all the same, without these checks.
+that is skipped; ``time``, the device's own clock, is skipped too. Any other name of letters and digits is a reading
+that is no tilt, such as the accelerometers a1 to a4 of a rotary stage and its angle ``theta``. ``sensitivity`` (unit/g)
+and ``offset`` (unit at 0 g) are what such a device nominally has; they let a wrong position and a movement be caught.
+Where the unit is g or m/s2 they follow from it; where nothing says what 1 g is, the device is calibrated all the same,
+without these checks.
 """
 
 from __future__ import annotations
@@ -209,8 +210,8 @@ def _tailored(model: Model, address: Address) -> Model:
     columns = columns_of(address, "x,y,temperature" if address.simulated else None)
     if address.simulated and not set(columns.channels) <= set(AXES):
         address.refuse(
-            "the virtual device has x, y, z and temperature alone; four accelerometers on a virtual stage are the model "
-            "gradiometer"
+            "the virtual device has x, y, z and temperature alone; a virtual stage with four accelerometers is the "
+            "model gradiometer"
         )
     unit = address.text("unit", "g" if address.simulated else UNSTATED)
     default = ONE_G.get(unit)

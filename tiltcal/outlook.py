@@ -9,9 +9,11 @@ from math import hypot, sqrt
 from tiltcal.calibrate import Nominal, Subject, design_of
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.prediction import Planned, Prediction, predicted_covariance
+from tiltcal.core.model import AXES
 from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Model
+from tiltcal.errors import UsageError
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.files.procedure import Procedure
 
@@ -33,6 +35,22 @@ class Outlook:
     prediction: Prediction
     noise: float
     unit: str
+
+
+def require_tilt(procedure: Procedure, model: Model) -> None:
+    """Refuse a device whose readings are no components of gravity.
+
+    Raises
+    ------
+    UsageError
+        What it reads, and what to do.
+    """
+    if not model.senses_tilt:
+        others = [channel for channel in model.channels if channel not in AXES]
+        raise UsageError(
+            f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
+            "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
+        )
 
 
 def outlook(
@@ -69,7 +87,10 @@ def outlook(
     ------
     EstimateError
         The positions cannot determine what the procedure asks for; what to add is said.
+    UsageError
+        The device is no tilt sensor.
     """
+    require_tilt(procedure, model)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
     nominal = Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
     warmth = model.thermometer_rounding if thermometer is None else thermometer

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import tiltcal
+from tiltcal.bench.hookup import hook_up
 from tiltcal.bench.runner import Settings
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
 from tiltcal.drivers import find_model
@@ -22,6 +23,7 @@ from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.journal import Journal
 from tiltcal.files.procedure import Procedure, procedure_from_record
+from tiltcal.outlook import require_tilt
 
 VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
 """When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""
@@ -141,6 +143,7 @@ class Plan:
                 "jig": self.jig,
                 "thermometer": self.thermometer_uncertainty,
                 "angle": self.procedure.angle,
+                **({} if self.procedure.rotation is None else {"turns": self.procedure.rotation.turns}),
             },
             "procedure": dict(self.procedure.record),
             **({} if self.base is None else {"base": self.base}),
@@ -159,8 +162,10 @@ class Plan:
         header = journal.header
         try:
             settings = header["settings"]
+            file = str(journal.path)
+            procedure = procedure_from_record(header["procedure"], settings["angle"], file=file, line=1)
             return cls(
-                procedure=procedure_from_record(header["procedure"], settings["angle"], file=str(journal.path), line=1),
+                procedure=procedure.with_turns(settings.get("turns")),
                 places=tuple(Place.from_record(sensor) for sensor in header["sensors"]),
                 settings=Settings(settings["samples"], settings["settle"], settings["soak"]),
                 jig=settings["jig"],
@@ -215,7 +220,10 @@ def plan_session(
     """
     scale = 1.0 if settle is None else settle / procedure.settle
     places = tuple(_place(sensor, output, journal) for sensor, output in zip(bench.sensors, outputs, strict=True))
-    for place in places:
+    if procedure.rotation is not None:
+        hook_up(procedure.rotation, [(place.serial, place.fitted) for place in places])
+    for place in places if procedure.rotation is None else ():
+        require_tilt(procedure, place.fitted)
         _require_in_range(procedure, place)
     plan = Plan(
         procedure=procedure,
@@ -256,6 +264,8 @@ def stamp(moment: datetime) -> str:
 def _require_population(plan: Plan) -> None:
     """Refuse mean temperature curves that nobody knows, or that the procedure measures itself."""
     determines = plan.procedure.determines
+    if plan.procedure.rotation is not None:
+        raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: a pair has no temperature terms")
     if determines.drift or determines.gain or determines.mounting:
         raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: it does without, or measures its own")
     for place in plan.places:

@@ -45,6 +45,11 @@ class Bay:
         return SensorIdentity(self.model.name, self.serial, self.model.unit, self.model.channels)
 
 
+def column_name(serial: str, channel: str, *, alone: bool) -> str:
+    """What a log calls a channel: by its name alone, or of several devices behind the serial number."""
+    return channel if alone else f"{serial}_{channel}"
+
+
 class Rack:
     """Reads several sensors as one, and gives up those that fail for good.
 

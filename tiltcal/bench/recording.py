@@ -14,7 +14,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from tiltcal.bench.plan import stamp
-from tiltcal.bench.rack import Bay, Rack
+from tiltcal.bench.rack import Bay, Rack, column_name
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Reading
 from tiltcal.errors import HardwareError, UsageError
@@ -78,10 +78,8 @@ def header(bays: Sequence[Bay], *, thermometer: bool) -> list[str]:
     """Column names: ``x``, ``y``, ``temperature`` of a single sensor; of several each begins with the serial number."""
     names = ["time"]
     for bay in bays:
-        lead = "" if len(bays) == 1 else f"{bay.serial}_"
-        names += [lead + channel for channel in bay.model.channels]
-        if bay.model.thermometer and not thermometer:
-            names.append(lead + "temperature")
+        own = ["temperature"] if bay.model.thermometer and not thermometer else []
+        names += [column_name(bay.serial, name, alone=len(bays) == 1) for name in (*bay.model.channels, *own)]
     return names + (["temperature"] if thermometer else [])
 
 

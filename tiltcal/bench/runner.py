@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tiltcal.bench.desk import Desk
 from tiltcal.bench.operators.operator import Answer, Measured, Operator
 from tiltcal.bench.rack import Bay, Rack, Sample
 from tiltcal.bench.settle import Unsettled, Window, movement, wait_until_still
@@ -109,6 +110,7 @@ class Runner:
         self._procedure = procedure
         self._rack = rack
         self._operator = operator
+        self._desk = Desk(tape)
         self._tape = tape
         self._clock = clock
         self._settings = settings
@@ -169,16 +171,16 @@ class Runner:
         if verdict.word != "accept":
             return verdict.word, None
         self._tape.position(_record(result))
-        self._tell(lambda: self._operator.accepted(as_set, measured))
+        self._desk.tell(lambda: self._operator.accepted(as_set, measured))
         return verdict.word, result
 
     def _refuse(self, position: Position, error: Exception) -> None:
         if isinstance(error, BayError) and not self._rack.failed(error):
             raise error
-        self._tell(lambda: self._operator.refused(position, str(error)))
+        self._desk.tell(lambda: self._operator.refused(position, str(error)))
         if isinstance(error, BayError) and error.serial in self._rack.lost:
             serial = error.serial
-            self._tell(lambda: self._operator.lost(serial, self._rack.lost[serial]))
+            self._desk.tell(lambda: self._operator.lost(serial, self._rack.lost[serial]))
         if isinstance(error, HardwareError):
             self._clock.sleep(RECOVERY)
 
@@ -187,12 +189,7 @@ class Runner:
         while self._tape.playing and not self._tape.next_is_answer():
             with suppress(HardwareError, Resumed):
                 self._live()
-        return Answer.from_record(self._tape.answer(question, lambda: live().record()))
-
-    def _tell(self, tell: Callable[[], None]) -> None:
-        """The operator is not told again what it was told before the session was interrupted."""
-        if not self._tape.playing:
-            tell()
+        return self._desk.ask(question, live)
 
     def _hold(self, position: Position) -> None:
         if self._fixture is not None:
@@ -244,7 +241,7 @@ class Runner:
         return Taken(position, self._tape.now_ns(), summaries, temperatures, typed is not None)
 
     def _look(self, position: Position, sample: Sample, why: str) -> None:
-        self._tell(lambda: self._operator.look(position, self._by_serial(sample), why))
+        self._desk.tell(lambda: self._operator.look(position, self._by_serial(sample), why))
 
     def _expectations(self, taken: Sequence[Taken]) -> dict[str, Expectation]:
         """What each sensor should read, from its model and the positions accepted so far."""

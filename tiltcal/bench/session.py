@@ -10,9 +10,12 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
 
+from tiltcal.bench.desk import Desk
+from tiltcal.bench.hookup import Hookup, hook_up
 from tiltcal.bench.operators.operator import Operator
 from tiltcal.bench.plan import Place, Plan, stamp
-from tiltcal.bench.rack import Bay
+from tiltcal.bench.rack import Bay, Rack
+from tiltcal.bench.rotation import RotationRunner, Turned
 from tiltcal.bench.runner import Runner, Taken
 from tiltcal.bench.tape import Tape, TapedClock
 from tiltcal.bench.virtual import VirtualBench
@@ -24,6 +27,8 @@ from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import Calibration, calibration_of, dump_calibration
 from tiltcal.files.document import checked_kind, parse_document
 from tiltcal.files.journal import Journal, JournalWriter
+from tiltcal.files.pair import PairCalibration, dump_pair
+from tiltcal.files.rotation import Rotation
 from tiltcal.files.whole import check_writable, write_whole
 from tiltcal.mount import mount
 from tiltcal.sweep import choose_order, swept, with_order
@@ -194,7 +199,9 @@ class Session:
         return JournalWriter.resume(self._journal) if self._journal.end is None else None
 
     def _concluded(self, operator: Operator, writer: JournalWriter | None) -> Result:
-        """Walk through the procedure and make the calibration files' texts."""
+        """Carry the procedure out and make the calibration files' texts."""
+        if self.plan.procedure.rotation is not None:
+            return self._matched(operator, writer, self.plan.procedure.rotation)
 
         def conclude(walked: Walked, runner: Runner) -> dict[Place, Calibration]:
             found = self._calibrations(walked)
@@ -204,23 +211,67 @@ class Session:
 
         calibrations, ending = self._walk(operator, writer, conclude)
         texts = {
-            self._output(place): dump_calibration(replace(one, provenance=self._provenance(place, ending)))
+            self._output(place): dump_calibration(replace(one, provenance=self._tilt_provenance(place, ending)))
             for place, one in calibrations.items()
         }
         return Result(texts, ending.lost, ending.receptions)
 
+    def _matched(self, operator: Operator, writer: JournalWriter | None, rotation: Rotation) -> Result:
+        """Let the stage turn, and make the text of the pair file."""
+        plan = self.plan
+        hookup = hook_up(rotation, [(place.serial, place.fitted) for place in plan.places])
+        (output,) = self.outputs
+
+        def turn(rack: Rack, tape: Tape, clock: TapedClock) -> Turned:
+            desk = Desk(tape)
+            turned = RotationRunner(rotation, hookup, rack, operator, desk, tape, clock).run(plan.procedure.title)
+            desk.ask("write", lambda: operator.write([output]))
+            return turned
+
+        turned, ending = self._on_tape(writer, turn)
+        calibration = PairCalibration(
+            turned.matchings,
+            hookup.phase.column,
+            turned.turns,
+            turned.frequency,
+            provenance=self._pair_provenance(hookup, turned, ending),
+        )
+        return Result({output: dump_pair(calibration)}, ending.lost, ending.receptions)
+
+    def _pair_provenance(self, hookup: Hookup, turned: Turned, ending: Ending) -> dict[str, Any]:
+        places, left_out = self.plan.places, [*hookup.left_out, *turned.unmatched]
+        sensors = [{"serial": one.serial, "model": one.model, "address": one.address} for one in places]
+        return {
+            **self._provenance({"sensors": sensors}, ending),
+            "reception": {serial: dict(one) for serial, one in ending.receptions.items()},
+            "procedure": self.plan.procedure.name,
+            "samples": {"used": turned.samples, "left_out": turned.left_out},
+            "stopped": turned.ended,
+            **({"not_matched": left_out} if left_out else {}),
+        }
+
     def _walk(
         self, operator: Operator, writer: JournalWriter | None, conclude: Callable[[Walked, Runner], T]
     ) -> tuple[T, Ending]:
+        """Take every position of the procedure, and draw a conclusion before the journal ends."""
+        plan = self.plan
+        fixture = self._virtual.fixture if plan.virtual and writer is not None else None
+
+        def walk(rack: Rack, tape: Tape, clock: TapedClock) -> T:
+            runner = Runner(plan.procedure, rack, operator, tape, clock, plan.settings, fixture)
+            taken = runner.run()
+            return conclude(Walked(rack.bays, tuple(taken)), runner)
+
+        return self._on_tape(writer, walk)
+
+    def _on_tape(self, writer: JournalWriter | None, work: Callable[[Rack, Tape, TapedClock], T]) -> tuple[T, Ending]:
+        """Do something with the rack whose every byte and answer is on the tape, and end the tape."""
         tape = Tape(self._clock, self._journal, writer)
         clock = TapedClock(tape, self._clock)
         plan = self.plan
-        fixture = self._virtual.fixture if plan.virtual and writer is not None else None
         try:
             with wired(plan.places, plan.thermometer, tape, clock, self._virtual) as rack:
-                runner = Runner(plan.procedure, rack, operator, tape, clock, plan.settings, fixture)
-                taken = runner.run()
-                conclusion = conclude(Walked(rack.bays, tuple(taken)), runner)
+                conclusion = work(rack, tape, clock)
                 ended = plan.started + timedelta(microseconds=tape.now_ns() / 1000)
                 sha256 = tape.finish()
                 self.finished = True
@@ -287,19 +338,25 @@ class Session:
             return None
         return max(bay.model.thermometer_rounding for bay in walked.bays) or None
 
-    def _provenance(self, place: Place, ending: Ending) -> dict[str, Any]:
-        plan = self.plan
+    def _tilt_provenance(self, place: Place, ending: Ending) -> dict[str, Any]:
         axes = {} if place.orientation.straight else {"axes": list(place.orientation.names)}
-        thermometer = {} if plan.thermometer is None else {"thermometer": plan.thermometer.address}
+        thermometer = {} if self.plan.thermometer is None else {"thermometer": self.plan.thermometer.address}
+        return {
+            **self._provenance({"address": place.address, **axes, **thermometer}, ending),
+            **({"reception": dict(ending.receptions[place.serial])} if place.serial in ending.receptions else {}),
+        }
+
+    def _provenance(self, bench: Mapping[str, Any], ending: Ending) -> dict[str, Any]:
+        """What every file tells of its session."""
+        plan = self.plan
         return {
             "made_by": "the virtual bench: no real sensor was measured" if plan.virtual else "measurement",
             "operator": plan.person or plan.lead,
-            "bench": {"address": place.address, **axes, **thermometer},
+            "bench": bench,
             "software": plan.software,
             "started": stamp(plan.started),
             "ended": stamp(ending.ended),
             "journal": {"name": plan.journal, "sha256": ending.sha256},
-            **({"reception": dict(ending.receptions[place.serial])} if place.serial in ending.receptions else {}),
         }
 
 

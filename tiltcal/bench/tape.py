@@ -62,6 +62,21 @@ class Tape:
         """Whether the next event in the journal is an operator's answer."""
         return self.playing and self._events[self._next].kind == ANSWER
 
+    def answer_waits(self, question: str) -> bool:
+        """Whether the journal goes on, behind any pauses, with an answer to this question."""
+        place = self._next
+        while place < len(self._events) and self._events[place].kind == RESUMED:
+            place += 1
+        if place == len(self._events):
+            return False
+        event = self._events[place]
+        return event.kind == ANSWER and event.payload[0].get("to") == question
+
+    def secure(self) -> None:
+        """Have all that was recorded on the disk."""
+        if self._writer is not None and not self.playing:
+            self._writer.secure()
+
     def link(self, live: Callable[[], Link], letter: str, number: int) -> TapedLink:
         """A link that goes through this tape; ``live`` opens the real one when it is first needed."""
         return TapedLink(self, live, letter, number)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from tiltcal.bench.hookup import hook_up
 from tiltcal.bench.plan import Plan, plan_session, single
 from tiltcal.bench.session import Session
 from tiltcal.cli.leading import LEADERS, captured, free_journal, led, left_at_default
@@ -54,6 +55,7 @@ from tiltcal.unit_gravity import require_no_jig
     help="Standard uncertainty of a set angle; where it is not stated, the positions' scatter says it.",
 )
 @click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
+@click.option("--turns", type=int, help="The most turns of the stage, in place of the procedure's.")
 @click.option(
     "--base",
     type=click.Path(path_type=Path),
@@ -80,6 +82,7 @@ def command(
     settle: float | None,
     jig: float | None,
     tilt: float | None,
+    turns: int | None,
     base: Path | None,
     typical_temperature: bool,
     journal: Path | None,
@@ -106,12 +109,14 @@ def command(
             raise UsageError(f"measure needs {', '.join(missing)} (or --resume JOURNAL); see tiltcal measure --help")
         if bench is not None and (sensor or address or serial):
             raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
-        steps = find_procedure(str(procedure), tilt)
+        steps = find_procedure(str(procedure), tilt).with_turns(turns)
+        if steps.rotation is not None:
+            _require_steady(samples, settle, jig)
         sensors = read_bench(bench) if bench is not None else single(str(sensor), str(serial), str(address))
         require_no_jig(steps, jig)
         sensors = sensors if jig is None else replace(sensors, jig=jig)
         mounted = _base(steps, base, sensors)
-        outputs, beside = _outputs(sensors, bench, output)
+        outputs, beside = _outputs(steps, sensors, bench, output)
         path = resume or journal or free_journal(beside)
         plan = plan_session(
             *(steps, sensors, outputs, path),
@@ -135,6 +140,11 @@ def _show_outlook(plan: Plan) -> None:
     from tiltcal.report.outlook import outlook_text
 
     if plan.procedure.determines.mounting:
+        return
+    if plan.procedure.rotation is not None:
+        hookup = hook_up(plan.procedure.rotation, [(place.serial, place.fitted) for place in plan.places])
+        for why in hookup.left_out:
+            click.echo(why, err=True)
         return
     for place in {(place.model, place.orientation): place for place in plan.places}.values():
         expected = outlook(
@@ -163,11 +173,25 @@ def _base(procedure: Procedure, base: Path | None, sensors: BenchFile) -> str | 
     return read_text(base)
 
 
-def _outputs(sensors: BenchFile, bench: Path | None, output: Path | None) -> tuple[list[Path], Path]:
+def _require_steady(samples: int | None, settle: float | None, jig: float | None) -> None:
+    """Refuse what only positions have."""
+    for option, value in (("--samples", samples), ("--settle", settle), ("--jig", jig)):
+        if value is not None:
+            raise UsageError(f"a stage that turns has no positions: leave {option} out; --turns says how long it turns")
+
+
+def _outputs(
+    procedure: Procedure, sensors: BenchFile, bench: Path | None, output: Path | None
+) -> tuple[list[Path | None], Path]:
     """The calibration files, and the file beside which the journal lies.
 
-    A bench file's sensors each have a file of their own, named for their serial number, in the folder that -o names.
+    A bench file's sensors each have a file of their own, named for their serial number, in the folder that -o names;
+    those of a stage that turns have one together, which -o names.
     """
+    if procedure.rotation is not None:
+        if output is None or output.is_dir():
+            raise UsageError("the pairs of a stage have one file together: name it with -o PAIR.yaml")
+        return [output, *(None for _ in sensors.sensors[1:])], output
     if bench is None and output is not None:
         return [output], output
     folder = output or Path()

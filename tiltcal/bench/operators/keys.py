@@ -8,6 +8,7 @@ import sys
 from types import TracebackType
 from typing import Protocol, TextIO
 
+from tiltcal.bench.operators.lines import SpokenLines
 from tiltcal.errors import Stopped
 
 ENTER = "\n"
@@ -26,6 +27,10 @@ class Keys(Protocol):
         """
         ...
 
+    def pressed(self, choices: str) -> str | None:
+        """One of these keys where it has been pressed already, without waiting."""
+        ...
+
     def line(self) -> str:
         """A typed line without its newline."""
         ...
@@ -37,16 +42,26 @@ class LineKeys:
     Parameters
     ----------
     stream : text stream
+        Nobody else may read it.
     """
 
     def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+        self._lines = SpokenLines(stream)
 
     def choice(self, timeout: float | None) -> str | None:
         return self.line()[:1].lower() or ENTER
 
+    def pressed(self, choices: str) -> str | None:
+        # What else waits may be the answer to a question that is still to come.
+        for number, line in enumerate(self._lines.waiting(), start=1):
+            key = line.strip()[:1].lower()
+            if key and key in choices:
+                self._lines.drop(number)
+                return key
+        return None
+
     def line(self) -> str:
-        typed = self._stream.readline()
+        typed = self._lines.next()
         if not typed:
             raise Stopped("the input has ended")
         return typed.strip()
@@ -83,6 +98,10 @@ class TerminalKeys:
         if key in ("", "\x04"):
             raise Stopped("the input has ended")
         return ENTER if key in "\r\n" else key.lower()
+
+    def pressed(self, choices: str) -> str | None:
+        key = self.choice(0.0)
+        return key if key is not None and key in choices else None
 
     def line(self) -> str:
         import tty

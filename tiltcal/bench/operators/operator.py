@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from tiltcal.bench.operators.stage import StageOperator
 from tiltcal.drivers.device import Reading
 from tiltcal.files.procedure import Position
 
@@ -46,7 +47,7 @@ class Answer:
     Attributes
     ----------
     word : str
-        ``ready``, ``accept``, ``redo``, ``back``, ``quit``, ``yes`` or ``no``.
+        ``ready``, ``accept``, ``redo``, ``back``, ``quit``, ``yes`` or ``no``; ``stop`` while a stage turns.
     tilt : dict of str to float
         Angles actually set, degrees; empty where they are as asked.
     gravity : tuple of float or None
@@ -81,7 +82,7 @@ class Answer:
         )
 
 
-class Operator(Protocol):
+class Operator(StageOperator, Protocol):
     """Asked and told by the runner; only its answers enter the journal."""
 
     def begin(self, title: str, positions: int) -> None:

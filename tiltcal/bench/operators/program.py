@@ -11,23 +11,38 @@ One object a line. The bench asks, the program answers; the bench tells what bec
     → {"event": "lost", "sensor": "A-1006", "why": "..."}           (of several sensors one is given up)
     → {"event": "done", "calibrations": ["S-0042.yaml"], "journal": "..."}
 
+Of a stage that turns, one question, and a word at any time while it turns::
+
+    → {"ask": "rotation", "pairs": [{"pair": ["a1", "a2"], "orthogonal": "a4"}], "turns": 100, "prompt": "..."}
+    ← {"answer": "ready"}            or {"answer": "quit"}
+    → {"event": "turn", "turn": 12, "of": 100, "p": {"a1_a2": ...}, "q": {...}, "u_p": {...}, "u_q": {...}}
+    → {"event": "held", "why": "..."}                                (until {"event": "resumed"})
+    ← {"answer": "stop"}             or {"answer": "quit"}           (without being asked)
+    → {"event": "accepted", "position": "rotation", "turns": 25.1, "p": {...}, ..., "suppression": {...}}
+
 ``redo`` asks for the same position again; ``back`` gives up the position before it and asks for that one.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any, TextIO
 
+from tiltcal.bench.operators.lines import SpokenLines
 from tiltcal.bench.operators.operator import Answer, Live, Measured
+from tiltcal.bench.operators.stage import QUESTION, Turn
+from tiltcal.core.pair.matching import Coefficients, Matching
+from tiltcal.core.pair.model import Pair
 from tiltcal.drivers.device import Reading
 from tiltcal.errors import InputError, Stopped
 from tiltcal.files.procedure import Position
 
 WORDS = ("ready", "redo", "back", "quit")
+TO_TURN = ("ready", "quit")
+WHILE_TURNING = ("stop", "quit")
 KEYS = {"answer", "tilt", "gravity", "temperature"}
 
 
@@ -43,7 +58,7 @@ class JsonOperator:
     """
 
     def __init__(self, answers: TextIO, asks: TextIO) -> None:
-        self._answers = answers
+        self._answers = SpokenLines(answers)
         self._asks = asks
 
     def begin(self, title: str, positions: int) -> None:
@@ -67,17 +82,10 @@ class JsonOperator:
                 temperature=position.temperature,
                 prompt=position.prompt,
             )
-            line = self._answers.readline()
-            if not line:
-                raise Stopped("the program that leads the session closed its answers")
             try:
-                answer = understood(line)
+                return self._answered(WORDS)
             except InputError as error:
                 self.refused(position, str(error))
-                continue
-            if answer.word == "quit":
-                raise Stopped("the program that leads the session said quit")
-            return answer
 
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
         pass
@@ -98,11 +106,64 @@ class JsonOperator:
     def lost(self, serial: str, why: str) -> None:
         self._tell(event="lost", sensor=serial, why=why)
 
+    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> Answer:
+        shown = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in pairs]
+        while True:
+            self._tell(ask=QUESTION, pairs=shown, turns=turns, prompt=prompt)
+            try:
+                return self._answered(TO_TURN)
+            except InputError as error:
+                self.turning_refused(str(error))
+
+    def attend(self) -> Answer | None:
+        while self._answers.waiting():
+            try:
+                return self._answered(WHILE_TURNING)
+            except InputError as error:
+                self.turning_refused(str(error))
+        return None
+
+    def turned(self, turn: Turn) -> None:
+        left_out = {"left_out": turn.left_out} if turn.left_out else {}
+        self._tell(event="turn", turn=turn.number, of=turn.of, **_coefficients(turn.pairs), **left_out)
+
+    def held(self, why: str) -> None:
+        self._tell(event="held", why=why)
+
+    def goes_on(self) -> None:
+        self._tell(event="resumed")
+
+    def turning_refused(self, why: str) -> None:
+        self._tell(event="refused", position=QUESTION, why=why)
+
+    def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
+        by_name = {one.pair.name: one for one in matchings}
+        suppression = {name: one.suppression for name, one in by_name.items()}
+        self._tell(event="accepted", position=QUESTION, turns=turns, **_coefficients(by_name), suppression=suppression)
+
     def write(self, files: list[Path]) -> Answer:
         return Answer("yes")
 
     def done(self, files: list[Path], journal: Path) -> None:
         self._tell(event="done", calibrations=[str(path) for path in files], journal=str(journal))
+
+    def _answered(self, words: Sequence[str]) -> Answer:
+        """The next answer.
+
+        Raises
+        ------
+        InputError
+            It is none of the words.
+        Stopped
+            It is ``quit``, or the program closed its stream.
+        """
+        line = self._answers.next()
+        if not line:
+            raise Stopped("the program that leads the session closed its answers")
+        answer = understood(line, words)
+        if answer.word == "quit":
+            raise Stopped("the program that leads the session said quit")
+        return answer
 
     def _tell(self, **message: Any) -> None:
         try:
@@ -112,8 +173,14 @@ class JsonOperator:
             raise Stopped("the program that leads the session is gone") from None
 
 
-def understood(line: str) -> Answer:
+def understood(line: str, words: Sequence[str] = WORDS) -> Answer:
     """One line of the program as an answer.
+
+    Parameters
+    ----------
+    line : str
+    words : sequence of str
+        What may be answered.
 
     Raises
     ------
@@ -132,8 +199,8 @@ def understood(line: str) -> Answer:
     if strange:
         raise InputError(f"unknown key {strange[0]!r} in the answer; it may have {', '.join(sorted(KEYS))}")
     word = said.get("answer")
-    if word not in WORDS:
-        raise InputError(f"answer {word!r} is none of {', '.join(WORDS)}")
+    if not isinstance(word, str) or word not in words:
+        raise InputError(f"answer {word!r} is none of {', '.join(words)}")
     tilt = said.get("tilt") or {}
     if not isinstance(tilt, dict):
         raise InputError('tilt is an object of degrees such as {"y": 30.02}')
@@ -147,6 +214,11 @@ def understood(line: str) -> Answer:
         tuple(_number(component, "gravity") for component in gravity) if gravity is not None else None,
         None if temperature is None else _number(temperature, "temperature"),
     )
+
+
+def _coefficients(pairs: Mapping[str, Coefficients | Matching]) -> dict[str, dict[str, float]]:
+    """p, q and their uncertainties, each by the name of the pair."""
+    return {key: {name: getattr(one, key) for name, one in pairs.items()} for key in ("p", "q", "u_p", "u_q")}
 
 
 def _number(value: object, key: str) -> float:

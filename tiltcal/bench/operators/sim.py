@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from tiltcal.bench.operators.operator import Answer, Live, Measured
+from tiltcal.bench.operators.stage import Turn, said
+from tiltcal.core.pair.matching import Matching
+from tiltcal.core.pair.model import Pair
 from tiltcal.drivers.device import Reading
+from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Position
 
 
@@ -50,6 +54,30 @@ class SimOperator:
 
     def lost(self, serial: str, why: str) -> None:
         self._say(f"  {serial} is given up, the others go on: {why}")
+
+    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> Answer:
+        self._say(f"{len(pairs)} pairs, up to {turns} turns of the virtual stage")
+        return Answer("ready")
+
+    def attend(self) -> Answer | None:
+        return None
+
+    def turned(self, turn: Turn) -> None:
+        self._say(f"  {turn}")
+
+    def held(self, why: str) -> None:
+        self._say(f"  held: {why}")
+
+    def goes_on(self) -> None:
+        self._say("  goes on")
+
+    def turning_refused(self, why: str) -> None:
+        # Asked again, the virtual stage would do the same.
+        raise Stopped(why)
+
+    def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
+        for one in matchings:
+            self._say(f"  {said(one.pair.name, one)} after {turns:.1f} turns")
 
     def write(self, files: list[Path]) -> Answer:
         return Answer("yes")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import asin, degrees, isfinite
 from pathlib import Path
 from typing import TypeVar
@@ -13,7 +13,10 @@ from rich.text import Text
 
 from tiltcal.bench.operators.keys import ENTER, Keys
 from tiltcal.bench.operators.operator import Answer, Live, Measured
+from tiltcal.bench.operators.stage import Turn, said
 from tiltcal.core.frames import gravity_from_tilt, normalised
+from tiltcal.core.pair.matching import Matching
+from tiltcal.core.pair.model import Pair
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import HardwareError, InputError, Stopped
 from tiltcal.files.procedure import Position
@@ -48,7 +51,7 @@ class TerminalOperator:
 
     def begin(self, title: str, positions: int) -> None:
         self._positions = positions
-        self._console.print(f"\n[bold]{title}[/bold]  {positions} positions")
+        self._console.print(f"\n[bold]{title}[/bold]" + (f"  {positions} positions" if positions else ""))
 
     def position(self, position: Position, number: int, live: Live) -> Answer:
         """Show the operator what to set, and a live reading, until a key is pressed."""
@@ -119,10 +122,52 @@ class TerminalOperator:
     def lost(self, serial: str, why: str) -> None:
         self._console.print(Text(f"  {serial} is given up, the others go on: {why}", style="bold red"))
 
+    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> Answer:
+        """Ask to let the stage turn."""
+        for pair in pairs:
+            self._console.print(f"  {pair.first} and {pair.second}, orthogonal {pair.orthogonal}", markup=False)
+        self._console.print(f"  {prompt}", markup=False)
+        self._hint(f"Enter it turns: up to {turns} turns", "q stop and keep")
+        while True:
+            key = self._keys.choice(None)
+            if key == ENTER:
+                self._hint("s stop and use what is there", "q stop and keep the journal")
+                return Answer("ready")
+            if key == "q":
+                raise Stopped("stopped by the operator")
+
+    def attend(self) -> Answer | None:
+        key = self._keys.pressed("sq")
+        if key == "q":
+            raise Stopped("stopped by the operator")
+        return Answer("stop") if key == "s" else None
+
+    def turned(self, turn: Turn) -> None:
+        if self._live:
+            self._line(str(turn))
+        else:
+            self._console.print(f"  {turn}", markup=False)
+
+    def held(self, why: str) -> None:
+        self._clear()
+        self._console.print(Text(f"  held: {why}", style="yellow"))
+
+    def goes_on(self) -> None:
+        self._console.print("  goes on")
+
+    def turning_refused(self, why: str) -> None:
+        self._clear()
+        self._console.print(Text(f"  refused: {why}", style="bold red"))
+
+    def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
+        self._clear()
+        for one in matchings:
+            self._console.print(f"  [green]matched[/green] {said(one.pair.name, one)} after {turns:.1f} turns")
+
     def write(self, files: list[Path]) -> Answer:
         """Ask once more before the files are written."""
         named = ", ".join(f"{path} (replaces the one there)" if path.exists() else str(path) for path in files)
-        self._console.print(f"\nAll positions are measured. Write {named}?")
+        self._console.print(f"\nAll is measured. Write {named}?")
         self._hint("Enter write", "n stop and keep")
         while True:
             key = self._keys.choice(None)
