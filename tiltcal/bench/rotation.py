@@ -110,6 +110,7 @@ class Collected:
     turns : float
         Whole ones that the recursive estimators had.
     samples, left_out : int
+        That the regression had, and that were held since the stage began to turn.
     used_turns, seconds : float
         What the regression had, gaps not counted.
     """
@@ -201,7 +202,7 @@ class Collected:
         if self._stream.why:
             whole[:] = False
         self.samples += int(np.count_nonzero(whole))
-        self.left_out += int(np.count_nonzero(~whole))
+        self.left_out += int(np.count_nonzero(~whole)) if self.turns else 0
         if not whole.any():
             self._last = None
             return

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -49,8 +51,7 @@ def _checked(path: Path) -> tuple[str, list[str]]:
         raise document.error("the key 'kind' is missing: this is no tiltcal file")
     kind = named.choice(("tilt", "pair", "procedure", "bench", "twin"))
     if kind == "pair":
-        read_pair(path)
-        return "pair calibration", []
+        return "pair calibration", _of_journal_beside(path, read_pair(path).provenance)
     if kind == "procedure":
         read_procedure(path)
         return "procedure", []
@@ -94,11 +95,13 @@ def _of_calibration(path: Path) -> list[str]:
                 f"chi-square {fit['chi_square']:g} with {fit['degrees_of_freedom']} degrees of freedom: the positions "
                 "scatter more than the stated noise and jig allow"
             )
-    captured = calibration.provenance.get("journal", {})
+    return findings + _of_journal_beside(path, calibration.provenance)
+
+
+def _of_journal_beside(path: Path, provenance: Mapping[str, Any]) -> list[str]:
+    captured = provenance.get("journal", {})
     journal = path.parent / str(captured.get("name", ""))
-    if captured and journal.is_file():
-        findings += _against_journal(path, journal)
-    return findings
+    return _against_journal(path, journal) if captured and journal.is_file() else []
 
 
 def _against_journal(path: Path, journal: Path) -> list[str]:

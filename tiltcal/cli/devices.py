@@ -22,7 +22,7 @@ def command(as_json: bool) -> None:
     for model in known:
         click.echo(f"{model.name}  {model.title}")
         click.echo(f"  reads      {_readings(model)}")
-        if model.channels:
+        if model.channels and model.scaled:
             click.echo(f"  nominal    {model.offset:g} {model.unit} at 0 g, {model.sensitivity:g} {model.unit}/g")
         for number, address in enumerate(model.addresses):
             click.echo(f"  {'' if number else 'address':<10} {address}")
@@ -46,8 +46,8 @@ def _facts(model: Model) -> dict[str, Any]:
         "title": model.title,
         "channels": list(model.channels),
         "unit": model.unit,
-        "offset": model.offset,
-        "sensitivity": model.sensitivity,
+        "offset": model.offset if model.scaled else None,
+        "sensitivity": model.sensitivity if model.scaled else None,
         "thermometer": model.thermometer,
         "addresses": [*model.addresses, "sim:"],
         "twin_does_not_model": list(model.not_modelled),

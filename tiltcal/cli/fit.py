@@ -107,10 +107,12 @@ def command(
     from tiltcal.files.procedure import find_procedure
     from tiltcal.logs import remarks
     from tiltcal.logs.source import Source, free_positions, set_positions
+    from tiltcal.outlook import require_tilt
     from tiltcal.report.summary import summary
     from tiltcal.unit_gravity import require_no_jig, with_verdict
 
     steps = find_procedure(procedure, tilt)
+    steps.require_positions()
     free = steps.determines.free
     source = Source(log, segments, table, columns, window)
     _refuse_contradictions(source, free)
@@ -118,6 +120,8 @@ def command(
     if (window is not None or segments_out is not None) and not (free and source.finds):
         raise UsageError("--window and --segments-out are for `tiltcal fit free` without --segments, which finds them")
     model = find_model(sensor) if sensor else None
+    if model is not None:
+        require_tilt(steps, model)
     if unit is None and model is None:
         raise UsageError("say the readings' --unit (such as m/s2), or the --sensor model that has it")
     unit = unit or str(model and model.unit)

@@ -6,9 +6,12 @@ import json
 
 import click
 
+from tiltcal.bench.hookup import hook_up
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.device import Model
 from tiltcal.files.procedure import find_procedure
+from tiltcal.files.rotation import Rotation
 
 
 @click.command(epilog="Example: tiltcal plan cross-axis --sensor sca100t-d02 --jig 0.05")
@@ -47,6 +50,9 @@ def command(
         model = model.at(parse_address(address))
     steps = find_procedure(procedure, tilt)
     require_no_jig(steps, jig)
+    if steps.rotation is not None:
+        _tell_rotation(steps.rotation, model, as_json)
+        return
     expected = outlook(steps, model, jig=jig, thermometer=thermometer, noise=noise, samples=samples)
     if not as_json:
         click.echo(outlook_text(expected))
@@ -64,3 +70,24 @@ def command(
             }
         )
     )
+
+
+_UNKNOWN = (
+    "nothing to predict before the stage turns: p and q come out with a standard uncertainty of 2 s / (A sqrt(n)), "
+    "after n samples of noise s, where A is the amplitude that an accelerometer has at the turning; nobody knows A before"
+)
+
+
+def _tell_rotation(rotation: Rotation, model: Model, as_json: bool) -> None:
+    """Which pairs a device has, and why no more can be said."""
+    hookup = hook_up(rotation, [("", model)])
+    if as_json:
+        pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in hookup.pairs]
+        left_out = list(hookup.left_out)
+        click.echo(json.dumps({"pairs": pairs, "turns": rotation.turns, "left_out": left_out, "why": _UNKNOWN}))
+        return
+    for pair in hookup.pairs:
+        click.echo(f"{pair.first} and {pair.second}, orthogonal {pair.orthogonal}, in up to {rotation.turns} turns")
+    for why in hookup.left_out:
+        click.echo(why)
+    click.echo(_UNKNOWN)

@@ -79,6 +79,7 @@ def command(
         steps = find_procedure(procedure, tilt)
         if steps.determines.free:
             raise UsageError(f"{steps.name} sets no position that a calibration could be judged by: name another one")
+        steps.require_positions()
         session = Session(plan_session(steps, bench, [None], path, lead=operator, samples=samples, settle=settle), path)
 
     def conclude(walked: Walked) -> list[Check]:

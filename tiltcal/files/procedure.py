@@ -126,6 +126,20 @@ class Procedure:
     record: Mapping[str, Any] = field(default_factory=dict, compare=False)
     rotation: Rotation | None = None
 
+    def require_positions(self) -> None:
+        """Refuse a procedure of a stage that turns, where positions are needed.
+
+        Raises
+        ------
+        UsageError
+            With the commands that are meant for it.
+        """
+        if self.rotation is not None:
+            raise UsageError(
+                f"{self.name} has no positions, its stage turns: match the pairs of a recorded log with `tiltcal "
+                f"match`, or at the bench with `tiltcal measure {self.name}`"
+            )
+
     def with_turns(self, turns: int | None) -> Procedure:
         """This procedure with so many turns at most; None leaves it as it is.
 

@@ -30,7 +30,7 @@ class SimOperator:
 
     def begin(self, title: str, positions: int) -> None:
         self._positions = positions
-        self._say(f"{title}: {positions} positions")
+        self._say(f"{title}: {positions} positions" if positions else title)
 
     def position(self, position: Position, number: int, live: Live) -> Answer:
         self._number = number
