@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import disk
+import numpy as np
 import pytest
 from command import tiltcal
 
 from tiltcal.files.calibration import read_calibration
+from tiltcal.files.document import read_document
+from tiltcal.files.pair import read_pair
 from tiltcal.files.procedure import shipped_procedures
 from tiltcal.files.twin import read_twin
 
@@ -33,7 +37,8 @@ def test_replay_gives_the_golden_file(journal: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("journal", JOURNALS, ids=lambda path: path.name)
 def test_it_says_that_the_virtual_bench_made_it(journal: Path) -> None:
     assert '"virtual":true' in journal.read_text(encoding="utf-8").splitlines()[0]
-    assert "virtual bench" in read_calibration(golden(journal)).provenance["made_by"]
+    made_by = read_document(golden(journal)).entries()["provenance"].plain()["made_by"]
+    assert "virtual bench" in made_by
 
 
 def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
@@ -52,3 +57,22 @@ def test_the_golden_file_finds_the_truth(procedure: str) -> None:
         assert found.offset[row] == pytest.approx(truth.offset[channel], abs=1.5)
         for column, axis in enumerate(found.axes):
             assert found.sensitivity[row, column] == pytest.approx(truth.sensitivity[channel][axis], abs=1.5)
+
+
+def test_the_golden_pairs_find_the_truth() -> None:
+    """p and q from the twin's accelerometers by what the matched sum must do, within four stated uncertainties."""
+    truth = read_document(FIXTURES / "twins" / "disk.yaml").entries()["truth"].plain()["disk"]["accelerometers"]
+    vectors = []
+    for name, phi in zip(("a1", "a2", "a3", "a4"), disk.PHASES, strict=True):
+        part = truth[name]
+        angle = phi + np.deg2rad(float(part.get("phase_error", 0.0)))
+        tilt = np.deg2rad(float(part["misalignment"]))
+        sin, cos = np.cos(angle) - tilt * np.sin(angle), np.sin(angle) + tilt * np.cos(angle)
+        vectors.append(float(part["scale"]) * np.array([sin, cos]))
+    written = read_pair(FIXTURES / "rotation.yaml").matchings
+    for matching, (first, second, orthogonal) in zip(written, ((0, 1, 3), (2, 3, 0)), strict=True):
+        system = np.stack([vectors[first], vectors[orthogonal]], axis=1)
+        rest, q = np.linalg.solve(system, -vectors[second])
+        assert matching.p == pytest.approx(1.0 - rest, abs=4 * matching.u_p)
+        assert matching.q == pytest.approx(q, abs=4 * matching.u_q)
+        assert 0.0 < matching.u_p < 1e-5

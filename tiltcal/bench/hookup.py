@@ -79,8 +79,9 @@ def hook_up(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> Hookup:
     if phase is None:
         raise UsageError(
             f"no device has the stage angle {rotation.phase!r} (there are {board.names}): where a device prints it, "
-            f"name it in the address, such as columns={rotation.phase},...; of a stage without an encoder record the turning with `tiltcal record`, "
-            "and match the log with `tiltcal match` without --phase, which estimates the spin"
+            f"name it in the address, such as columns={rotation.phase},...; of a stage without an encoder record the "
+            "turning with `tiltcal record`, and match the log with `tiltcal match` without --phase, which estimates "
+            "the spin"
         )
     taps: dict[str, Tap] = {}
     pairs, left_out = [], []

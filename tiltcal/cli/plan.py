@@ -74,7 +74,7 @@ def command(
 
 _UNKNOWN = (
     "nothing to predict before the stage turns: p and q come out with a standard uncertainty of 2 s / (A sqrt(n)), "
-    "after n samples of noise s, where A is the amplitude that an accelerometer has at the turning; nobody knows A before"
+    "after n samples of noise s, where A is the amplitude that an accelerometer has at the turning; it shows then"
 )
 
 
