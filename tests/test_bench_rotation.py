@@ -211,4 +211,6 @@ def test_memory_does_not_grow_with_the_turns(monkeypatch: pytest.MonkeyPatch) ->
         tracemalloc.stop()
         return highest
 
-    assert peak(110) < 1.3 * peak(30)
+    # The first one also loads what is loaded when it is needed.
+    _, short, long = peak(30), peak(30), peak(110)
+    assert long < 1.3 * short
