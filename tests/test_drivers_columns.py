@@ -59,6 +59,9 @@ def printing(options: str, *pieces: bytes) -> Sensor:
         ("columns=-,z,y,x&separator=semicolon", b"12:30:01; 3 ;2;1\r\n", (1.0, 2.0, 3.0), None),
         ("columns=,x,&separator=tab", b"a\t.5\tb\n", (0.5,), None),
         ("columns=temperature,x&separator=space", b"  -4   +7.  \n", (7.0,), -4.0),
+        ("columns=time,theta,a2,a1", b"0.02,359.1,-2.5e-3,3\r\n", (359.1, -0.0025, 3.0), None),
+        ("columns=field,z,temperature,y", b"7,1,20,-1\r\n", (-1.0, 1.0, 7.0), 20.0),
+        ("columns=time,x", b"12:30:01,5\n", (5.0,), None),
     ],
 )
 def test_columns_are_named_in_the_order_they_are_printed(options, line, values, temperature) -> None:
@@ -141,9 +144,13 @@ def test_where_nothing_says_what_1_g_is_the_device_still_reads() -> None:
     ("options", "why"),
     [
         ("baudrate=9600", "option 'columns' is missing"),
-        ("columns=x,pitch", "column 'pitch' is none of"),
+        ("columns=x,pitch-1", "column 'pitch-1' is no name of letters and digits"),
+        ("columns=x,1a", "column '1a' is no name"),
+        ("columns=x,temprature", "did you mean 'temperature'"),
+        ("columns=x,Temperature", "did you mean 'temperature'"),
+        ("columns=time,temperature", "names no reading"),
         ("columns=x,x", "names 'x' twice"),
-        ("columns=temperature", "none of x, y, z"),
+        ("columns=temperature", "names no reading: x, y, z"),
         ("columns=x&separator=pipe", "none of comma"),
         ("columns=x&sensitivity=0", "sense nothing"),
         ("columns=x&low=2&high=1", "not below"),
@@ -225,3 +232,16 @@ def test_the_virtual_module_answers_with_the_words_of_its_sensor() -> None:
     mean = sum(reading.values[0] for reading in readings) / 100
     assert mean == pytest.approx(truth.reading("x", (0.0, 0.0, 1.0), 24.0), abs=0.35)
     assert readings[0].temperature == pytest.approx(24.0 + truth.thermometer_error, abs=0.5)
+
+
+def test_channels_have_the_names_of_the_address_axes_first() -> None:
+    model = SERIAL_COLUMNS.at(parse_address("serial:///dev/ttyUSB0?columns=time,theta,y,a1,x,-,temperature"))
+    assert model.channels == ("x", "y", "theta", "a1")
+    assert model.thermometer
+    assert not model.senses_tilt
+    assert SERIAL_COLUMNS.at(parse_address("serial:///dev/ttyUSB0?columns=z,x")).senses_tilt
+
+
+def test_the_virtual_device_has_no_other_readings() -> None:
+    with pytest.raises(UsageError, match="the model gradiometer"):
+        SERIAL_COLUMNS.at(parse_address("sim:columns=theta,a1"))

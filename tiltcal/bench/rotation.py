@@ -35,8 +35,8 @@ from tiltcal.files.rotation import Rotation
 
 BLOCK_NS = 200_000_000
 """How long samples are collected before they are looked at, and before the operator is heeded."""
-LARGEST_BLOCK = 256
-"""Samples."""
+LARGEST_BLOCK = 16
+"""Samples: fewer than a turn has, so that no turn goes by untold."""
 SOONEST = 5
 """Turns before p and q are called known: from fewer nobody sees how the turns scatter."""
 
