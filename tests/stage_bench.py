@@ -116,13 +116,16 @@ def turned(
     interval: float = 0.02,
     journal: Path | None = None,
     replay: bool = False,
+    resume: bool = False,
 ) -> Turned:
-    """Let the runner take the lines; with a journal they are captured there, or played from it."""
+    """Let the runner take the lines; with a journal they are captured there, or played from it and gone on with."""
     rotation = Rotation("theta", tuple(pairs), turns=turns, converged=converged)
     model = find_model("gradiometer").at(parse_address("serial:///dev/null?columns=theta,a1,a2,a3,a4"))
     clock = VirtualClock()
-    before: Journal | None = read_journal(journal) if replay and journal else None
-    writer = JournalWriter.create(journal, {}) if journal and not replay else None
+    before: Journal | None = read_journal(journal) if (replay or resume) and journal else None
+    writer = JournalWriter.create(journal, {}) if journal and before is None else None
+    if resume and before is not None:
+        writer = JournalWriter.resume(before)
     tape = Tape(clock, before, writer)
     taped = TapedClock(tape, clock)
     device = Device(printed, clock, interval)

@@ -150,10 +150,18 @@ def test_a_line_that_fails_for_a_while_is_told_and_gone_on_from() -> None:
     assert near(found.matchings[0], disk.truth())
 
 
-def test_a_line_that_stays_away_ends_the_session() -> None:
-    printed = [*lines(RECORD)[:500], *(BusError("has gone") for _ in range(9))]
+def test_a_line_that_stays_away_ends_the_session_which_goes_on_once_it_is_back(tmp_path: Path) -> None:
+    journal = tmp_path / "j.journal.jsonl"
+    printed = [*lines(RECORD)[:520], *(BusError("has gone") for _ in range(9))]
     with pytest.raises(HardwareError, match="has gone"):
-        turned(printed, Attendant(), turns=8)
+        turned(printed, Attendant(), turns=8, journal=journal)
+    with pytest.raises(HardwareError, match="has gone"):
+        turned(printed[-9:], Attendant(), turns=8, journal=journal, resume=True)
+    attendant = Attendant()
+    found = turned(lines(RECORD)[745:], attendant, turns=8, journal=journal, resume=True)
+    assert attendant.turns[0].number > 5
+    assert near(found.matchings[0], disk.truth())
+    assert turned([], Attendant(), turns=8, journal=journal, replay=True) == found
 
 
 def test_pairs_without_a_signal_are_left_out_with_the_reason() -> None:

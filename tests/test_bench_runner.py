@@ -9,10 +9,11 @@ from command import measure, tiltcal
 
 from tiltcal.bench.operators.operator import Answer
 from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.plan import plan_session, single
+from tiltcal.bench.plan import Plan, plan_session, single
 from tiltcal.bench.session import Session
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Position, find_procedure
 
 TWIN = """\
@@ -125,6 +126,20 @@ def test_a_fault_that_stays_ends_the_session(bench: Path) -> None:
         live.measure(SimOperator(lambda line: None))
     assert not Path("S-1.yaml").exists()
     assert Path("S-1.journal.jsonl").exists()
+
+
+def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone(bench: Path) -> None:
+    twin_with("faults: [{kind: unplugged, start: 5.0, end: 11.0}]")
+    live = session()
+    live.preflight()
+    with pytest.raises(HardwareError, match="unplugged"):
+        live.measure(SimOperator(lambda line: None))
+    journal = read_journal("S-1.journal.jsonl")
+    resumed = Session(Plan.from_journal(journal), journal.path, journal).measure(SimOperator(lambda line: None))
+    captured = read_journal("S-1.journal.jsonl")
+    assert captured.end is not None
+    again = Session(Plan.from_journal(captured), captured.path, captured).replay(SimOperator(lambda line: None))
+    assert again.texts == resumed.texts
 
 
 def test_a_slow_chamber_is_waited_for(bench: Path) -> None:

@@ -136,15 +136,15 @@ class Rack:
         """All went well: failures from here on count anew."""
         self._failures.clear()
 
-    def failed(self, error: BayError) -> bool:
+    def failed(self, error: BayError, *, needed: bool = False) -> bool:
         """Count a failure; whether the session can go on.
 
-        A sensor that fails :data:`ATTEMPTS` times in a row is given up where others remain.
+        A sensor that fails :data:`ATTEMPTS` times in a row is given up where others remain, and it is not ``needed``.
         """
         count = self._failures[error.serial] = self._failures.get(error.serial, 0) + 1
         if count < ATTEMPTS:
             return True
-        if error.serial == self.THERMOMETER or len(self.bays) == 1:
+        if needed or error.serial == self.THERMOMETER or len(self.bays) == 1:
             return False
         self.lost[error.serial] = str(error)
         return True

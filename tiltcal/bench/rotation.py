@@ -339,8 +339,11 @@ class RotationRunner:
                 return block, "the session was interrupted here; what was collected before counts"
             except BayError as error:
                 self._stale = True
-                if not self._rack.failed(error) or self._rack.lost:
-                    raise
+                if not self._rack.failed(error, needed=True):
+                    if not self._tape.gone_on_from:
+                        raise
+                    # It ended the session once; whoever resumes it has put it right.
+                    self._rack.succeeded()
                 self._clock.sleep(RECOVERY)
                 return block, str(error)
             self._rack.succeeded()

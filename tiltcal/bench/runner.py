@@ -176,7 +176,10 @@ class Runner:
 
     def _refuse(self, position: Position, error: Exception) -> None:
         if isinstance(error, BayError) and not self._rack.failed(error):
-            raise error
+            if not self._tape.gone_on_from:
+                raise error
+            # It ended the session once; whoever resumes it has put it right.
+            self._rack.succeeded()
         self._desk.tell(lambda: self._operator.refused(position, str(error)))
         if isinstance(error, BayError) and error.serial in self._rack.lost:
             serial = error.serial

@@ -46,6 +46,7 @@ class Tape:
         self._next = 0
         self._writer = writer
         self._now_ns = 0
+        self._recorded = False
         # Virtual sensors and their jig stand as they stood; at a real bench anything may have happened meanwhile.
         self._resuming = clock.real and writer is not None and journal is not None
 
@@ -53,6 +54,11 @@ class Tape:
     def playing(self) -> bool:
         """Whether the next event comes from the journal."""
         return self._next < len(self._events)
+
+    @property
+    def gone_on_from(self) -> bool:
+        """Whether what happened last was captured before, and the session goes on from it: played, or resumed here."""
+        return self.playing or (self._journal is not None and self._writer is not None and not self._recorded)
 
     def now_ns(self) -> int:
         """Time of the last event, in nanoseconds since the session began."""
@@ -176,6 +182,7 @@ class Tape:
 
     def _record(self, kind: str, *payload: Any) -> None:
         now_ns = max(self._clock.now_ns(), self._now_ns)
+        self._recorded = True
         if self._writer is not None:
             self._writer.append(now_ns - self._now_ns, kind, *payload)
         self._now_ns = now_ns
