@@ -121,6 +121,16 @@ def test_a_gap_is_held_and_what_was_before_counts() -> None:
     assert near(found.matchings[0], disk.truth())
 
 
+def test_an_encoder_that_lost_its_zero_in_a_pause_changes_neither_p_nor_q() -> None:
+    """An angle that is off for all accelerometers turns the components of all alike."""
+    lost = disk.Record(
+        RECORD.time, (RECORD.theta + np.where(np.arange(len(RECORD.theta)) < 1000, 0, 123)) % 360, RECORD.readings
+    )
+    found = turned([*lines(lost.rows(slice(0, 1000))), *lines(lost.rows(slice(1040, 4000)))], Attendant(), turns=24)
+    assert near(found.matchings[0], disk.truth())
+    assert found.matchings[0].u_p < 3e-5
+
+
 def test_a_stage_that_turns_back_is_held() -> None:
     attendant = Attendant()
     back = RECORD.rows(slice(500, 700))
