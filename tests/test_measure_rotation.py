@@ -182,7 +182,7 @@ def test_the_program_says_stop_without_being_asked(tmp_path: Path) -> None:
 
 def test_quit_keeps_the_journal_and_the_session_goes_on(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
-        program = Program(tmp_path, serial(path), hear=lambda said: "quit" if said.get("turn") else None)
+        program = Program(tmp_path, serial(path), hear=lambda said: "quit" if said.get("turn") == 3 else None)
         assert program.exit_code == 130
         assert f"--resume {JOURNAL}" in program.errors
         assert not (tmp_path / "pair.yaml").exists()

@@ -35,7 +35,7 @@ class Desk:
         """
         if self._tape.answer_waits(question):
             return Answer.from_record(self._tape.answer(question, dict))
-        said = None if self._tape.playing else look()
+        said = None if self._tape.silent else look()
         return None if said is None else self.ask(question, lambda: said)
 
     def tell(self, tell: Callable[[], None]) -> None:

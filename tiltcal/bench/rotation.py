@@ -10,6 +10,7 @@ the encoder, and nothing is counted across a gap.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from math import isfinite
 
@@ -23,12 +24,12 @@ from tiltcal.bench.rack import Rack, Sample
 from tiltcal.bench.runner import RECOVERY
 from tiltcal.bench.tape import Resumed, Tape, TapedClock
 from tiltcal.core.model import Array
-from tiltcal.core.pair.demodulate import Demodulation, Demodulator
+from tiltcal.core.pair.demodulate import Demodulator
 from tiltcal.core.pair.matching import Coefficients, Matching, match, solve
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Recursive
 from tiltcal.core.pair.stage import FEWEST_TURNS, STANDSTILL, Stage
-from tiltcal.core.pair.stream import Notice, Sector, SectorStream
+from tiltcal.core.pair.stream import Notice, Rows, Sector, SectorStream
 from tiltcal.drivers.device import Talking
 from tiltcal.errors import BayError, EstimateError
 from tiltcal.files.rotation import Rotation
@@ -39,6 +40,9 @@ LARGEST_BLOCK = 16
 """Samples: fewer than a turn has, so that no turn goes by untold."""
 SOONEST = 5
 """Turns before p and q are called known: from fewer nobody sees how the turns scatter."""
+
+KEPT = "what was collected before counts"
+TOO_FEW = f"at least {FEWEST_TURNS:g} are needed before it can stop"
 
 CONVERGED, ALL_TURNS, STOPPED = "p and q are known as asked", "all turns are made", "the operator stopped"
 
@@ -96,6 +100,57 @@ class Block:
     readings: list[list[float]] = field(default_factory=list)
 
 
+class Stretch:
+    """What was used of a stage between two interruptions.
+
+    Parameters
+    ----------
+    channels : sequence of str
+
+    Attributes
+    ----------
+    samples : int
+    turns, seconds : float
+        Gaps are not counted.
+    """
+
+    def __init__(self, channels: Sequence[str]) -> None:
+        self.samples = 0
+        self.turns = self.seconds = 0.0
+        self.demodulator = Demodulator(channels)
+        self._stage = Stage()
+        self._last: tuple[float, int] | None = None
+
+    def add(self, theta: Array, readings: Array, times: Rows) -> None:
+        """Use some samples, all complete; of none, what follows does not continue what was before."""
+        if not len(theta):
+            self._last = None
+            return
+        angle = self._stage.follow(theta)
+        # The drift is one of time, in ms: it goes on while samples are held.
+        self.demodulator.add(angle, readings, times // 1_000_000)
+        first = self._last or (float(angle[0]), int(times[0]))
+        self._last = float(angle[-1]), int(times[-1])
+        self.samples += len(theta)
+        self.turns += self._last[0] - first[0]
+        self.seconds += (self._last[1] - first[1]) / 1e9
+
+    def with_more(self, later: Stretch) -> Stretch:
+        """This one and a later one as one; both stay as they are.
+
+        Raises
+        ------
+        EstimateError
+            They determine nothing.
+        """
+        both, more = deepcopy(self), deepcopy(later)
+        both.demodulator.join(more.demodulator)
+        both.samples += more.samples
+        both.turns += more.turns
+        both.seconds += more.seconds
+        return both
+
+
 class Collected:
     """What a turning stage has given so far; it takes no more memory the longer it turns.
 
@@ -107,27 +162,28 @@ class Collected:
 
     Attributes
     ----------
-    turns : float
-        Whole ones that the recursive estimators had.
-    samples, left_out : int
-        That the regression had, and that were held since the stage began to turn.
-    used_turns, seconds : float
-        What the regression had, gaps not counted.
+    left_out : int
+        Samples that were held since the stage began to turn.
     """
 
     def __init__(self, pairs: Sequence[Pair], channels: Sequence[str]) -> None:
-        self.samples = self.left_out = 0
-        self.used_turns = self.seconds = 0.0
-        self._channels = tuple(channels)
+        self.left_out = 0
+        self._pairs, self._channels = tuple(pairs), tuple(channels)
         self._stream = SectorStream(len(channels))
-        self._online = {pair: Recursive(pair, channels) for pair in pairs}
-        self._demodulator = Demodulator(channels)
-        self._stage, self._seen = Stage(), Stage()
-        self._last: tuple[float, int] | None = None
+        self._seen = Stage()
+        self._before: Stretch | None = None
+        self._kept = 0.0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._now = Stretch(self._channels)
+        self._online = {pair: Recursive(pair, self._channels) for pair in self._pairs}
+        self._began = self._stream.turns
 
     @property
     def turns(self) -> float:
-        return self._stream.turns
+        """Whole ones that count."""
+        return self._kept + self._stream.turns - self._began
 
     @property
     def holds(self) -> str:
@@ -154,38 +210,69 @@ class Collected:
         told = []
         for item in self._stream.push(theta, readings):
             told += [item.why] if isinstance(item, Notice) else self._update(item)
-        self._use(theta, readings, times)
+        used = np.isfinite(theta) & np.isfinite(readings).all(axis=1) & (not self._stream.why)
+        self._now.add(theta[used], readings[used], times[used])
+        self.left_out += int(np.count_nonzero(~used)) if self._stream.turns else 0
         return told
+
+    def interrupt(self) -> int:
+        """What comes from here on may have another zero of the angle, and other offsets: the device was out of sight.
+
+        What was collected since the last time is kept where it is turns enough to tell its phase.
+
+        Returns
+        -------
+        int
+            Samples that are not kept.
+        """
+        whole, lost = self._whole(), 0
+        if whole is self._before:
+            lost = self._now.samples
+        else:
+            self._kept += self._stream.turns - self._began
+        self.left_out += lost
+        self._before = whole
+        self._begin()
+        return lost
 
     def online(self) -> dict[str, Coefficients]:
         """p and q by now, by the name of the pair; pairs of which nothing is known are not there."""
-        return {
-            pair.name: Coefficients(one.p, one.q, one.u_p, one.u_q)
-            for pair, one in self._online.items()
-            if isfinite(one.u_p) and isfinite(one.u_q)
-        }
+        found = {pair.name: Coefficients(one.p, one.q, one.u_p, one.u_q) for pair, one in self._online.items()}
+        return {name: one for name, one in found.items() if isfinite(one.u_p) and isfinite(one.u_q)}
 
     def known_to(self, uncertainty: float) -> bool:
-        """Whether p and q of every pair are known so well, for the recursive estimators and for the regression."""
+        """Whether p and q of every pair are known so well.
+
+        The recursive estimators propose it, unless they had to begin anew; the regression has to agree, which knows how
+        the turns scatter.
+        """
         online = self.online()
-        if len(online) < len(self._online) or not all(_within(one, uncertainty) for one in online.values()):
+        proposed = len(online) == len(self._pairs) and all(_within(one, uncertainty) for one in online.values())
+        if not proposed and self._before is None:
             return False
         try:
-            whole = self.demodulation()
-            # It knows of noise that is not white.
-            return all(_within(solve(whole, pair), uncertainty) for pair in self._online)
+            whole = self.whole().demodulator.result()
+            return all(_within(solve(whole, pair), uncertainty) for pair in self._pairs)
         except EstimateError:
             return False
 
-    def demodulation(self) -> Demodulation:
-        """The regression over all that was used.
+    def whole(self) -> Stretch:
+        """All that counts, as one.
 
         Raises
         ------
         EstimateError
-            It determines nothing.
+            Too little to determine anything.
         """
-        return self._demodulator.result()
+        whole = self._whole()
+        if whole is None:
+            raise EstimateError(f"the stage has made {self.turns:.2f} whole turns; {TOO_FEW}")
+        return whole
+
+    def _whole(self) -> Stretch | None:
+        if self._stream.turns - self._began < FEWEST_TURNS:
+            return self._before
+        return self._now if self._before is None else self._before.with_more(self._now)
 
     def _update(self, sector: Sector) -> list[str]:
         told = []
@@ -195,24 +282,6 @@ class Collected:
             except EstimateError as refusal:
                 told.append(f"{pair.first} and {pair.second} cannot be matched yet: {refusal}")
         return told
-
-    def _use(self, theta: Array, readings: Array, times: np.ndarray[tuple[int], np.dtype[np.int64]]) -> None:
-        """Let the regression have what is not held."""
-        whole = np.isfinite(theta) & np.isfinite(readings).all(axis=1)
-        if self._stream.why:
-            whole[:] = False
-        self.samples += int(np.count_nonzero(whole))
-        self.left_out += int(np.count_nonzero(~whole)) if self.turns else 0
-        if not whole.any():
-            self._last = None
-            return
-        turned = self._stage.follow(theta[whole])
-        # The drift is one of time, in ms: it goes on while the session is interrupted.
-        self._demodulator.add(turned, readings[whole], times[whole] // 1_000_000)
-        first = self._last or (float(turned[0]), int(times[whole][0]))
-        self._last = float(turned[-1]), int(times[whole][-1])
-        self.used_turns += self._last[0] - first[0]
-        self.seconds += (self._last[1] - first[1]) / 1e9
 
 
 class RotationRunner:
@@ -318,7 +387,8 @@ class RotationRunner:
         for told in collected.take(block):
             self._say(told)
         if why:
-            self._say(why)
+            lost = collected.interrupt()
+            self._say(f"{why}; {f'{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out' if lost else KEPT}")
         elif block.times:
             self._say(collected.holds)
             self._say_damage(collected)
@@ -336,7 +406,7 @@ class RotationRunner:
             except Resumed:
                 # What a line held of before the pause does not belong to what comes after it.
                 self._stale = True
-                return block, "the session was interrupted here; what was collected before counts"
+                return block, "the session was interrupted here"
             except BayError as error:
                 self._stale = True
                 if not self._rack.failed(error, needed=True):
@@ -360,14 +430,9 @@ class RotationRunner:
         """Whether the operator said stop, and there is enough to stop with."""
         if self._desk.heed("turning", self._operator.attend) is None:
             return False
-        # The session may have been interrupted before the word came.
-        self._stale = True
         if collected.turns >= FEWEST_TURNS:
             return True
-        self._refuse(
-            f"the stage has made {collected.turns:.2f} whole turns; at least {FEWEST_TURNS:g} are needed before it can "
-            "stop"
-        )
+        self._refuse(f"the stage has made {collected.turns:.2f} whole turns; {TOO_FEW}")
         return False
 
     def _tell_turn(self, collected: Collected, made: int) -> str:
@@ -389,23 +454,24 @@ class RotationRunner:
         EstimateError
             Not one can be matched.
         """
-        whole = collected.demodulation()
+        whole = collected.whole()
+        demodulation = whole.demodulator.result()
         matchings, unmatched = [], []
         for pair in self._hookup.pairs:
             try:
-                matchings.append(match(whole, pair))
+                matchings.append(match(demodulation, pair))
             except EstimateError as refusal:
                 unmatched.append(f"{pair.first} and {pair.second}: {refusal}")
         if not matchings:
             raise EstimateError("; ".join(unmatched))
         for why in unmatched:
             self._say(why)
-        self._desk.tell(lambda: self._operator.matched(collected.used_turns, matchings))
+        self._desk.tell(lambda: self._operator.matched(whole.turns, matchings))
         return Turned(
             tuple(matchings),
-            collected.used_turns,
-            collected.seconds,
-            collected.samples,
+            whole.turns,
+            whole.seconds,
+            whole.samples,
             collected.left_out + self._damaged,
             ended,
             tuple(unmatched),

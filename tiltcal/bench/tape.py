@@ -60,6 +60,11 @@ class Tape:
         """Whether what happened last was captured before, and the session goes on from it: played, or resumed here."""
         return self.playing or (self._journal is not None and self._writer is not None and not self._recorded)
 
+    @property
+    def silent(self) -> bool:
+        """Whether nothing live may be heard yet: it plays, or it has still to note that the session goes on here."""
+        return self.playing or self._resuming
+
     def now_ns(self) -> int:
         """Time of the last event, in nanoseconds since the session began."""
         return self._now_ns
@@ -69,14 +74,8 @@ class Tape:
         return self.playing and self._events[self._next].kind == ANSWER
 
     def answer_waits(self, question: str) -> bool:
-        """Whether the journal goes on, behind any pauses, with an answer to this question."""
-        place = self._next
-        while place < len(self._events) and self._events[place].kind == RESUMED:
-            place += 1
-        if place == len(self._events):
-            return False
-        event = self._events[place]
-        return event.kind == ANSWER and event.payload[0].get("to") == question
+        """Whether the next event in the journal is an answer to this question."""
+        return self.next_is_answer() and self._events[self._next].payload[0].get("to") == question
 
     def secure(self) -> None:
         """Have all that was recorded on the disk."""

@@ -117,6 +117,29 @@ class Demodulator:
         for number, products in blocks.items():
             self._blocks[number // 2] = self._blocks.get(number // 2, 0.0) + products
 
+    def join(self, other: Demodulator) -> None:
+        """Take the rows of another record of the same channels, whose angle may be off and whose offsets may differ.
+
+        Its components are turned into the phase of these. An angle that is off for all channels alike multiplies all
+        components by one and the same matrix, so neither p nor q of any pair depends on how well that is known. Its
+        offsets and drifts are brought to these.
+
+        Raises
+        ------
+        EstimateError
+            One of both cannot determine its components; this one is left as it was.
+        """
+        mine, its = self.result(), other.result()
+        transform = _brought(its, mine, self._harmonics)
+        while other._size < self._size:
+            other._merge()
+        while self._size < other._size:
+            self._merge()
+        behind = max(self._blocks) + 1 - min(other._blocks)
+        self._blocks |= {number + behind: transform @ one @ transform.T for number, one in other._blocks.items()}
+        while len(self._blocks) > MOST_BLOCKS:
+            self._merge()
+
     def result(self) -> Demodulation:
         """The regression over all rows so far.
 
@@ -238,6 +261,20 @@ def regress(blocks: Array, channels: Sequence[str], harmonics: int) -> Demodulat
     return Demodulation(
         tuple(channels), rows, coefficients, residual, inverse, *_whole_turns(scores, blocks[:, :2, :2])
     )
+
+
+def _brought(its: Demodulation, mine: Demodulation, harmonics: int) -> Array:
+    """What takes the columns and readings of one record to the phase, the offsets and the drifts of another."""
+    signal, wanted = (found.coefficients[0] + 1j * found.coefficients[1] for found in (its, mine))
+    # S sin (θ + φ) + C cos (θ + φ) has the components S + iC times exp iφ.
+    off = float(np.angle(np.sum(signal * np.conj(wanted))))
+    columns = 2 * harmonics + 2
+    transform = np.eye(columns + len(mine.channels))
+    for h in range(1, harmonics + 1):
+        sine, cosine = np.sin(h * off), np.cos(h * off)
+        transform[2 * h - 2 : 2 * h, 2 * h - 2 : 2 * h] = [[cosine, sine], [-sine, cosine]]
+    transform[columns:, columns - 2 : columns] = (mine.coefficients[-2:] - its.coefficients[-2:]).T
+    return transform
 
 
 def _whole_turns(scores: Array, weights: Array) -> tuple[Array, Array]:
