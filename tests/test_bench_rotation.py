@@ -206,7 +206,9 @@ def test_pairs_without_a_signal_are_left_out_with_the_reason() -> None:
     assert [matching.pair for matching in found.matchings] == [A1_A2]
     (why,) = found.unmatched
     assert "a3 has no clear signal at the turning" in why
-    assert any("a3 and a4 cannot be matched yet" in told for told in attendant.told)
+    assert "a3 has no clear signal at the turning" in attendant.turns[-1].unknown["a3_a4"]
+    assert list(attendant.turns[-1].pairs) == ["a1_a2"]
+    assert attendant.told == [why]
 
 
 def test_where_no_pair_has_a_signal_it_is_asked_for_again() -> None:

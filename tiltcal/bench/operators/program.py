@@ -124,8 +124,9 @@ class JsonOperator:
         return None
 
     def turned(self, turn: Turn) -> None:
-        left_out = {"left_out": turn.left_out} if turn.left_out else {}
-        self._tell(event="turn", turn=turn.number, of=turn.of, **_coefficients(turn.pairs), **left_out)
+        doubts: dict[str, Any] = {"unknown": turn.unknown, "left_out": turn.left_out}
+        doubts = {name: doubt for name, doubt in doubts.items() if doubt}
+        self._tell(event="turn", turn=turn.number, of=turn.of, **_coefficients(turn.pairs), **doubts)
 
     def held(self, why: str) -> None:
         self._tell(event="held", why=why)

@@ -28,6 +28,8 @@ class Turn:
         The most that are made.
     pairs : mapping of str to Coefficients
         What is known of p and q by now, by the name of the pair; pairs of which nothing is known are not there.
+    unknown : mapping of str to str
+        Why nothing more is learnt of others.
     left_out : int
         Samples that were held or damaged so far.
     """
@@ -35,10 +37,12 @@ class Turn:
     number: int
     of: int
     pairs: Mapping[str, Coefficients]
+    unknown: Mapping[str, str]
     left_out: int = 0
 
     def __str__(self) -> str:
         parts = [f"turn {self.number} of {self.of}", *(said(name, one) for name, one in self.pairs.items())]
+        parts += [f"{name}: {why}" for name, why in self.unknown.items()]
         if self.left_out:
             parts.append(f"{self.left_out} samples left out")
         return "   ".join(parts)
