@@ -228,6 +228,17 @@ def test_what_was_captured_is_played_again_with_the_word_stop_at_its_place(tmp_p
     assert again == found
 
 
+@pytest.mark.parametrize("looks", range(9, 15))
+def test_the_word_stop_has_its_place_even_between_the_lines_of_one_message(looks: int, tmp_path: Path) -> None:
+    """64 lines come at once, which is four blocks."""
+    said = lines(RECORD)
+    messages = [b"".join(said[n : n + 64]) for n in range(0, len(said), 64)]  # type: ignore[arg-type]
+    journal = tmp_path / "j.journal.jsonl"
+    found = turned(messages, Attendant(stop_after=[2 * looks]), turns=100, journal=journal)
+    assert found.ended == STOPPED
+    assert turned([], Attendant(), turns=100, journal=journal, replay=True) == found
+
+
 def test_a_journal_that_breaks_off_is_no_session(tmp_path: Path) -> None:
     journal = tmp_path / "j.journal.jsonl"
     turned(lines(RECORD), Attendant(), turns=3, journal=journal)
@@ -256,5 +267,5 @@ def test_memory_does_not_grow_with_the_turns(monkeypatch: pytest.MonkeyPatch) ->
         return highest
 
     # The first one also loads what is loaded when it is needed.
-    _, short, long = peak(30), peak(30), peak(230)
+    _, short, long = peak(230), peak(30), peak(230)
     assert long < 2.0 * short

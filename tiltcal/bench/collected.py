@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 
 import numpy as np
@@ -194,8 +194,8 @@ class Collected:
     def known_to(self, uncertainty: float) -> bool:
         """Whether p and q of every pair are known so well.
 
-        The recursive estimators propose it, unless they had to begin anew; the regression has to agree, which knows how
-        the turns scatter.
+        The recursive estimators propose it, unless they had to begin anew; the regression has to agree, by how the
+        turns scatter and by the noise within them.
         """
         online = self.online()
         proposed = len(online) == len(self._pairs) and all(_within(one, uncertainty) for one in online.values())
@@ -203,7 +203,9 @@ class Collected:
             return False
         try:
             whole = self.whole().demodulator.result()
-            return all(_within(solve(whole, pair), uncertainty) for pair in self._pairs)
+            # Of a few turns some scatter less than their noise allows, by chance: who waits for that would be misled.
+            white = replace(whole, scores=whole.scores[:0], weights=whole.weights[:0])
+            return all(_within(solve(one, pair), uncertainty) for one in (whole, white) for pair in self._pairs)
         except EstimateError:
             return False
 

@@ -29,7 +29,7 @@ class Desk:
         Parameters
         ----------
         question : str
-            What such a word belongs to.
+            What such a word belongs to, other at every place where one may come.
         look : callable
             Returns at once.
         """

@@ -103,6 +103,7 @@ class RotationRunner:
         self._clock = clock
         self._channels = [tap.column for tap in hookup.readings]
         self._interval = max(model.interval for model in rack.models)
+        self._samples = 0
         self._stale = True
         self._held = ""
         self._damaged = 0
@@ -208,13 +209,15 @@ class RotationRunner:
         return block, ""
 
     def _enter(self, block: Block, sample: Sample) -> None:
+        self._samples += 1
         block.times.append(self._tape.now_ns())
         block.theta.append(self._hookup.phase.value(sample))
         block.readings.append([tap.value(sample) for tap in self._hookup.readings])
 
     def _stops(self, collected: Collected) -> bool:
         """Whether the operator said stop, and there is enough to stop with."""
-        if self._desk.heed("turning", self._operator.attend) is None:
+        # One message of a fast line may hold samples for several blocks: the place of a word is a number of samples.
+        if self._desk.heed(f"turning {self._samples}", self._operator.attend) is None:
             return False
         if collected.turns >= FEWEST_TURNS:
             return True
