@@ -100,9 +100,32 @@ def test_a_stage_that_never_turns_is_refused_after_its_patience_and_asked_for_ag
     found = turned(chain(still, lines(RECORD)), attendant, turns=4)
     assert near(found.matchings[0], disk.truth())
     (refused,) = attendant.told
-    assert "the stage does not turn: its angle theta has stood for 60 s" in refused
+    assert "the stage does not turn: start it, and see that the encoder counts (waited for 60 s)" in refused
     with pytest.raises(Stopped, match="enough"):
         turned(still, Attendant(readies=1))
+
+
+def test_a_stage_that_turns_the_wrong_way_is_refused() -> None:
+    wrong = disk.Record(RECORD.time, -RECORD.theta % 360, RECORD.readings)
+    attendant = Attendant(readies=1)
+    with pytest.raises(Stopped, match="enough"):
+        turned(lines(wrong), attendant)
+    assert attendant.told[0] == "the stage runs backwards"
+    assert "the stage turns backwards: its angle is to count up" in attendant.told[-1]
+
+
+def test_angles_too_far_apart_to_follow_are_refused() -> None:
+    attendant = Attendant(readies=1)
+    with pytest.raises(Stopped, match="enough"):
+        turned(lines(RECORD)[::30], attendant, interval=0.6)
+    assert "the stage turns, and nothing of it can be used" in attendant.told[-1]
+
+
+def test_a_slow_stage_is_waited_for() -> None:
+    """A sixth of a turn a minute: longer than the patience to the first eighth."""
+    slow = disk.record(seconds=4000.0, rate=0.5, spin=1 / 360, noise=3e-4)
+    found = turned(lines(slow), Attendant(), turns=5, interval=2.0)
+    assert near(found.matchings[0], disk.truth())
 
 
 def stopped_for(seconds: float) -> list[Line]:

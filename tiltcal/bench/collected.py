@@ -139,9 +139,16 @@ class Collected:
         return self._stream.why if self._stream.turns else ""
 
     @property
-    def standing(self) -> bool:
-        """Whether the stage has hardly moved since the first sample, or since the last interruption."""
-        return abs(self._seen.turns) < STANDSTILL
+    def idle(self) -> str:
+        """Why waiting is of no use, where nothing counts since the beginning or the last interruption; else empty."""
+        turned = self._seen.turns
+        if self._stream.turns > self._began or STANDSTILL <= turned < 1.0:
+            return ""
+        if turned >= 1.0:
+            return f"the stage turns, and nothing of it can be used: {self._stream.why}"
+        if turned <= -STANDSTILL:
+            return "the stage turns backwards: its angle is to count up; swap the tracks of the encoder"
+        return "the stage does not turn: start it, and see that the encoder counts"
 
     def take(self, block: Block) -> list[str]:
         """Take a block.

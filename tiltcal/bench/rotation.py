@@ -151,11 +151,8 @@ class RotationRunner:
                     return ended
             elif why:
                 since_ns = self._tape.now_ns()
-            elif not collected.turns and collected.standing and self._waited(since_ns):
-                self._refuse(
-                    f"the stage does not turn: its angle {self._hookup.phase.column} has stood for "
-                    f"{self._rotation.patience:g} s; start it, and see that the encoder counts"
-                )
+            elif not collected.turns and collected.idle and self._waited(since_ns):
+                self._refuse(f"{collected.idle} (waited for {self._rotation.patience:g} s)")
                 since_ns = self._begin()
 
     def _begin(self) -> int:

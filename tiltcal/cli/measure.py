@@ -146,6 +146,11 @@ def _show_outlook(plan: Plan) -> None:
         hookup = hook_up(plan.procedure.rotation, [(place.serial, place.fitted) for place in plan.places])
         for why in hookup.left_out:
             click.echo(why, err=True)
+        if len(plan.places) > 1:
+            click.echo(
+                "several devices are read one after the other: what one is late by, times 2 pi f, goes into q",
+                err=True,
+            )
         return
     for place in {(place.model, place.orientation): place for place in plan.places}.values():
         expected = outlook(
