@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import click
 
+from tiltcal.errors import UsageError
 from tiltcal.files.bench import read_bench
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
@@ -18,18 +20,26 @@ from tiltcal.files.procedure import read_procedure
 from tiltcal.files.twin import read_twin
 
 JUDGED_FAILING = 1
+KINDS = ("tilt", "pair", "procedure", "bench", "twin")
 
 
 @click.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
-@click.argument("paths", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("paths", metavar="FILE...", nargs=-1, type=click.Path(path_type=Path))
+@click.option(
+    "--schema", type=click.Choice(KINDS), help="Print the JSON Schema of a kind of file, by which an editor helps."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print a list of objects for a program.")
-def command(paths: tuple[Path, ...], as_json: bool) -> int:
+def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     """Check calibration files, procedures, twins and journals.
 
     A file that cannot be used ends the check with exit code 2, and the message names file, line and key. Exit code 1
     where a file can be read and is judged failing: a journal that was interrupted, a calibration whose journal lies
     beside it and does not give it, a fit whose chi-square is not credible.
     """
+    if schema is not None:
+        click.echo((files("tiltcal.files") / "schemas" / f"{schema}.json").read_text(encoding="utf-8"), nl=False)
+    elif not paths:
+        raise UsageError("check needs a FILE, or --schema KIND; see tiltcal check --help")
     results = []
     for path in paths:
         kind, findings = _checked(path)
@@ -49,7 +59,7 @@ def _checked(path: Path) -> tuple[str, list[str]]:
     named = document.entries().get("kind")
     if named is None:
         raise document.error("the key 'kind' is missing: this is no tiltcal file")
-    kind = named.choice(("tilt", "pair", "procedure", "bench", "twin"))
+    kind = named.choice(KINDS)
     if kind == "pair":
         return "pair calibration", _of_journal_beside(path, read_pair(path).provenance)
     if kind == "procedure":
