@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from pathlib import Path
 
 import disk
@@ -39,6 +41,32 @@ def test_it_says_that_the_virtual_bench_made_it(journal: Path) -> None:
     assert '"virtual":true' in journal.read_text(encoding="utf-8").splitlines()[0]
     made_by = read_document(golden(journal)).entries()["provenance"].plain()["made_by"]
     assert "virtual bench" in made_by
+
+
+def test_the_samples_of_a_session_are_a_log_that_gives_its_means(tmp_path: Path) -> None:
+    """Averaged apart from the session: the last 40 rows before each position was accepted."""
+    journal = FIXTURES / "plane.journal.jsonl"
+    result = tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    with open(tmp_path / "log.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for position in read_calibration(golden(journal)).positions:
+        before = [row for row in rows if row["time"] <= position["time"]][-position["n"] :]
+        for channel, mean in position["mean"].items():
+            assert sum(float(row[channel]) for row in before) / position["n"] == pytest.approx(mean, abs=1e-9)
+
+
+def test_the_samples_of_a_rotation_match_as_a_log(tmp_path: Path) -> None:
+    journal = FIXTURES / "rotation.journal.jsonl"
+    assert tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path).returncode == 0
+    result = tiltcal(
+        *("match", "log.csv", "--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "--online", "--json"),
+        cwd=tmp_path,
+    )
+    assert result.returncode == 0, result.stderr
+    found, kept = json.loads(result.stdout), read_pair(golden(journal)).matchings[0]
+    assert abs(found["p"] - kept.p) < 4 * kept.u_p
+    assert abs(found["q"] - kept.q) < 4 * kept.u_q
 
 
 def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -13,6 +13,9 @@ from tiltcal.files.calibration import SensorIdentity
 
 Sample = tuple[Reading, ...]
 """One reading of each sensor of a rack, in its order."""
+
+Listener = Callable[[Mapping[str, Reading]], None]
+"""Has the readings of a sample by serial number."""
 
 ATTEMPTS = 5
 """Failures in a row after which a sensor is given up."""
@@ -64,6 +67,7 @@ class Rack:
 
     def __init__(self, bays: Sequence[Bay], thermometer: Sensor | None = None) -> None:
         self._bays = tuple(bays)
+        self._listeners: list[Listener] = []
         self._thermometer = thermometer
         self._failures: dict[str, int] = {}
         self.lost: dict[str, str] = {}
@@ -78,6 +82,10 @@ class Rack:
         """Of the same sensors."""
         return tuple(bay.model for bay in self.bays)
 
+    def tell(self, listener: Listener) -> None:
+        """Let someone have every sample that :meth:`read` takes from here on."""
+        self._listeners.append(listener)
+
     def read(self) -> Sample:
         """One sample of every sensor.
 
@@ -86,6 +94,12 @@ class Rack:
         BayError
             One of them failed.
         """
+        sample = self._sample()
+        for listener in self._listeners:
+            listener(dict(zip((bay.serial for bay in self.bays), sample, strict=True)))
+        return sample
+
+    def _sample(self) -> Sample:
         readings = []
         for bay in self.bays:
             with self._named(bay.serial):

@@ -7,14 +7,16 @@ nothing that was shown.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import BinaryIO
 
 from tiltcal.bench.plan import stamp
-from tiltcal.bench.rack import Bay, Rack, column_name
+from tiltcal.bench.rack import Bay, Listener, Rack, column_name
+from tiltcal.bench.tape import Tape
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Reading
 from tiltcal.errors import HardwareError, UsageError
@@ -81,6 +83,33 @@ def header(bays: Sequence[Bay], *, thermometer: bool) -> list[str]:
         own = ["temperature"] if bay.model.thermometer and not thermometer else []
         names += [column_name(bay.serial, name, alone=len(bays) == 1) for name in (*bay.model.channels, *own)]
     return names + (["temperature"] if thermometer else [])
+
+
+def sample_rows(stream: BinaryIO, bays: Sequence[Bay], started: datetime, tape: Tape, thermometer: bool) -> Listener:
+    """What writes a session's samples as the rows of a log; a sensor that was given up leaves its cells empty.
+
+    Parameters
+    ----------
+    stream : BinaryIO
+        Has the header at once.
+    bays : sequence of Bay
+    started : datetime
+        UTC, when the session began.
+    tape : Tape
+        Says when a sample was taken.
+    thermometer : bool
+        Whether the bench has one of its own.
+    """
+
+    def write(cells: Sequence[str]) -> None:
+        stream.write((",".join(cells) + "\n").encode())
+
+    def row(sample: Mapping[str, Reading]) -> None:
+        moment = started + timedelta(microseconds=tape.now_ns() / 1000)
+        write(_cells(bays, [sample.get(bay.serial) for bay in bays], moment, thermometer))
+
+    write(header(bays, thermometer=thermometer))
+    return row
 
 
 def record(

@@ -8,13 +8,14 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 from tiltcal.bench.desk import Desk
 from tiltcal.bench.hookup import Hookup, hook_up
 from tiltcal.bench.operators.operator import Operator
 from tiltcal.bench.plan import Place, Plan, stamp
 from tiltcal.bench.rack import Bay, Rack
+from tiltcal.bench.recording import sample_rows
 from tiltcal.bench.rotation import RotationRunner, Turned
 from tiltcal.bench.runner import Runner, Taken
 from tiltcal.bench.tape import Tape, TapedClock
@@ -117,6 +118,7 @@ class Session:
         self.path = path
         self.finished = False
         self._journal = journal
+        self._samples: BinaryIO | None = None
         self._clock: Clock = VirtualClock() if plan.virtual else SystemClock(int(plan.started.timestamp() * 1e9))
         self._virtual = VirtualBench(self._clock, plan.devices)
 
@@ -165,14 +167,21 @@ class Session:
             raise HardwareError("no calibration file for " + "; ".join(result.lost.values()))
         return result
 
-    def replay(self, operator: Operator) -> Result:
+    def replay(self, operator: Operator, samples: BinaryIO | None = None) -> Result:
         """Run a captured session again without hardware.
+
+        Parameters
+        ----------
+        operator : Operator
+        samples : BinaryIO, optional
+            Has every sample of the session as the rows of a log.
 
         Raises
         ------
         JournalError
             The journal does not fit, or ends before the session did.
         """
+        self._samples = samples
         return self._concluded(operator, None)
 
     def walk(self, operator: Operator, conclude: Callable[[Walked], T]) -> tuple[T, Ending]:
@@ -271,6 +280,8 @@ class Session:
         plan = self.plan
         try:
             with wired(plan.places, plan.thermometer, tape, clock, self._virtual) as rack:
+                if self._samples is not None:
+                    rack.tell(sample_rows(self._samples, rack.bays, plan.started, tape, plan.thermometer is not None))
                 conclusion = work(rack, tape, clock)
                 ended = plan.started + timedelta(microseconds=tape.now_ns() / 1000)
                 sha256 = tape.finish()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import click
@@ -11,7 +12,7 @@ from tiltcal.bench.plan import Plan
 from tiltcal.bench.session import Session
 from tiltcal.cli.leading import captured
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.files.whole import check_writable, write_whole
+from tiltcal.files.whole import check_writable, whole_file, write_whole
 
 JUDGED_FAILING = 1
 
@@ -29,7 +30,13 @@ JUDGED_FAILING = 1
     type=click.Path(path_type=Path, exists=True),
     help="Compare with this calibration file, or folder of them, byte for byte; exit code 1 where they differ.",
 )
-def command(journal: Path, output: Path | None, golden: Path | None) -> int:
+@click.option(
+    "--samples",
+    type=click.Path(path_type=Path),
+    metavar="LOG",
+    help="Write every sample of the session, settling and refused ones too, as a CSV log.",
+)
+def command(journal: Path, output: Path | None, golden: Path | None, samples: Path | None) -> int:
     """Run a captured session again, without hardware, and make its calibration file, identical to the byte."""
     before = captured(journal)
     if before.end is None:
@@ -42,7 +49,8 @@ def command(journal: Path, output: Path | None, golden: Path | None) -> int:
     if output is not None:
         for path in _targets(output, session.outputs):
             check_writable(path)
-    texts = session.replay(SimOperator(lambda line: None)).texts
+    with nullcontext() if samples is None else whole_file(samples) as stream:
+        texts = session.replay(SimOperator(lambda line: None), stream).texts
     if golden is not None:
         for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
             if not path.is_file() or text.encode() != path.read_bytes():
