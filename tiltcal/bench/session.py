@@ -3,38 +3,33 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import BinaryIO, TypeVar
 
+from tiltcal.bench.conclusion import Ending, Walked, pair_calibration, tilt_calibrations, tilt_provenance
 from tiltcal.bench.desk import Desk
-from tiltcal.bench.hookup import Hookup, hook_up
+from tiltcal.bench.hookup import hook_up
 from tiltcal.bench.operators.operator import Operator
-from tiltcal.bench.plan import Place, Plan, stamp
-from tiltcal.bench.rack import Bay, Rack
+from tiltcal.bench.plan import Place, Plan
+from tiltcal.bench.rack import Rack
 from tiltcal.bench.recording import sample_rows
 from tiltcal.bench.rotation import RotationRunner, Turned
-from tiltcal.bench.runner import Runner, Taken
+from tiltcal.bench.runner import Runner
 from tiltcal.bench.tape import Tape, TapedClock
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.bench.wiring import open_place, wired
-from tiltcal.calibrate import Measurement, Nominal, Subject, calibrate_jointly
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import Model, Talking
 from tiltcal.errors import HardwareError
-from tiltcal.files.calibration import Calibration, calibration_of, dump_calibration
-from tiltcal.files.document import checked_kind, parse_document
+from tiltcal.files.calibration import Calibration, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter
-from tiltcal.files.pair import PairCalibration, dump_pair
+from tiltcal.files.pair import dump_pair
 from tiltcal.files.rotation import Rotation
 from tiltcal.files.whole import check_writable, write_whole
-from tiltcal.mount import mount
-from tiltcal.sweep import choose_order, swept, with_order
-from tiltcal.typical import with_typical_temperature
-from tiltcal.unit_gravity import directed, with_verdict
 
 T = TypeVar("T")
 
@@ -54,44 +49,6 @@ class Result:
     """
 
     texts: dict[Path, str]
-    lost: dict[str, str]
-    receptions: dict[str, Mapping[str, int]]
-
-
-@dataclass(frozen=True)
-class Walked:
-    """What was measured.
-
-    Attributes
-    ----------
-    bays : tuple of Bay
-        The sensors that held out.
-    taken : tuple of Taken
-        Every position, in the procedure's order.
-    """
-
-    bays: tuple[Bay, ...]
-    taken: tuple[Taken, ...]
-
-
-@dataclass(frozen=True)
-class Ending:
-    """How a session ended.
-
-    Attributes
-    ----------
-    ended : datetime
-        UTC.
-    sha256 : str
-        Of its journal.
-    lost : dict of str to str
-        Why sensors were given up, by serial number.
-    receptions : dict of str to mapping of str to int
-        By serial number: what became of what a sensor said that talks by itself.
-    """
-
-    ended: datetime
-    sha256: str
     lost: dict[str, str]
     receptions: dict[str, Mapping[str, int]]
 
@@ -213,14 +170,14 @@ class Session:
             return self._matched(operator, writer, self.plan.procedure.rotation)
 
         def conclude(walked: Walked, runner: Runner) -> dict[Place, Calibration]:
-            found = self._calibrations(walked)
+            found = tilt_calibrations(self.plan, walked)
             kept = {place: found[place.serial] for place in self.plan.places if place.serial in found}
             runner.confirm_write(lambda: operator.write([self._output(place) for place in kept]))
             return kept
 
         calibrations, ending = self._walk(operator, writer, conclude)
         texts = {
-            self._output(place): dump_calibration(replace(one, provenance=self._tilt_provenance(place, ending)))
+            self._output(place): dump_calibration(replace(one, provenance=tilt_provenance(self.plan, place, ending)))
             for place, one in calibrations.items()
         }
         return Result(texts, ending.lost, ending.receptions)
@@ -238,26 +195,8 @@ class Session:
             return turned
 
         turned, ending = self._on_tape(writer, turn)
-        calibration = PairCalibration(
-            turned.matchings,
-            hookup.phase.column,
-            turned.turns,
-            turned.frequency,
-            provenance=self._pair_provenance(hookup, turned, ending),
-        )
-        return Result({output: dump_pair(calibration)}, ending.lost, ending.receptions)
-
-    def _pair_provenance(self, hookup: Hookup, turned: Turned, ending: Ending) -> dict[str, Any]:
-        places, left_out = self.plan.places, [*hookup.left_out, *turned.unmatched]
-        sensors = [{"serial": one.serial, "model": one.model, "address": one.address} for one in places]
-        return {
-            **self._provenance({"sensors": sensors}, ending),
-            "reception": {serial: dict(one) for serial, one in ending.receptions.items()},
-            "procedure": self.plan.procedure.name,
-            "samples": {"used": turned.samples, "left_out": turned.left_out},
-            "stopped": turned.ended,
-            **({"not_matched": left_out} if left_out else {}),
-        }
+        text = dump_pair(pair_calibration(plan, hookup, turned, ending))
+        return Result({output: text}, ending.lost, ending.receptions)
 
     def _walk(
         self, operator: Operator, writer: JournalWriter | None, conclude: Callable[[Walked, Runner], T]
@@ -294,83 +233,3 @@ class Session:
 
     def _output(self, place: Place) -> Path:
         return Path(os.path.normpath(self.path.parent / place.output))
-
-    def _calibrations(self, walked: Walked) -> dict[str, Calibration]:
-        """The calibration of each sensor by its serial number, without its provenance."""
-        plan = self.plan
-        measured = {bay.serial: self._measurements(bay, walked.taken) for bay in walked.bays}
-        settings = {"samples": plan.settings.samples, "settle_seconds": plan.settings.settle}
-        if plan.base is not None:
-            base = calibration_of(checked_kind(parse_document(plan.base, "the base calibration"), "tilt"))
-            return {serial: mount(base, one, jig=plan.jig, settings=settings) for serial, one in measured.items()}
-        subjects = [
-            Subject(bay.identity, measured[bay.serial], _nominal(bay.model), bay.orientation.matrix)
-            for bay in walked.bays
-        ]
-        procedure, warmth = plan.procedure, self._thermometer_uncertainty(walked)
-        if procedure.determines.free:
-            subjects = directed(subjects)
-        choice = None
-        if procedure.determines.cross_validated:
-            choice = choose_order(subjects, procedure, jig=plan.jig, thermometer=warmth)
-            procedure = with_order(procedure, choice.order)
-        found = calibrate_jointly(subjects, procedure, jig=plan.jig, thermometer=warmth, settings=settings)
-        if procedure.determines.free:
-            found = [with_verdict(one, its.measurements) for one, its in zip(found, subjects, strict=True)]
-        if choice is not None:
-            found = [swept(one, subject.measurements, choice) for one, subject in zip(found, subjects, strict=True)]
-        if plan.typical:
-            found = [
-                with_typical_temperature(one, measured[bay.serial], bay.model.population)
-                for one, bay in zip(found, walked.bays, strict=True)
-                if bay.model.population is not None
-            ]
-        return {bay.serial: one for bay, one in zip(walked.bays, found, strict=True)}
-
-    def _measurements(self, bay: Bay, taken: Sequence[Taken]) -> list[Measurement]:
-        return [
-            Measurement(
-                one.position.name,
-                bay.orientation.seen(one.position.gravity),
-                one.position.tilt if bay.orientation.straight else None,
-                one.temperatures[bay.serial],
-                one.summaries[bay.serial],
-                {"time": stamp(self.plan.started + timedelta(microseconds=one.time_ns / 1000))},
-                heading=one.position.heading,
-            )
-            for one in taken
-        ]
-
-    def _thermometer_uncertainty(self, walked: Walked) -> float | None:
-        """Standard uncertainty of the temperatures, °C: as the bench file states it, else the thermometers' steps."""
-        if self.plan.thermometer_uncertainty is not None:
-            return self.plan.thermometer_uncertainty
-        if self.plan.thermometer is not None or any(one.typed for one in walked.taken):
-            return None
-        return max(bay.model.thermometer_rounding for bay in walked.bays) or None
-
-    def _tilt_provenance(self, place: Place, ending: Ending) -> dict[str, Any]:
-        axes = {} if place.orientation.straight else {"axes": list(place.orientation.names)}
-        thermometer = {} if self.plan.thermometer is None else {"thermometer": self.plan.thermometer.address}
-        return {
-            **self._provenance({"address": place.address, **axes, **thermometer}, ending),
-            **({"reception": dict(ending.receptions[place.serial])} if place.serial in ending.receptions else {}),
-        }
-
-    def _provenance(self, bench: Mapping[str, Any], ending: Ending) -> dict[str, Any]:
-        """What every file tells of its session."""
-        plan = self.plan
-        return {
-            "made_by": "the virtual bench: no real sensor was measured" if plan.virtual else "measurement",
-            "operator": plan.person or plan.lead,
-            "bench": bench,
-            "software": plan.software,
-            "started": stamp(plan.started),
-            "ended": stamp(ending.ended),
-            "journal": {"name": plan.journal, "sha256": ending.sha256},
-        }
-
-
-def _nominal(model: Model) -> Nominal:
-    """What is known of a sensor before it is measured."""
-    return Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)

@@ -92,8 +92,8 @@ def command(
     """Walk a sensor through the positions of PROCEDURE and write its calibration file.
 
     PROCEDURE is one of `tiltcal procedures`, or the path of your own. With `rotation` a stage turns instead, and -o is
-    the file of its pairs. Everything is captured in a journal as it
-    happens: after a crash, a power cut or Ctrl-C, `--resume JOURNAL` goes on from the last byte.
+    the file of its pairs. Everything is captured in a journal as it happens: after a crash, a power cut or Ctrl-C,
+    `--resume JOURNAL` goes on from the last byte.
     """
     if resume is not None and resume.exists():
         journal_before = captured(resume)

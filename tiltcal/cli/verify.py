@@ -9,8 +9,9 @@ from typing import Any
 
 import click
 
+from tiltcal.bench.conclusion import Walked
 from tiltcal.bench.plan import Plan, plan_session, single
-from tiltcal.bench.session import Session, Walked
+from tiltcal.bench.session import Session
 from tiltcal.bench.verification import Check, checks
 from tiltcal.cli.leading import LEADERS, captured, free_journal, led, left_at_default
 from tiltcal.errors import UsageError

@@ -1,0 +1,173 @@
+"""What is concluded from a session: calibrations from positions or turns, and what their files tell of the session."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any
+
+from tiltcal.bench.hookup import Hookup
+from tiltcal.bench.plan import Place, Plan, stamp
+from tiltcal.bench.rack import Bay
+from tiltcal.bench.rotation import Turned
+from tiltcal.bench.runner import Taken
+from tiltcal.calibrate import Measurement, Nominal, Subject, calibrate_jointly
+from tiltcal.drivers.device import Model
+from tiltcal.files.calibration import Calibration, calibration_of
+from tiltcal.files.document import checked_kind, parse_document
+from tiltcal.files.pair import PairCalibration
+from tiltcal.mount import mount
+from tiltcal.sweep import choose_order, swept, with_order
+from tiltcal.typical import with_typical_temperature
+from tiltcal.unit_gravity import directed, with_verdict
+
+
+@dataclass(frozen=True)
+class Walked:
+    """What was measured.
+
+    Attributes
+    ----------
+    bays : tuple of Bay
+        The sensors that held out.
+    taken : tuple of Taken
+        Every position, in the procedure's order.
+    """
+
+    bays: tuple[Bay, ...]
+    taken: tuple[Taken, ...]
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a session ended.
+
+    Attributes
+    ----------
+    ended : datetime
+        UTC.
+    sha256 : str
+        Of its journal.
+    lost : dict of str to str
+        Why sensors were given up, by serial number.
+    receptions : dict of str to mapping of str to int
+        By serial number: what became of what a sensor said that talks by itself.
+    """
+
+    ended: datetime
+    sha256: str
+    lost: dict[str, str]
+    receptions: dict[str, Mapping[str, int]]
+
+
+def tilt_calibrations(plan: Plan, walked: Walked) -> dict[str, Calibration]:
+    """The calibration of each sensor by its serial number, without its provenance.
+
+    Raises
+    ------
+    EstimateError
+        The positions cannot determine the coefficients.
+    """
+    measured = {bay.serial: _measurements(plan, bay, walked.taken) for bay in walked.bays}
+    settings = {"samples": plan.settings.samples, "settle_seconds": plan.settings.settle}
+    if plan.base is not None:
+        base = calibration_of(checked_kind(parse_document(plan.base, "the base calibration"), "tilt"))
+        return {serial: mount(base, one, jig=plan.jig, settings=settings) for serial, one in measured.items()}
+    found = _calibrated(plan, walked, measured, settings)
+    if plan.typical:
+        found = [
+            with_typical_temperature(one, measured[bay.serial], bay.model.population)
+            for one, bay in zip(found, walked.bays, strict=True)
+            if bay.model.population is not None
+        ]
+    return {bay.serial: one for bay, one in zip(walked.bays, found, strict=True)}
+
+
+def pair_calibration(plan: Plan, hookup: Hookup, turned: Turned, ending: Ending) -> PairCalibration:
+    """What a rotation found, with its provenance."""
+    left_out = [*hookup.left_out, *turned.unmatched]
+    sensors = [{"serial": one.serial, "model": one.model, "address": one.address} for one in plan.places]
+    provenance = {
+        **_provenance(plan, {"sensors": sensors}, ending),
+        "reception": {serial: dict(one) for serial, one in ending.receptions.items()},
+        "procedure": plan.procedure.name,
+        "samples": {"used": turned.samples, "left_out": turned.left_out},
+        "stopped": turned.ended,
+        **({"not_matched": left_out} if left_out else {}),
+    }
+    return PairCalibration(turned.matchings, hookup.phase.column, turned.turns, turned.frequency, provenance=provenance)
+
+
+def tilt_provenance(plan: Plan, place: Place, ending: Ending) -> dict[str, Any]:
+    """What a sensor's calibration file tells of the session."""
+    axes = {} if place.orientation.straight else {"axes": list(place.orientation.names)}
+    thermometer = {} if plan.thermometer is None else {"thermometer": plan.thermometer.address}
+    return {
+        **_provenance(plan, {"address": place.address, **axes, **thermometer}, ending),
+        **({"reception": dict(ending.receptions[place.serial])} if place.serial in ending.receptions else {}),
+    }
+
+
+def _calibrated(
+    plan: Plan, walked: Walked, measured: Mapping[str, Sequence[Measurement]], settings: Mapping[str, Any]
+) -> list[Calibration]:
+    """The calibrations of all sensors together, in the rack's order."""
+    subjects = [
+        Subject(bay.identity, measured[bay.serial], _nominal(bay.model), bay.orientation.matrix) for bay in walked.bays
+    ]
+    procedure, warmth = plan.procedure, _thermometer_uncertainty(plan, walked)
+    if procedure.determines.free:
+        subjects = directed(subjects)
+    choice = None
+    if procedure.determines.cross_validated:
+        choice = choose_order(subjects, procedure, jig=plan.jig, thermometer=warmth)
+        procedure = with_order(procedure, choice.order)
+    found = calibrate_jointly(subjects, procedure, jig=plan.jig, thermometer=warmth, settings=settings)
+    if procedure.determines.free:
+        found = [with_verdict(one, its.measurements) for one, its in zip(found, subjects, strict=True)]
+    if choice is not None:
+        found = [swept(one, its.measurements, choice) for one, its in zip(found, subjects, strict=True)]
+    return found
+
+
+def _measurements(plan: Plan, bay: Bay, taken: Sequence[Taken]) -> list[Measurement]:
+    return [
+        Measurement(
+            one.position.name,
+            bay.orientation.seen(one.position.gravity),
+            one.position.tilt if bay.orientation.straight else None,
+            one.temperatures[bay.serial],
+            one.summaries[bay.serial],
+            {"time": stamp(plan.started + timedelta(microseconds=one.time_ns / 1000))},
+            heading=one.position.heading,
+        )
+        for one in taken
+    ]
+
+
+def _thermometer_uncertainty(plan: Plan, walked: Walked) -> float | None:
+    """Standard uncertainty of the temperatures, °C: as the bench file states it, else the thermometers' steps."""
+    if plan.thermometer_uncertainty is not None:
+        return plan.thermometer_uncertainty
+    if plan.thermometer is not None or any(one.typed for one in walked.taken):
+        return None
+    return max(bay.model.thermometer_rounding for bay in walked.bays) or None
+
+
+def _nominal(model: Model) -> Nominal:
+    """What is known of a sensor before it is measured."""
+    return Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
+
+
+def _provenance(plan: Plan, bench: Mapping[str, Any], ending: Ending) -> dict[str, Any]:
+    """What every file tells of its session."""
+    return {
+        "made_by": "the virtual bench: no real sensor was measured" if plan.virtual else "measurement",
+        "operator": plan.person or plan.lead,
+        "bench": bench,
+        "software": plan.software,
+        "started": stamp(plan.started),
+        "ended": stamp(ending.ended),
+        "journal": {"name": plan.journal, "sha256": ending.sha256},
+    }
