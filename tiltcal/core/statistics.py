@@ -62,8 +62,24 @@ def summarise(samples: Sequence[float], resolution: float = 0.0) -> Summary:
     mean = fsum(samples) / n
     std = sqrt(fsum((sample - mean) ** 2 for sample in samples) / (n - 1)) if n > 1 else 0.0
     noise, dof = _type_a(samples, std)
-    step = _quantisation(std, resolution)
+    step = rounding_left(std, resolution)
     return Summary(mean, std, n, sqrt(noise**2 + step**2), step, dof)
+
+
+def rounding_left(std: float, resolution: float) -> float:
+    """Standard uncertainty that rounding leaves in a mean of noisy samples, however many (Widrow's first harmonic).
+
+    Parameters
+    ----------
+    std : float
+        Standard deviation of the samples, rounding included.
+    resolution : float
+        The step of the reading; 0 where it is continuous.
+    """
+    if resolution == 0.0:
+        return 0.0
+    noise = sqrt(max(std**2 - resolution**2 / 12, 0.0))
+    return resolution / sqrt(12) * exp(-2 * (pi * noise / resolution) ** 2)
 
 
 def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:
@@ -100,11 +116,3 @@ def _type_a(samples: Sequence[float], std: float) -> tuple[float, float]:
     means = [fsum(samples[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
     centre = fsum(means) / BLOCKS
     return sqrt(fsum((mean - centre) ** 2 for mean in means) / (BLOCKS - 1) / BLOCKS), BLOCKS - 1.0
-
-
-def _quantisation(std: float, resolution: float) -> float:
-    """Standard uncertainty that quantisation leaves in a mean of noisy samples (Widrow's first harmonic)."""
-    if resolution == 0.0:
-        return 0.0
-    noise = sqrt(max(std**2 - resolution**2 / 12, 0.0))
-    return resolution / sqrt(12) * exp(-2 * (pi * noise / resolution) ** 2)

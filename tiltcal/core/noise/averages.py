@@ -1,0 +1,104 @@
+"""Averages of so many samples: their standard deviation and range.
+
+Source: *A Solid State Tilt Meter for Current Meter Attitude Determination*, table I.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.model import Array
+from tiltcal.core.noise.allan import PRESENT
+
+
+@dataclass(frozen=True)
+class Averages:
+    """How averages of so many samples scatter.
+
+    Attributes
+    ----------
+    samples : int
+        In each average.
+    count : ndarray of int, shape (channels,)
+        Averages, one behind the other.
+    mean, std, range : ndarray, shape (channels,)
+        Unit; NaN where there are too few.
+    """
+
+    samples: int
+    count: NDArray[np.int64]
+    mean: Array
+    std: Array
+    range: Array
+
+
+class Averager:
+    """Collects averages of one size along the samples of some channels.
+
+    Parameters
+    ----------
+    samples : int
+        In each average.
+    channels : int
+    """
+
+    def __init__(self, samples: int, channels: int) -> None:
+        self._samples = samples
+        self._filled = 0
+        self._sum, self._present = np.zeros(channels), np.zeros(channels)
+        self._count = np.zeros(channels)
+        self._mean, self._squares = np.zeros(channels), np.zeros(channels)
+        self._low, self._high = np.full(channels, np.inf), np.full(channels, -np.inf)
+
+    def add(self, samples: Array, present: NDArray[np.bool_]) -> None:
+        """Take more samples, zero where they are missing, shape (n, channels)."""
+        if not len(samples):
+            return
+        cuts = np.r_[0, np.arange(self._samples - self._filled, len(samples), self._samples)]
+        sums = np.add.reduceat(samples, cuts, axis=0)
+        counts = np.add.reduceat(present.astype(np.float64), cuts, axis=0)
+        sums[0] += self._sum
+        counts[0] += self._present
+        self._filled = (self._filled + len(samples)) % self._samples
+        if self._filled:
+            self._sum, self._present = sums[-1], counts[-1]
+            sums, counts = sums[:-1], counts[:-1]
+        else:
+            self._sum, self._present = np.zeros_like(self._sum), np.zeros_like(self._present)
+        if len(sums):
+            self._merge(sums, counts)
+
+    def result(self) -> Averages:
+        """What came out so far."""
+        enough = self._count > 1
+        variance = self._squares / np.where(enough, self._count - 1, np.nan)
+        spread = np.where(enough, self._high - self._low, np.nan)
+        mean = np.where(self._count > 0, self._mean, np.nan)
+        return Averages(self._samples, self._count.astype(np.int64), mean, np.sqrt(variance), spread)
+
+    def _merge(self, sums: Array, counts: Array) -> None:
+        whole = counts >= PRESENT * self._samples
+        means = np.divide(sums, counts, out=np.zeros_like(sums), where=whole)
+        more = whole.sum(axis=0)
+        mean = means.sum(axis=0) / np.maximum(more, 1)
+        squares = np.where(whole, (means - mean) ** 2, 0.0).sum(axis=0)
+        total = self._count + more
+        step = mean - self._mean
+        # Chan, Golub and LeVeque: two groups' sums of squares about their common mean.
+        self._squares += squares + step**2 * self._count * more / np.maximum(total, 1)
+        self._mean += step * more / np.maximum(total, 1)
+        self._count = total
+        self._low = np.minimum(self._low, np.where(whole, means, np.inf).min(axis=0))
+        self._high = np.maximum(self._high, np.where(whole, means, -np.inf).max(axis=0))
+
+
+def decades(rows: int, fewest: int) -> Sequence[int]:
+    """1, 10, 100, ... as long as at least ``fewest`` averages of so many fit into the rows."""
+    sizes = [1]
+    while sizes[-1] * 10 * fewest <= rows:
+        sizes.append(sizes[-1] * 10)
+    return sizes

@@ -1,0 +1,206 @@
+"""The noise of a record, whole: averages, Allan deviation, kinds of noise, and what disturbed it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiltcal.core.model import Array
+from tiltcal.core.noise.allan import Octaves, limits
+from tiltcal.core.noise.averages import Averager, decades
+from tiltcal.core.noise.steps import Steps
+from tiltcal.core.noise.terms import Terms, terms_of
+from tiltcal.core.noise.unrest import Rows, Unrest
+from tiltcal.core.statistics import rounding_left
+from tiltcal.errors import EstimateError
+
+FEWEST = 64
+"""Samples of a channel below which nothing is said of its noise."""
+
+_FEWEST_AVERAGES = 5
+"""Averages of a size that a row of the table must have, where nobody asked for the size."""
+
+_LARGEST = 10_000_000
+
+
+@dataclass(frozen=True)
+class Average:
+    """How averages of so many samples scatter, of one channel.
+
+    Attributes
+    ----------
+    samples, count : int
+        In each average; averages.
+    std, range : float
+        Unit.
+    white : float
+        What ``std`` would be if neighbouring samples had nothing to do with each other.
+    """
+
+    samples: int
+    count: int
+    std: float
+    range: float
+    white: float
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """The noise of one channel.
+
+    Attributes
+    ----------
+    mean : float
+        Unit.
+    count : int
+        Samples that are there.
+    step : float
+        Of the reading, unit; 0 where it is continuous.
+    averages : sequence of Average
+        By rising size.
+    tau : ndarray, shape (k,)
+        Averaging times, seconds.
+    deviation, low, high : ndarray, shape (k,)
+        Allan deviation with its limits (95 %), unit.
+    terms : Terms
+    """
+
+    mean: float
+    count: int
+    step: float
+    averages: Sequence[Average]
+    tau: Array
+    deviation: Array
+    low: Array
+    high: Array
+    terms: Terms
+
+    @property
+    def rounding(self) -> float:
+        """What rounding leaves in a mean, however many samples it has, unit."""
+        return rounding_left(float(self.deviation[0]), self.step)
+
+    @property
+    def lowest(self) -> int:
+        """Index of the lowest deviation."""
+        return int(np.argmin(self.deviation))
+
+    @property
+    def settled(self) -> bool:
+        """Whether the deviation has stopped falling within the record."""
+        return any(name != "N" for name in self.terms.value)
+
+
+class Characteriser:
+    """Collects all of it along the samples of some channels.
+
+    Parameters
+    ----------
+    channels : int
+    sizes : sequence of int
+        Sizes of averages that are asked for beside 1, 10, 100, ...
+    """
+
+    def __init__(self, channels: int, sizes: Sequence[int] = ()) -> None:
+        self._asked = frozenset(sizes)
+        self._reference: Array | None = None
+        self._count = np.zeros(channels, dtype=np.int64)
+        self.rows = 0
+        self._octaves, self._unrest = Octaves(channels), Unrest(channels)
+        self._steps = [Steps() for _ in range(channels)]
+        self._averagers = [Averager(size, channels) for size in sorted({*decades(_LARGEST, 1), *sizes})]
+
+    def add(self, samples: Array) -> None:
+        """Take more samples, evenly spaced in time behind the last ones.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (n, channels)
+            NaN where a value is missing.
+        """
+        present = np.isfinite(samples)
+        self.rows += len(samples)
+        self._count += present.sum(axis=0)
+        for channel, steps in enumerate(self._steps):
+            steps.add(samples[present[:, channel], channel])
+        about_zero = np.where(present, samples - self._zero(samples), 0.0)
+        self._octaves.add(about_zero, present)
+        self._unrest.add(about_zero, present)
+        for averager in self._averagers:
+            averager.add(about_zero, present)
+
+    @property
+    def counts(self) -> list[int]:
+        """Samples that are there, per channel."""
+        found: list[int] = self._count.tolist()
+        return found
+
+    def constant(self, channel: int) -> float | None:
+        """The one value that a channel has had all along, or None."""
+        values = self._steps[channel].values
+        return float(values[0]) if values is not None and len(values) == 1 else None
+
+    def moved(self, steps: Sequence[float]) -> list[Rows]:
+        """Rows in which the sensor was moved; ``steps`` are those of the readings."""
+        return self._unrest.moved(np.array(steps))
+
+    @property
+    def hung(self) -> Rows | None:
+        """The rows in which the reading hung, where it did."""
+        return self._unrest.hung()
+
+    def channel(self, place: int, interval: float, step: float | None = None) -> ChannelNoise:
+        """What is known of one channel.
+
+        Parameters
+        ----------
+        place : int
+            Number of the channel.
+        interval : float
+            Seconds from sample to sample.
+        step : float, optional
+            Of its reading, where it is known; else the readings say it.
+
+        Raises
+        ------
+        EstimateError
+            Too much is missing.
+        """
+        allan = self._octaves.result()
+        good = np.nan_to_num(allan.variance[:, place]) > 0.0
+        factor, variance = allan.factor[good], allan.variance[good, place]
+        if not len(factor):
+            raise EstimateError("so much is missing that no two neighbouring averages are left")
+        tau = np.asarray(factor * interval, dtype=np.float64)
+        count = int(self._count[place])
+        terms = terms_of(tau, variance, factor, count)
+        low, high = limits(variance, terms.dof)
+        averages = list(self._averages(place))
+        mean = self._averagers[0].result().mean[place] + self._zero()[place]
+        found = self._steps[place].result() if step is None else step
+        return ChannelNoise(float(mean), count, found, averages, tau, np.sqrt(variance), low, high, terms)
+
+    def _averages(self, place: int) -> Sequence[Average]:
+        found = [averager.result() for averager in self._averagers]
+        single = float(found[0].std[place])
+        return [
+            Average(
+                *(one.samples, int(one.count[place]), float(one.std[place]), float(one.range[place])),
+                white=single / one.samples**0.5,
+            )
+            for one in found
+            if one.count[place] >= (2 if one.samples in self._asked else _FEWEST_AVERAGES)
+        ]
+
+    def _zero(self, samples: Array | None = None) -> Array:
+        """A value near all samples, so that their sums keep their digits."""
+        if self._reference is None or not np.isfinite(self._reference).all():
+            known = np.full(len(self._count), np.nan) if self._reference is None else self._reference
+            if samples is not None:
+                for channel in np.flatnonzero(~np.isfinite(known)):
+                    there = samples[np.isfinite(samples[:, channel]), channel]
+                    known[channel] = there[0] if len(there) else np.nan
+            self._reference = known
+        return np.nan_to_num(self._reference)
