@@ -22,6 +22,7 @@ COMMANDS = {
     "replay": "run a captured session again, without hardware",
     "fit": "calibrate from a recorded log",
     "apply": "turn a recorded log of readings into compensated tilt",
+    "noise": "tell how noisy a sensor is, and how many samples it takes",
     "match": "match pairs of accelerometers on a rotary stage",
     "check": "check any tiltcal file",
     "demo": "measure, calibrate and apply on the virtual bench",

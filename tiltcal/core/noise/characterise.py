@@ -24,6 +24,8 @@ _FEWEST_AVERAGES = 5
 
 _LARGEST = 10_000_000
 
+_FINE = 500  # averaging times at which the lowest deviation is looked for
+
 
 @dataclass(frozen=True)
 class Average:
@@ -83,9 +85,15 @@ class ChannelNoise:
         return rounding_left(float(self.deviation[0]), self.step)
 
     @property
-    def lowest(self) -> int:
-        """Index of the lowest deviation."""
-        return int(np.argmin(self.deviation))
+    def lowest(self) -> tuple[float, float]:
+        """Averaging time, seconds, and lowest deviation: of the kinds of noise that show, or as measured without."""
+        if not self.terms.follows:
+            place = int(np.argmin(self.deviation))
+            return float(self.tau[place]), float(self.deviation[place])
+        tau = np.geomspace(self.tau[self.terms.first], self.tau[-1], _FINE)
+        variance = self.terms.variance(tau)
+        place = int(np.argmin(variance))
+        return float(tau[place]), float(np.sqrt(variance[place]))
 
     @property
     def settled(self) -> bool:
@@ -151,7 +159,7 @@ class Characteriser:
         """The rows in which the reading hung, where it did."""
         return self._unrest.hung()
 
-    def channel(self, place: int, interval: float, step: float | None = None) -> ChannelNoise:
+    def channel(self, place: int, interval: float) -> ChannelNoise:
         """What is known of one channel.
 
         Parameters
@@ -160,8 +168,6 @@ class Characteriser:
             Number of the channel.
         interval : float
             Seconds from sample to sample.
-        step : float, optional
-            Of its reading, where it is known; else the readings say it.
 
         Raises
         ------
@@ -179,8 +185,8 @@ class Characteriser:
         low, high = limits(variance, terms.dof)
         averages = list(self._averages(place))
         mean = self._averagers[0].result().mean[place] + self._zero()[place]
-        found = self._steps[place].result() if step is None else step
-        return ChannelNoise(float(mean), count, found, averages, tau, np.sqrt(variance), low, high, terms)
+        step = self._steps[place].result()
+        return ChannelNoise(float(mean), count, step, averages, tau, np.sqrt(variance), low, high, terms)
 
     def _averages(self, place: int) -> Sequence[Average]:
         found = [averager.result() for averager in self._averagers]

@@ -73,6 +73,11 @@ class Terms:
         squares = np.array([self.value.get(name, 0.0) ** 2 for name in TERMS])
         return np.asarray(_columns(tau) @ squares)
 
+    def parts(self, tau: Array) -> dict[str, Array]:
+        """The deviation that each term would make alone, shape of ``tau`` (seconds)."""
+        columns = _columns(tau)
+        return {name: np.sqrt(columns[:, TERMS.index(name)]) * value for name, value in self.value.items()}
+
     def dominating(self, tau: float) -> str:
         """The term that makes most of the variance at an averaging time, seconds."""
         parts = _columns(np.array([tau]))[0] * [self.value.get(name, 0.0) ** 2 for name in TERMS]
