@@ -150,12 +150,13 @@ class PacedLog:
         if np.nanmin(steps, initial=0.0) < 0.0:
             row = self.pace.rows + int(known[np.nanargmin(steps)])
             raise InputError(f"time goes back at row {row}: sort the log, or say --rate HZ", file=self._file)
-        self._last = float(times[known[-1]])
-        if not self.pace.interval:
-            self.pace.interval = self._first_interval(steps[np.isfinite(steps)])
+        self._last = float(times[-1])
+        there = steps[np.isfinite(steps)]
+        if not self.pace.interval and len(there):
+            self.pace.interval = self._first_interval(there)
             milliseconds = times[known] / _MILLISECOND
             self._slack = _MILLISECOND if np.all(np.abs(milliseconds - np.round(milliseconds)) < 1e-3) else 0.0
-        late = np.nan_to_num(steps) > _LATE * self.pace.interval + self._slack
+        late = (np.nan_to_num(steps) > _LATE * self.pace.interval + self._slack) & (self.pace.interval > 0.0)
         usual = np.isfinite(steps) & ~late
         self._regular += int(usual.sum())
         self._regular_span += float(steps[usual].sum())
@@ -171,9 +172,8 @@ class PacedLog:
         yield readings[done:]
 
     def _first_interval(self, steps: Array) -> float:
-        interval = float(np.median(steps)) if len(steps) else 0.0
         # Times that are written to the millisecond may stand still between rows that are taken faster.
-        interval = interval or (float(np.mean(steps)) if len(steps) else 0.0)
+        interval = float(np.median(steps)) or float(np.mean(steps))
         if interval <= 0.0:
             raise self._unclear("its times stand still")
         return interval
