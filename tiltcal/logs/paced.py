@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +11,6 @@ from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.columns import TIME, locate_columns
 from tiltcal.logs.csv_log import CsvLog
-
-if TYPE_CHECKING:
-    from tiltcal.logs.csv_rows import Rows
 
 _LATE = 1.5
 """Intervals after which the next row is late by so much that rows must be missing between."""
@@ -117,13 +113,16 @@ class PacedLog:
         InputError
             A row cannot be parsed, or time stands still or goes back.
         """
-        for rows in self._log.rows(sorted({self._where[channel] for channel in self._channels})):
+        columns = {self._where[channel] for channel in self._channels}
+        if self._time is not None:
+            columns.add(self._time)
+        for rows in self._log.rows(sorted(columns), self._time):
             readings = np.stack([rows.values[self._where[channel]] for channel in self._channels], axis=1)
             readings[list(rows.faults)] = np.nan
             if self._time is None:
                 yield readings
             else:
-                yield from self._spaced(readings, self._times(rows))
+                yield from self._spaced(readings, rows.values[self._time])
             self.pace.rows += len(readings)
             self.pace.faulty += len(rows.faults)
             if progress is not None:
@@ -133,15 +132,15 @@ class PacedLog:
                 raise self._unclear("it has no two rows with a time")
             self.pace.interval = self._regular_span / self._regular
 
-    def _times(self, rows: Rows) -> Array:
-        times = seconds_of(rows, int(self._time or 0))
-        if not np.isfinite(times).any():
-            raise self._unclear(f"the times of rows {self.pace.rows} ff. are neither seconds nor ISO 8601")
-        return times
-
     def _spaced(self, readings: Array, times: Array) -> Iterator[Array]:
         """The readings with missing rows where time leaps; a row without a time follows the one before it."""
         known = np.flatnonzero(np.isfinite(times))
+        if not len(known) and self.pace.interval:
+            self._last = np.nan
+            yield readings
+            return
+        if not len(known):
+            raise self._unclear(f"its times from row {self.pace.rows} on are neither seconds nor ISO 8601")
         before = np.r_[self._last, times[known][:-1]]
         steps = times[known] - before
         # A first row, and one behind rows without a time, has no step of one interval.
@@ -180,30 +179,3 @@ class PacedLog:
 
     def _unclear(self, why: str) -> InputError:
         return InputError(f"nothing says how fast its rows were taken: {why}; say --rate HZ", file=self._file)
-
-
-def seconds_of(rows: Rows, column: int) -> Array:
-    """When rows were taken.
-
-    Parameters
-    ----------
-    rows : Rows
-    column : int
-        Index of the column of the time.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Seconds: as they stand, or those since 1970 where ISO 8601 is written; NaN where it is neither.
-    """
-    import polars as pl
-
-    fields = rows.lines.str.splitn(",", column + 2).struct.field(f"field_{column}").str.strip_chars(' \t"')
-    seconds = fields.cast(pl.Float64, strict=False)
-    if seconds.null_count() == len(seconds):
-        moments = fields.str.replace("T", " ", literal=True).str.strip_suffix("Z")
-        parsed = moments.str.to_datetime("%Y-%m-%d %H:%M:%S%.f", strict=False, time_unit="us")
-        seconds = parsed.dt.epoch("us").cast(pl.Float64) / 1e6
-    values = seconds.fill_null(np.nan).to_numpy(writable=True)
-    values[list(rows.faults)] = np.nan
-    return np.asarray(values, dtype=np.float64)

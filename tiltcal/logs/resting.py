@@ -47,7 +47,7 @@ class Resting:
         """What was looked at, in words."""
         return (
             f"{self.pace.rows} samples of {', '.join(self.channels)}, {self.pace.interval:.4g} s apart "
-            f"({1.0 / self.pace.interval:.4g} Hz), {self.span:.4g} s"
+            f"({1.0 / self.pace.interval:.4g} Hz), {self.span:.6g} s"
         )
 
     def as_data(self) -> dict[str, Any]:

@@ -269,7 +269,7 @@ def _in_g(channel: str, value: float, scale: Scale, per: str = "") -> str:
 def _advice(found: Positions, interval: float, scale: Scale, target: float | None) -> Iterator[str]:
     worst = found.advice[found.channel]
     uncertain = ", ".join(_uncertain(channel, advice, scale) for channel, advice in found.advice.items())
-    yield f"measure --samples {found.samples}: a position takes {found.samples * interval:.3g} s at this pace"
+    yield f"measure --samples {found.samples}: a position takes {found.samples * interval:.4g} s at this pace"
     yield f"  its mean is uncertain by {uncertain}"
     yield f"  {found.channel}: {_WHY[worst.limit]}"
     for channel, advice in found.advice.items():
