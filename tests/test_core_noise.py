@@ -124,10 +124,17 @@ class TestKindsOfNoise:
         assert terms.u["B"] < 0.1 * terms.value["B"]
 
     def test_random_walk(self) -> None:
-        terms = noise_of(coloured.white(rng(), 400_000, 0.6) + coloured.walk(rng(2), 400_000, 0.001)).terms
-        assert set(terms.value) == {"N", "K"}
-        assert terms.value["K"] == pytest.approx(0.001 / sqrt(DT), abs=4 * terms.u["K"])
-        assert terms.u["K"] < 0.15 * terms.value["K"]
+        """A single record tells it to a tenth at best, and may look like a drift; many tell the factor 1/3 from 1/2."""
+        records = [
+            noise_of(coloured.white(rng(seed), 200_000, 0.6) + coloured.walk(rng(seed + 99), 200_000, 2e-3)).terms
+            for seed in range(16)
+        ]
+        found = [terms for terms in records if set(terms.value) == {"N", "K"}]
+        assert len(found) >= 13
+        for terms in found:
+            assert terms.value["K"] == pytest.approx(2e-3 / sqrt(DT), abs=4 * terms.u["K"])
+            assert terms.u["K"] < 0.15 * terms.value["K"]
+        assert np.mean([terms.value["K"] for terms in found]) == pytest.approx(2e-3 / sqrt(DT), rel=0.07)
 
     def test_drift(self) -> None:
         terms = noise_of(coloured.white(rng(), 100_000, 0.6) + coloured.ramp(100_000, 1e-4)).terms
