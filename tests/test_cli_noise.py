@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import signal
+import subprocess
 from math import degrees, sqrt
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ import coloured
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from command import tiltcal
+from command import TILTCAL, tiltcal
 
 from tiltcal.cli.noise import command
 from tiltcal.errors import EstimateError, InputError, TiltcalError, UsageError
@@ -256,6 +258,26 @@ class TestLive:
 
     def test_a_virtual_sensor_needs_an_end(self) -> None:
         assert "--samples or --for" in refused(noise(*self.ONE), UsageError)
+
+    def test_what_is_not_kept_is_called_the_record(self) -> None:
+        assert refused(noise(*self.ONE, "--samples", "20"), EstimateError).startswith("the record: x has 20 samples")
+
+    def test_interrupted_it_tells_of_what_it_has(self, tmp_path: Path) -> None:
+        log = tmp_path / "still.csv"
+        process = subprocess.Popen(
+            [*TILTCAL, "noise", *self.ONE, "--samples", "100000000", "-o", str(log)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        while process.poll() is None and (not log.exists() or log.stat().st_size < 20_000):
+            pass
+        process.send_signal(signal.SIGINT)
+        printed, said = process.communicate()
+        assert process.returncode == 130
+        rows = len(log.read_text().splitlines()) - 1
+        assert f"{rows} samples in" in said
+        assert printed.startswith(f"{rows} samples of x, y")
 
     def test_a_log_is_never_replaced(self, tmp_path: Path) -> None:
         (tmp_path / "still.csv").write_text("mine")

@@ -117,7 +117,8 @@ def command(
     else:
         with _kept(output) as path:
             interrupted = _recorded(str(sensor), address, rate, samples, seconds, path, output)
-            resting = _characterised(str(path), "", None, facts, sizes, skip_bad_rows)
+            called = str(output or "the record")
+            resting = _characterised(str(path), "", None, facts, sizes, skip_bad_rows, called)
     scale = facts.scale(resting)
     if figure is not None:
         draw_noise(figure, resting.channels, scale)
@@ -276,7 +277,13 @@ def _recorded(
 
 
 def _characterised(
-    log: str, columns: str, rate: float | None, facts: Facts, sizes: tuple[int, ...], skip_bad_rows: bool
+    log: str,
+    columns: str,
+    rate: float | None,
+    facts: Facts,
+    sizes: tuple[int, ...],
+    skip_bad_rows: bool,
+    called: str | None = None,
 ) -> Resting:
     from tiltcal.cli.log_files import log_source, progress_bar, require_csv
     from tiltcal.core.model import AXES
@@ -287,7 +294,8 @@ def _characterised(
 
     require_csv(log)
     named = parse_columns(columns, AXES)
-    with log_source(log) as (stream, name, size), progress_bar("noise", size) as progress:
+    with log_source(log) as (stream, own_name, size), progress_bar("noise", size) as progress:
+        name = called or own_name
         rows = CsvLog(stream, name=name, skip_bad_rows=skip_bad_rows)
         asked = tuple(axis for axis in AXES if axis in named)
         there = tuple(axis for axis in AXES if axis in rows.names)
