@@ -101,6 +101,15 @@ class TestOfALog:
         assert "does not meet 0.0001°" in result.stdout
         assert as_json(log, "--sensor", "sca100t-d02", "--target", "0.0001")["recommendation"]["met"] is False
 
+    def test_the_uncertainty_is_that_of_the_position(self, tmp_path: Path) -> None:
+        """The quieter channel has its mean of as many samples as the noisier one needs."""
+        found = as_json(written(tmp_path / "log.csv", counts()), "--sensor", "sca100t-d02", "--target", "0.005")
+        advice = found["recommendation"]
+        x, y = advice["channels"]["x"], advice["channels"]["y"]
+        assert x["samples"] < y["samples"] == advice["samples"]
+        assert x["uncertainty"] == pytest.approx(0.6 / sqrt(advice["samples"]), rel=0.06)
+        assert y["uncertainty_degrees"] == pytest.approx(0.005, rel=0.02)
+
     def test_a_table_of_averages_that_was_asked_for(self, tmp_path: Path) -> None:
         """Standard deviation and range, worked out by numpy."""
         samples = np.round(counts(), 3)

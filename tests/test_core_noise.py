@@ -319,6 +319,15 @@ class TestAdvice:
         assert advice.met is False
         assert advice.uncertainty > left * 0.7
 
+    def test_behind_a_hump_it_must_be_better_than_before(self) -> None:
+        """A restless sensor: its means wander off within seconds, and those of minutes are not as good as one sample."""
+        from scipy.signal import lfilter
+
+        samples = lfilter([1.0], [1.0, -0.999], coloured.white(rng(), 50_000, 1.0))
+        advice = advise(noise_of(samples), DT)
+        assert advice.useful == 1
+        assert advice.samples == 1
+
     def test_more_samples_than_help_are_not_taken_for_a_target(self) -> None:
         noise = noise_of(coloured.white(rng(), 100_000, 1.0))
         assert advise(noise, DT, 5.0).samples == 1

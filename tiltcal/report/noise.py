@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiltcal.core.noise.advice import Advice, Limit, advise
+from tiltcal.core.noise.advice import Advice, Limit, advise, uncertainty
 from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.terms import FLICKER
 from tiltcal.report.pair import bracketed
@@ -37,6 +37,7 @@ _WHY: dict[Limit, str] = {
     "flicker": "twice as many gain less than a tenth: flicker noise stays, however long the average",
     "walk": "twice as many gain less than a tenth: its zero wanders (random walk)",
     "drift": "twice as many gain less than a tenth: it drifts",
+    "unknown": "twice as many gain less than a tenth, and none of the usual kinds of noise says why",
 }
 
 
@@ -74,22 +75,20 @@ class Positions:
     ----------
     advice : mapping of str to Advice
     channel : str
-        The one that needs most samples.
+        The one that settles it.
+    samples : int
+        Of a position.
+    uncertainty : mapping of str to float
+        Of each channel's mean of so many samples, unit.
+    met : mapping of str to bool
+        Whether it is as good as the target; empty without one.
     """
 
     advice: Mapping[str, Advice]
     channel: str
-
-    @property
-    def samples(self) -> int:
-        """Of a position."""
-        return max(_FEWEST_SAMPLES, self.advice[self.channel].samples)
-
-    @property
-    def met(self) -> bool | None:
-        """Whether every channel meets the target; None where there is none."""
-        known = [advice.met for advice in self.advice.values() if advice.met is not None]
-        return all(known) if known else None
+    samples: int
+    uncertainty: Mapping[str, float]
+    met: Mapping[str, bool]
 
 
 def positions(noises: Mapping[str, ChannelNoise], interval: float, scale: Scale, target: float | None) -> Positions:
@@ -104,11 +103,15 @@ def positions(noises: Mapping[str, ChannelNoise], interval: float, scale: Scale,
     target : float or None
         Standard uncertainty of a mean, degrees.
     """
-    advice = {
-        channel: advise(noise, interval, scale.from_degrees(channel, target)) for channel, noise in noises.items()
-    }
+    targets = {channel: scale.from_degrees(channel, target) for channel in noises}
+    advice = {channel: advise(noise, interval, targets[channel]) for channel, noise in noises.items()}
     # A channel that misses the target is what settles it, whatever the others need.
-    return Positions(advice, max(advice, key=lambda channel: (advice[channel].met is False, advice[channel].samples)))
+    settles = max(advice, key=lambda channel: (advice[channel].met is False, advice[channel].samples))
+    samples = max(_FEWEST_SAMPLES, advice[settles].samples)
+    tau = np.array([samples * interval])
+    u = {channel: float(uncertainty(noise, tau)[0]) for channel, noise in noises.items()}
+    met = {channel: u[channel] <= wanted for channel, wanted in targets.items() if wanted is not None}
+    return Positions(advice, settles, samples, u, met)
 
 
 def summary(noises: Mapping[str, ChannelNoise], interval: float, scale: Scale, target: float | None = None) -> str:
@@ -140,13 +143,13 @@ def as_data(
             "channel": found.channel,
             "limit": worst.limit,
             "target_degrees": target,
-            "met": found.met,
+            "met": all(found.met.values()) if found.met else None,
             "channels": {
                 channel: {
                     "samples": advice.samples,
-                    **_both("uncertainty", channel, advice.uncertainty, scale),
                     "limit": advice.limit,
-                    "met": advice.met,
+                    **_both("uncertainty", channel, found.uncertainty[channel], scale),
+                    "met": found.met.get(channel),
                     "useful": advice.useful,
                     "foretold": advice.foretold,
                 }
@@ -241,7 +244,9 @@ def _kinds(channel: str, noise: ChannelNoise, scale: Scale) -> Iterator[str]:
     if "R" in value:
         lines.append(f"drift {bracketed(value['R'], u['R'])} {unit}/s{_in_g(channel, value['R'], scale, '/s')}")
     first = float(noise.tau[noise.terms.first])
-    if noise.terms.first:
+    if not noise.terms.follows:
+        lines.append("(which the Allan deviation does not follow: take them for what they are, and look at the figure)")
+    elif noise.terms.first:
         lines.append(f"(from {first:.3g} s on: samples that follow each other faster are not independent)")
     if noise.settled:
         tau, low = noise.lowest
@@ -268,25 +273,29 @@ def _in_g(channel: str, value: float, scale: Scale, per: str = "") -> str:
 
 def _advice(found: Positions, interval: float, scale: Scale, target: float | None) -> Iterator[str]:
     worst = found.advice[found.channel]
-    uncertain = ", ".join(_uncertain(channel, advice, scale) for channel, advice in found.advice.items())
+    uncertain = ", ".join(_uncertain(channel, u, scale) for channel, u in found.uncertainty.items())
     yield f"measure --samples {found.samples}: a position takes {found.samples * interval:.4g} s at this pace"
     yield f"  its mean is uncertain by {uncertain}"
     yield f"  {found.channel}: {_WHY[worst.limit]}"
-    for channel, advice in found.advice.items():
-        if advice.met is False:
-            more = (
-                f"; if its noise stayed white {advice.foretold} samples would ({advice.foretold * interval:.3g} s)"
-                if advice.foretold
-                else ""
-            )
-            yield f"  {channel} does not meet {target:g}° with any number that this record tells of{more}"
+    for channel, met in found.met.items():
+        if not met:
+            yield f"  {channel} does not meet {target:g}°{_foretold(found.advice[channel], interval)}"
     if scale.source:
         yield f"  degrees of an axis near level, by the {scale.source}"
 
 
-def _uncertain(channel: str, advice: Advice, scale: Scale) -> str:
-    angle = scale.degrees(channel, advice.uncertainty)
-    return f"{channel} {advice.uncertainty:.3g} {scale.unit}" + (f" ({angle:.2g}°)" if angle is not None else "")
+def _foretold(advice: Advice, interval: float) -> str:
+    if advice.foretold is None:
+        return " with any number of samples" if advice.met is False else " with so many samples; fewer would do for it"
+    return (
+        f" with any number that this record tells of; if its noise stayed white, {advice.foretold} samples would "
+        f"({advice.foretold * interval:.4g} s)"
+    )
+
+
+def _uncertain(channel: str, u: float, scale: Scale) -> str:
+    angle = scale.degrees(channel, u)
+    return f"{channel} {u:.3g} {scale.unit}" + (f" ({angle:.2g}°)" if angle is not None else "")
 
 
 def draw_noise(path: Path, noises: Mapping[str, ChannelNoise], scale: Scale) -> None:
@@ -313,10 +322,13 @@ def draw_noise(path: Path, noises: Mapping[str, ChannelNoise], scale: Scale) -> 
 def _draw_channel(panel: Axes, channel: str, noise: ChannelNoise, scale: Scale) -> None:
     tau, deviation = noise.tau, noise.deviation
     described = np.geomspace(tau[noise.terms.first], tau[-1], 200)
-    if len(noise.terms.value) > 1:
-        for name, part in noise.terms.parts(described).items():
-            panel.plot(described, part, color=PART, linewidth=0.9, linestyle=_DASHES[name], label=_NAMES[name])
-    panel.plot(described, np.sqrt(noise.terms.variance(described)), color=MODEL, linewidth=1.2, label="sum, fitted")
+    parts = noise.terms.parts(described)
+    for name, part in parts.items() if len(parts) > 1 else ():
+        panel.plot(described, part, color=PART, linewidth=0.9, linestyle=_DASHES[name], label=_NAMES[name])
+    label = ("sum, " if len(parts) > 1 else f"{_NAMES[next(iter(parts))]}, ") + (
+        "fitted" if noise.terms.follows else "which does not follow it"
+    )
+    panel.plot(described, np.sqrt(noise.terms.variance(described)), color=MODEL, linewidth=1.2, label=label)
     within = [deviation - noise.low, noise.high - deviation]
     panel.errorbar(
         tau, deviation, within, fmt="o", markersize=3.5, elinewidth=0.9, color=MEASURED, label="measured, 95 %"

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array
 from tiltcal.core.noise.characterise import ChannelNoise
 
-Limit = Literal["target", "record", "rounding", "flicker", "walk", "drift"]
+Limit = Literal["target", "record", "rounding", "flicker", "walk", "drift", "unknown"]
 """What says how many samples: the target is met; the record ends, and more would still help; more do not help because
-of rounding, flicker noise, random walk or drift."""
+of rounding, flicker noise, random walk, drift, or what none of them describes."""
 
 LITTLE = 0.1
 """Share by which twice the samples must lower the uncertainty to be worth their time."""
@@ -26,7 +26,7 @@ LITTLE = 0.1
 _EACH = 1000
 """Numbers of samples up to which each is tried; beyond, they go up by a hundredth."""
 
-_LIMITS: dict[str, Limit] = {"N": "record", "B": "flicker", "K": "walk", "R": "drift"}
+_LIMITS: dict[str, Limit] = {"B": "flicker", "K": "walk", "R": "drift"}
 
 
 @dataclass(frozen=True)
@@ -116,12 +116,15 @@ def _useful(noise: ChannelNoise, samples: NDArray[np.int64], u: Array, interval:
     """Where twice the samples stop to help, and what stops it."""
     twice = np.interp(2.0 * samples, samples, u, right=np.nan)
     known = ~np.isnan(twice)
-    helps = np.flatnonzero(known & (twice <= (1.0 - LITTLE) * u))
+    # What falls again behind a hump, as after a vibration, must come below what there was before it.
+    helps = np.flatnonzero(known & (twice <= (1.0 - LITTLE) * np.minimum.accumulate(u)))
     if not known.any() or (len(helps) and helps[-1] == np.flatnonzero(known)[-1]):
         return None, "record"
     useful = int(samples[helps[-1]] + 1) if len(helps) else 1
     left = float(u[np.searchsorted(samples, useful)])
     if noise.rounding > left / sqrt(2.0):
         return useful, "rounding"
-    rising = noise.terms.dominating(float(noise.tau[-1]))
-    return useful, _LIMITS[rising]
+    left_over = {name: part[0] for name, part in noise.terms.parts(noise.tau[-1:]).items() if name in _LIMITS}
+    if not noise.terms.follows or not left_over:
+        return useful, "unknown"
+    return useful, _LIMITS[max(left_over, key=lambda name: left_over[name])]

@@ -78,11 +78,6 @@ class Terms:
         columns = _columns(tau)
         return {name: np.sqrt(columns[:, TERMS.index(name)]) * value for name, value in self.value.items()}
 
-    def dominating(self, tau: float) -> str:
-        """The term that makes most of the variance at an averaging time, seconds."""
-        parts = _columns(np.array([tau]))[0] * [self.value.get(name, 0.0) ** 2 for name in TERMS]
-        return TERMS[int(np.argmax(parts))]
-
 
 def terms_of(tau: Array, variance: Array, factor: NDArray[np.int64], samples: int) -> Terms:
     """The fewest kinds of noise that make an Allan variance.
