@@ -320,7 +320,7 @@ class TestAdvice:
         assert advice.uncertainty > left * 0.7
 
     def test_behind_a_hump_it_must_be_better_than_before(self) -> None:
-        """A restless sensor: its means wander off within seconds, and those of minutes are not as good as one sample."""
+        """A restless sensor: means wander off within seconds, and those of minutes are not as good as one sample."""
         from scipy.signal import lfilter
 
         samples = lfilter([1.0], [1.0, -0.999], coloured.white(rng(), 50_000, 1.0))

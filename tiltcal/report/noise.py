@@ -245,7 +245,7 @@ def _kinds(channel: str, noise: ChannelNoise, scale: Scale) -> Iterator[str]:
         lines.append(f"drift {bracketed(value['R'], u['R'])} {unit}/s{_in_g(channel, value['R'], scale, '/s')}")
     first = float(noise.tau[noise.terms.first])
     if not noise.terms.follows:
-        lines.append("(which the Allan deviation does not follow: take them for what they are, and look at the figure)")
+        lines.append("(the Allan deviation does not follow them: look at the --figure)")
     elif noise.terms.first:
         lines.append(f"(from {first:.3g} s on: samples that follow each other faster are not independent)")
     if noise.settled:
