@@ -161,9 +161,9 @@ def degrees_of_freedom(kind: Kind, samples: float, factor: float) -> float:
 
     Notes
     -----
-    NIST Special Publication 1065, table 5, after Howe, Allan and Barnes (1981); its N, the number of phases, is one more
-    than that of the samples. For flicker noise and single samples N - 2 is squared here, as the scatter of simulated
-    records demands; without the square, as allantools has it, there is less than one.
+    NIST Special Publication 1065, table 5; its N, the number of phases, is one more than that of the samples. For
+    flicker noise and single samples N - 2 is squared here, as the scatter of simulated records demands; without the
+    square, as allantools has it, there is less than one.
     """
     n, m = samples + 1.0, factor
     if kind == "white":
