@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,6 @@ from tiltcal.errors import EstimateError, InputError, UsageError
 if TYPE_CHECKING:
     from tiltcal.core.angles import UncertainCompensation
     from tiltcal.core.compensate import Compensation
-    from tiltcal.core.model import Limits
     from tiltcal.files.calibration import Calibration
     from tiltcal.logs.compensated import Kernel
 
@@ -119,6 +117,7 @@ def _kernel(
     from tiltcal.files.calibration import calibration_of
     from tiltcal.files.document import checked_kind, read_document
     from tiltcal.files.pair import pair_of
+    from tiltcal.rails import with_rails
 
     document = read_document(path)
     kind = document.entries().get("kind")
@@ -132,7 +131,7 @@ def _kernel(
     known = calibration_of(checked_kind(document, "tilt"))
     channels = known.coefficients.channels
     try:
-        compensation = Compensation(known.coefficients, _with_rails(known), first_order=first_order)
+        compensation = Compensation(known.coefficients, with_rails(known), first_order=first_order)
         if not uncertainty:
             return compensation, channels, ()
         uncertain = _uncertain(known, compensation, reading_noise)
@@ -150,19 +149,3 @@ def _uncertain(known: Calibration, compensation: Compensation, reading_noise: fl
     for remark in stated.remarks:
         click.echo(f"note: {remark}", err=True)
     return UncertainCompensation(compensation, known.coefficients, stated.doubt)
-
-
-def _with_rails(calibration: Calibration) -> Limits:
-    """The calibration's limits, with the rails of its model where the file itself names none."""
-    from tiltcal.drivers import find_model
-
-    limits, sensor = calibration.limits, calibration.sensor
-    if limits.reading:
-        return limits
-    try:
-        model = find_model(sensor.model)
-    except UsageError:
-        return limits  # a model that nobody knows has no rails that anybody knows
-    if model.unit != sensor.unit:
-        return limits
-    return replace(limits, reading=dict.fromkeys(sensor.channels, model.rails))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
+from statistics import NormalDist
 
 import numpy as np
 
 from tiltcal.core.model import Array, Coefficients, Thermal, polynomial
+
+COVERAGE = 0.95
+"""How sure the verdict is to be that nothing has changed before it calls a difference one."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,43 @@ class Change:
     def ratio(self) -> float | None:
         """The difference over its standard uncertainty; None where that is not known, or zero."""
         return abs(self.difference) / self.u if self.u else None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a sensor has changed.
+
+    Attributes
+    ----------
+    threshold : float or None
+        How many standard uncertainties a change may be; None where no change has one to be compared with.
+    changed : tuple of str
+        The coefficients that changed by more.
+    """
+
+    threshold: float | None
+    changed: tuple[str, ...]
+
+    @property
+    def word(self) -> str:
+        """``changed``, ``unchanged`` or ``unknown``."""
+        return "unknown" if self.threshold is None else "changed" if self.changed else "unchanged"
+
+    def __str__(self) -> str:
+        if self.threshold is None:
+            return "no verdict: the files state no uncertainties to compare with"
+        if not self.changed:
+            return f"unchanged: no change is more than {self.threshold:.2f} standard uncertainties"
+        return f"changed: {', '.join(self.changed)} by more than {self.threshold:.2f} standard uncertainties"
+
+
+def judge(found: Sequence[Change]) -> Verdict:
+    """Whether any of some changes is too large for chance, allowing for their number (Šidák)."""
+    ratios = {change.name: change.ratio for change in found if change.ratio is not None}
+    if not ratios:
+        return Verdict(None, ())
+    threshold = NormalDist().inv_cdf((1.0 + COVERAGE ** (1.0 / len(ratios))) / 2.0)
+    return Verdict(threshold, tuple(name for name, ratio in ratios.items() if ratio > threshold))
 
 
 def referred(coefficients: Coefficients, reference: float) -> Coefficients:

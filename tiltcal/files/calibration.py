@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from tiltcal.core.model import AXES, Coefficients, Limits
+from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import (
     in_degrees,
     read_coefficients,
@@ -159,6 +160,20 @@ def calibration_of(document: Node) -> Calibration:
         limits=_read_limits(top["limits"], coefficients) if "limits" in top else Limits(),
         **records,
     )
+
+
+def require_same_sensor(old: Calibration, new: Calibration) -> None:
+    """See that two calibrations are of one sensor.
+
+    Raises
+    ------
+    UsageError
+        They are not; the message says in what they differ.
+    """
+    for what in ("serial", "model", "unit", "channels"):
+        a, b = getattr(old.sensor, what), getattr(new.sensor, what)
+        if a != b:
+            raise UsageError(f"not two calibrations of one sensor: its {what} is {a} in one and {b} in the other")
 
 
 def _read_sensor(node: Node) -> SensorIdentity:
