@@ -1,0 +1,153 @@
+"""What a log of any length comes to, in bounded memory: envelopes of its angles over time, histograms, flags."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.compensate import FAIL, FLAGS, REASONS, SUSPECT
+from tiltcal.core.model import Array
+
+STRETCHES = 600
+"""Fewest stretches of a long log, one for each dot across a page; there are up to twice as many."""
+
+STEP = 0.005
+"""Width of a histogram's bins, degrees."""
+
+_REACH = 180.0
+
+
+class Overview:
+    """Angles and flags of a log, summed up row after row.
+
+    The rows are parted into stretches of one length; when there are twice as many as are needed, neighbours are joined.
+
+    Parameters
+    ----------
+    angles : sequence of str
+        Names of the angles.
+
+    Attributes
+    ----------
+    angles : tuple of str
+    rows : int
+        So far.
+    flags : Counter
+        Rows by flag.
+    reasons : Counter
+        Rows by bit of the reason; a row may have several.
+    """
+
+    def __init__(self, angles: Sequence[str]) -> None:
+        self.angles = tuple(angles)
+        self.rows = 0
+        self.flags: Counter[int] = Counter()
+        self.reasons: Counter[int] = Counter()
+        self._length = 1
+        shape = (2 * STRETCHES, len(self.angles))
+        self._low, self._high = np.full(shape, np.nan), np.full(shape, np.nan)
+        self._begin = np.full(2 * STRETCHES, np.nan)
+        self._bad = np.zeros((2 * STRETCHES, 2), np.int64)
+        self._counts = np.zeros((len(self.angles), round(2 * _REACH / STEP) + 1), np.int64)
+        self._sums = np.zeros(len(self.angles))
+
+    def add(self, time: Array, angles: Array, flag: NDArray[np.uint8], reason: NDArray[np.uint8]) -> None:
+        """Take some rows.
+
+        Parameters
+        ----------
+        time : ndarray, shape (n,)
+            Seconds, or what the log counts instead.
+        angles : ndarray, shape (n, angles)
+            Degrees; NaN where there is none.
+        flag, reason : ndarray of uint8, shape (n,)
+        """
+        self._count(flag, reason)
+        self._distribute(angles)
+        if not len(flag):
+            return
+        while (self.rows + len(flag) - 1) // self._length >= 2 * STRETCHES:
+            self._join()
+        stretch = (self.rows + np.arange(len(flag))) // self._length
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(stretch)) + 1])
+        where = stretch[starts]
+        self._low[where] = np.fmin(self._low[where], np.fmin.reduceat(angles, starts))
+        self._high[where] = np.fmax(self._high[where], np.fmax.reduceat(angles, starts))
+        self._begin[where] = np.fmin(self._begin[where], np.fmin.reduceat(time, starts))
+        bad = np.stack([flag == SUSPECT, flag >= FAIL], axis=1).astype(np.int64)
+        self._bad[where] += np.add.reduceat(bad, starts)
+        self.rows += len(flag)
+
+    @property
+    def time(self) -> Array:
+        """When each stretch begins, shape (stretches,)."""
+        return self._begin[: self._used]
+
+    @property
+    def low(self) -> Array:
+        """Smallest angles of each stretch, shape (stretches, angles), degrees."""
+        return self._low[: self._used]
+
+    @property
+    def high(self) -> Array:
+        """Largest angles of each stretch, shape (stretches, angles), degrees."""
+        return self._high[: self._used]
+
+    @property
+    def flagged(self) -> Array:
+        """Shares of the rows of each stretch that are suspect, and that fail or are missing, shape (stretches, 2)."""
+        rows = np.minimum(self._length, self.rows - self._length * np.arange(self._used))
+        return np.asarray(self._bad[: self._used] / rows[:, None])
+
+    @property
+    def mean(self) -> Array:
+        """Of each angle, degrees; NaN where it never was one."""
+        count = self._counts.sum(axis=1)
+        return np.asarray(np.where(count > 0, self._sums / np.maximum(count, 1), np.nan))
+
+    def histogram(self, bins: int) -> list[tuple[Array, Array]]:
+        """For each angle the edges of at most so many bins over its range, degrees, and how many rows are in each."""
+        found = []
+        for counts in self._counts:
+            (met,) = np.nonzero(counts)
+            if not len(met):
+                found.append((np.zeros(1), np.zeros(0)))
+                continue
+            first, last = int(met[0]), int(met[-1]) + 1
+            width = -(-(last - first) // bins)
+            starts = np.arange(first, last, width)
+            edges = np.append(starts, starts[-1] + width) * STEP - _REACH - STEP / 2
+            found.append((edges, np.add.reduceat(counts[:last], starts).astype(float)))
+        return found
+
+    @property
+    def _used(self) -> int:
+        return -(-self.rows // self._length)
+
+    def _count(self, flag: NDArray[np.uint8], reason: NDArray[np.uint8]) -> None:
+        for value, count in enumerate(np.bincount(flag, minlength=0).tolist()):
+            if count and value in FLAGS:
+                self.flags[value] += count
+        for mask, count in enumerate(np.bincount(reason).tolist()):
+            for bit in REASONS:
+                if count and mask & bit:
+                    self.reasons[bit] += count
+
+    def _distribute(self, angles: Array) -> None:
+        for k, column in enumerate(angles.T):
+            known = column[np.isfinite(column)]
+            place = np.rint((np.clip(known, -_REACH, _REACH) + _REACH) / STEP).astype(np.intp)
+            self._counts[k] += np.bincount(place, minlength=self._counts.shape[1])
+            self._sums[k] += known.sum()
+
+    def _join(self) -> None:
+        """Make one stretch of every two."""
+        with np.errstate(invalid="ignore"):
+            for table, join in ((self._low, np.fmin), (self._high, np.fmax), (self._begin, np.fmin)):
+                joined = join(table[::2], table[1::2])
+                table[:STRETCHES], table[STRETCHES:] = joined, np.nan
+        self._bad[:STRETCHES], self._bad[STRETCHES:] = self._bad[::2] + self._bad[1::2], 0
+        self._length *= 2
