@@ -14,7 +14,8 @@ from tiltcal.core.pair.demodulate import Demodulator
 from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Course
-from tiltcal.report.pair import Drawing, bracketed, draw_matching, summary, table
+from tiltcal.report.digits import bracketed
+from tiltcal.report.pair import Drawing, draw_matching, summary, table
 
 
 class TestBrackets:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from tiltcal.core.estimation.design import Design
 from tiltcal.outlook import Outlook
+from tiltcal.report.terms import unit_of
 
 SHOWN = 3
 """Correlations and positions that are named."""
@@ -23,7 +24,7 @@ def _lines(outlook: Outlook) -> Iterator[str]:
     for name, u in prediction.uncertainty().items():
         # What unit gravity leaves open is the choice of a frame, in which these are 0.
         if u > 0.0 or not design.free:
-            yield f"  {name:<28} {u:.2g} {_unit(name, outlook.unit)}"
+            yield f"  {name:<28} {u:.2g} {unit_of(name, outlook.unit)}"
     yield f"  degrees of freedom {prediction.dof}" + (
         "" if prediction.dof else ": nothing is left to check the result by"
     )
@@ -37,16 +38,3 @@ def _jig(design: Design) -> str:
     if design.free:
         return "positions that nobody sets"
     return "a perfect jig (none is stated)" if design.jig is None else f"a jig of {design.jig:g}°"
-
-
-def _unit(name: str, unit: str) -> str:
-    kind, *rest = name.split(".")
-    if kind == "offset":
-        return unit
-    if kind == "sensitivity":
-        return f"{unit}/g"
-    if kind == "nonlinearity":
-        return ""
-    power = int(rest[-1])
-    per = "°C" if power == 1 else f"°C^{power}"
-    return f"{unit}/{per}" if rest[0] == "offset" else f"1/{per}"

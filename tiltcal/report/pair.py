@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from decimal import Decimal
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.files.whole import whole_file
+from tiltcal.report.digits import bracketed
+from tiltcal.report.figure import house_style, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,26 +20,6 @@ if TYPE_CHECKING:
 
 HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
 COLOURS = ("#8a8a8a", "#c0504d", "#1f6f8b")
-
-
-def bracketed(value: float, uncertainty: float) -> str:
-    """A value with its standard uncertainty in brackets, in units of its last digit: ``3.3830(3)``.
-
-    Parameters
-    ----------
-    value, uncertainty : float
-        Of one unit. Without an uncertainty (zero, or not finite) the value has six digits and no brackets.
-    """
-    if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
-        return f"{value:.6g}"
-    one = Decimal(f"{uncertainty:.0e}")  # one digit, after rounding: 0.00096 is 1e-3
-    place = one.adjusted()
-    if place > 0:
-        return f"{round(Decimal(value), -place):.0f}({one:.0f})"
-    shown = f"{Decimal(value):.{-place}f}"
-    if not any(digit in shown for digit in "123456789"):
-        shown = shown.lstrip("-")
-    return f"{shown}({int(one.scaleb(-place))})"
 
 
 def table(matching: Matching) -> str:
@@ -63,17 +43,24 @@ def _table(matching: Matching) -> Iterator[str]:
 
 def summary(matching: Matching) -> str:
     """The table, p and q with their uncertainties, and how far the common acceleration is suppressed."""
-    suppression = matching.suppression
-    left = matching.components["after_pq"][SUM]
-    floor = left.amplitude <= left.u_amplitude
     return "\n".join(
         [
             f"{matching.pair.first} and {matching.pair.second}, orthogonal {matching.pair.orthogonal}",
             table(matching),
             f"p = {bracketed(matching.p, matching.u_p)}   q = {bracketed(matching.q, matching.u_q)}",
-            f"common acceleration suppressed {suppression['p']:.3g} times after p, {suppression['pq']:.3g} times after "
-            f"p and q{' (the noise floor)' if floor else ''}",
+            suppressed(matching),
         ]
+    )
+
+
+def suppressed(matching: Matching, write: Callable[[float], str] = "{:.3g}".format) -> str:
+    """How far the common acceleration is suppressed, in words; ``write`` writes the two factors."""
+    suppression = matching.suppression
+    left = matching.components["after_pq"][SUM]
+    floor = left.amplitude <= left.u_amplitude
+    return (
+        f"common acceleration suppressed {write(suppression['p'])} times after p, {write(suppression['pq'])} times "
+        f"after p and q{' (the noise floor)' if floor else ''}"
     )
 
 
@@ -118,23 +105,22 @@ def draw_matching(path: Path, drawing: Drawing) -> None:
     UsageError
         The file cannot be written there.
     """
-    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context({"svg.hashsalt": "tiltcal", "svg.fonttype": "none", "font.size": 10}), whole_file(path) as stream:
+    with house_style(), whole_file(path) as stream:
         figure = Figure(figsize=(8.0, 8.0 if drawing.course else 4.5), layout="constrained")
         panels = figure.subplots(2 if drawing.course else 1, 1, squeeze=False)[:, 0]
-        _draw_spectra(panels[0], drawing)
+        draw_spectra(panels[0], drawing)
         if drawing.course:
             _draw_course(panels[1], drawing)
         for panel in panels:
-            panel.legend(loc="upper right", frameon=False)
-            panel.spines[["top", "right"]].set_visible(False)
+            panel.legend(loc="upper right")
             panel.margins(x=0.01)
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": "tiltcal"})
+        save(figure, stream)
 
 
-def _draw_spectra(panel: Axes, drawing: Drawing) -> None:
+def draw_spectra(panel: Axes, drawing: Drawing) -> None:
+    """Amplitude densities over frequency, and a line where the stage turns."""
     panel.axvline(drawing.spin, color="black", linewidth=0.8, linestyle=":", label="turning of the stage")
     for (name, density), colour in zip(drawing.densities.items(), COLOURS, strict=False):
         panel.loglog(drawing.frequency[1:], density[1:] ** 0.5, color=colour, linewidth=0.9, label=name)

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tiltcal.core.model import Array
+from tiltcal.files.whole import whole_file
+from tiltcal.report.figure import house_style, save
 
 BEFORE, AFTER, TEMPERATURE = "#c0504d", "#1f6f8b", "#8a8a8a"
 
@@ -33,10 +35,9 @@ def draw_tilt_error(
     axes : sequence of str
     title : str
     """
-    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context({"svg.hashsalt": "tiltcal", "svg.fonttype": "none", "font.size": 10}):
+    with house_style(), whole_file(path) as stream:
         figure = Figure(figsize=(8.0, 2.0 + 1.7 * len(axes)), layout="constrained")
         panels = figure.subplots(len(axes) + 1, 1, sharex=True, height_ratios=[*([2.0] * len(axes)), 1.0])
         for panel, axis in zip(panels, axes, strict=False):
@@ -45,11 +46,10 @@ def draw_tilt_error(
             panel.plot(time / 60, after[axis], color=AFTER, linewidth=0.9, label="calibrated")
             panel.set_ylabel(f"error of {axis} tilt [°]")
         figure.suptitle(title, x=0.08, ha="left", fontsize=11)
-        panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, ncols=2, borderaxespad=0.1)
+        panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
         panels[-1].plot(time / 60, temperature, color=TEMPERATURE, linewidth=1.2)
         panels[-1].set_ylabel("T [°C]")
         panels[-1].set_xlabel("time [min]")
         for panel in panels:
-            panel.spines[["top", "right"]].set_visible(False)
             panel.margins(x=0.01)
-        figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "tiltcal"})
+        save(figure, stream)

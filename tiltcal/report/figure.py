@@ -1,0 +1,116 @@
+"""How figures are drawn here: matplotlib, as SVG that is the same whenever it is drawn, in a file or inside a page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WIDTH = 6.85
+"""Of a figure in the page, inches: the text of A4 between margins of 18 mm."""
+
+INK, GREY, BLUE, RED = "#000000", "#8a8a8a", "#1f6f8b", "#c0504d"
+
+CHANNELS = {"x": (BLUE, "o", "-"), "y": (RED, "s", "--"), "z": ("#4f6228", "^", ":")}
+"""Colour, mark and line of a channel: told apart without colour, too."""
+
+_STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.frameon": False,
+    "axes.unicode_minus": True,
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure inside a page.
+
+    Attributes
+    ----------
+    svg : str
+        One ``svg`` element, whose ids are its own in the page.
+    caption : str
+        What to see in it.
+    """
+
+    svg: str
+    caption: str
+
+
+@contextmanager
+def house_style(salt: str = "tiltcal", size: float = 10.0) -> Iterator[None]:
+    """Draw and save as the house does: ids made from ``salt`` and not from chance, the font of ``size`` points."""
+    from matplotlib import rc_context
+
+    with rc_context(_STYLE), rc_context({"svg.hashsalt": salt, "font.size": size}):
+        yield
+
+
+def save(figure: Figure, stream: BinaryIO) -> None:
+    """Write a figure as SVG without the time of day; within :func:`house_style`."""
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": "tiltcal"})
+
+
+def picture(
+    name: str, height: float, plot: Callable[[Figure], None], *, title: str, description: str, caption: str
+) -> Picture:
+    """Draw a figure for the page.
+
+    Parameters
+    ----------
+    name : str
+        Its own in the page; leads its ids.
+    height : float
+        Inches.
+    plot : callable
+        Draws on the figure.
+    title, description : str
+        For who does not see it.
+    caption : str
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    drawn = BytesIO()
+    with house_style(f"tiltcal-{name}", 8.0):
+        figure = Figure(figsize=(WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.08))
+        plot(figure)
+        save(figure, drawn)
+    return Picture(inline(drawn.getvalue().decode(), name, title, description), caption)
+
+
+def inline(svg: str, name: str, title: str, description: str) -> str:
+    """An SVG file as an element of a page: no prologue, no style for the whole page, ids and text for its own.
+
+    Parameters
+    ----------
+    svg : str
+        As matplotlib writes it.
+    name : str
+        Leads every id.
+    title, description : str
+    """
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<defs>\s*</defs>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r"<!--.*?-->\s*", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'(\sid=")', rf"\1{name}-", svg)
+    svg = re.sub(r'(url\(#|xlink:href="#)', rf"\1{name}-", svg)
+    box = re.search(r'viewBox="[^"]*"', svg)
+    root = (
+        f'<svg {box[0] if box else ""} role="img" aria-labelledby="{name}-title {name}-description">'
+        f'<title id="{name}-title">{escape(title)}</title><desc id="{name}-description">{escape(description)}</desc>'
+    )
+    body = svg[svg.index(">") + 1 :]
+    return root + re.sub(r"\n\s*", "\n", body)
