@@ -20,7 +20,7 @@ from tiltcal.cli.main import COMMANDS, group
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
-HEAVY = {"numpy", "scipy", "polars", "rich", "matplotlib", "yaml", "spidev"}
+HEAVY = {"numpy", "scipy", "polars", "rich", "matplotlib", "jinja2", "yaml", "spidev"}
 REGISTRIES = ("pypi" + ".org", "python" + "hosted.org", "anaconda" + ".org", "npmjs" + ".com", "crates" + ".io")
 
 
@@ -98,7 +98,7 @@ def test_the_wheel_holds_tiltcal_alone(tmp_path: Path) -> None:
     held = set(ZipFile(wheel).namelist())
     assert {name.partition("/")[0] for name in held} == {"tiltcal", f"tiltcal-{tiltcal.__version__}.dist-info"}
     modules = [path for root in ("tiltcal", "drivers") for path in ROOT.glob(f"{root}/**/*.py")]
-    wanted = [*modules, *ROOT.glob("procedures/*.yaml")]
+    wanted = [*modules, *ROOT.glob("procedures/*.yaml"), *ROOT.glob("tiltcal/report/templates/*")]
     assert {inside_tiltcal(path.relative_to(ROOT)).as_posix() for path in wanted} <= held
     assert "tiltcal/py.typed" in held
 

@@ -24,8 +24,9 @@ COMMANDS = {
     "apply": "turn a recorded log of readings into compensated tilt",
     "noise": "tell how noisy a sensor is, and how many samples it takes",
     "match": "match pairs of accelerometers on a rotary stage",
+    "report": "write the page that is filed with a sensor",
     "check": "check any tiltcal file",
-    "demo": "measure, calibrate and apply on the virtual bench",
+    "demo": "measure, calibrate, apply and report on the virtual bench",
 }
 """Every command with its one line of help, so that ``tiltcal --help`` imports none of them."""
 

@@ -1,0 +1,177 @@
+"""``tiltcal report``: the page that is filed with the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, cast
+
+import click
+
+from tiltcal.errors import EstimateError, InputError, UsageError
+
+if TYPE_CHECKING:
+    from tiltcal.core.compensate import Compensation
+    from tiltcal.files.calibration import Calibration
+    from tiltcal.files.pair import PairCalibration
+    from tiltcal.report.identity import Source
+    from tiltcal.report.log_section import Log
+    from tiltcal.report.pair_page import Spectrum
+
+_EXAMPLES = """\b
+Examples:
+  tiltcal report S-0042.yaml -o S-0042.html
+  tiltcal report S-0042.yaml night-tilt.csv -o S-0042.html
+  tiltcal report S-0042-spring.yaml S-0042-autumn.yaml -o S-0042.html
+"""
+
+_CALIBRATIONS = (".yaml", ".yml")
+
+
+@click.command(epilog=_EXAMPLES)
+@click.argument("files", nargs=-1, required=True, metavar="CAL.yaml [LOG]...")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="REPORT.html", help="The page to write."
+)
+@click.option(
+    "--columns",
+    default="",
+    metavar="ROLE=NAME,…",
+    help="Which column of a LOG holds which reading, such as x=VoutX,y=VoutY,temperature=T.",
+)
+@click.option("--skip-bad-rows", is_flag=True, help="Count rows of a LOG that cannot be parsed, instead of stopping.")
+def command(files: tuple[str, ...], output: Path, columns: str, skip_bad_rows: bool) -> None:
+    """Write one HTML page about a calibration, to be read, printed and filed with the sensor.
+
+    The page needs nothing but itself, and prints on A4: what was calibrated and how, the coefficients with their
+    uncertainty and where it comes from, how well the positions agree, where the calibration holds and what it does not
+    cover. A LOG, raw or as `tiltcal apply` wrote it, adds its flags and its tilt over time. Of several calibrations of
+    one sensor, oldest first, the page is about the last, and tells what changed since each of the others. For pairs
+    (from `tiltcal match`) it has the components before and after, and with the LOG their spectra.
+    """
+    write_report(files, output, columns=columns, skip_bad_rows=skip_bad_rows)
+    click.echo(f"wrote {output}", err=True)
+
+
+def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_bad_rows: bool = False) -> None:
+    """Write the page; the arguments are those of the command.
+
+    Raises
+    ------
+    UsageError
+        The extra is not installed, no calibration is given, or the page cannot be written there.
+    InputError
+        A file is wrong; the message names file and line.
+    """
+    from tiltcal.cli.log_files import require_csv
+    from tiltcal.files.whole import check_writable, write_whole
+    from tiltcal.report.page import require_extra
+
+    require_extra()
+    check_writable(output)
+    require_csv(*files)
+    calibrations = [name for name in files if name.lower().endswith(_CALIBRATIONS)]
+    logs = [name for name in files if name not in calibrations]
+    if not calibrations:
+        raise UsageError("no calibration file is given: name a CAL.yaml")
+    write_whole(output, _page(calibrations, logs, columns, skip_bad_rows))
+
+
+def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows: bool) -> str:
+    from tiltcal.files.calibration import calibration_of, require_same_sensor
+    from tiltcal.files.document import checked_kind, read_document
+    from tiltcal.files.pair import pair_of
+
+    documents = [read_document(name) for name in names]
+    kinds = [document.entries().get("kind") for document in documents]
+    if any(kind is not None and kind.names("pair") for kind in kinds):
+        if len(documents) > 1:
+            raise UsageError("a report of pairs is about one file; give it alone, with its LOG if there is one")
+        if columns:
+            raise UsageError("--columns is for tilt calibrations; the columns of pairs are named in their file")
+        return _pair_page(pair_of(checked_kind(documents[0], "pair")), _source(names[0]), logs, skip_bad_rows)
+    calibrations = [calibration_of(checked_kind(document, "tilt")) for document in documents]
+    for earlier in calibrations[:-1]:
+        require_same_sensor(earlier, calibrations[-1])
+    return _certificate(calibrations, names, logs, columns, skip_bad_rows)
+
+
+def _certificate(
+    calibrations: Sequence[Calibration], names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows: bool
+) -> str:
+    from tiltcal.core.compensate import Compensation
+    from tiltcal.rails import with_rails
+    from tiltcal.report.certificate import certificate
+
+    last = calibrations[-1]
+    try:
+        compensation = Compensation(last.coefficients, with_rails(last))
+    except EstimateError as failure:
+        raise InputError(str(failure), file=names[-1]) from failure
+    channels = last.coefficients.channels
+    found = [_look_over(log, compensation, channels, columns, skip_bad_rows) for log in logs]
+    earlier = [(one, Path(name).name) for one, name in zip(calibrations[:-1], names, strict=False)]
+    return certificate(last, _source(names[-1]), earlier, found)
+
+
+def _look_over(log: str, compensation: Compensation, channels: Sequence[str], columns: str, skip_bad_rows: bool) -> Log:
+    """A log, compensated already or on the way."""
+    from tiltcal.cli.log_files import log_source, progress_bar
+    from tiltcal.logs.columns import TIME, locate_columns, parse_columns
+    from tiltcal.logs.csv_log import CsvLog
+    from tiltcal.logs.digest import Digested
+    from tiltcal.logs.overview import is_compensated, look_over, look_over_compensated
+    from tiltcal.report.log_section import Log
+
+    named = parse_columns(columns, channels)
+    with log_source(log) as (stream, name, size), progress_bar("report", size) as progress:
+        digested = Digested(stream)
+        rows = CsvLog(cast("BinaryIO", digested), name=name, skip_bad_rows=skip_bad_rows)
+        clock = named.get(TIME, TIME)
+        time = rows.names.index(clock) if clock in rows.names else None
+        compensated = is_compensated(rows, compensation)
+        if compensated:
+            overview = look_over_compensated(rows, compensation, time=time, progress=progress)
+        else:
+            located = locate_columns(rows.names, channels, named, file=name)
+            overview = look_over(rows, compensation, channels, located, time=time, progress=progress)
+    return Log(Path(name).name, digested.sha256, overview, compensated, time is not None)
+
+
+def _pair_page(calibration: PairCalibration, source: Source, logs: Sequence[str], skip_bad_rows: bool) -> str:
+    from tiltcal.report.pair_page import pair_page
+
+    spectra = [_spectrum(log, number, calibration, skip_bad_rows) for number, log in enumerate(logs, start=1)]
+    return pair_page(calibration, source, spectra)
+
+
+def _spectrum(log: str, number: int, calibration: PairCalibration, skip_bad_rows: bool) -> Spectrum:
+    """The spectra of the first pair in a log."""
+    from tiltcal.cli.log_files import log_source, progress_bar
+    from tiltcal.logs.csv_log import CsvLog
+    from tiltcal.logs.matching import demodulate_log
+    from tiltcal.logs.pair_witness import SpectralWitness
+    from tiltcal.report.pair import Drawing
+    from tiltcal.report.pair_page import spectrum
+
+    matching = calibration.matchings[0]
+    witness = SpectralWitness(matching.pair.channels)
+    with log_source(log) as (stream, name, size), progress_bar("report", size) as progress:
+        rows = CsvLog(stream, name=name, skip_bad_rows=skip_bad_rows)
+        try:
+            found = demodulate_log(
+                rows, matching.pair.channels, calibration.phase, file=name, witness=[witness], progress=progress
+            )
+            frequency, densities = witness.densities(matching.pair, matching.p, matching.q, found)
+        except EstimateError as refusal:
+            raise EstimateError(f"{name}: {refusal}") from refusal
+    turning = found.frequency or found.turns / (found.rows + found.missing)
+    return spectrum(Path(name).name, number, Drawing(frequency, densities, turning, "Hz" if found.rate else "1/row"))
+
+
+def _source(name: str) -> Source:
+    from hashlib import sha256
+
+    from tiltcal.report.identity import Source
+
+    return Source(Path(name).name, sha256(Path(name).read_bytes()).hexdigest())

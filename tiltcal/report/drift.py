@@ -1,0 +1,70 @@
+"""How a sensor changed between its calibrations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tiltcal.core.change import changes, judge
+from tiltcal.files.calibration import Calibration
+from tiltcal.files.uncertainty import named_uncertainties
+from tiltcal.report.digits import Aligned, column, measured, plain
+from tiltcal.report.identity import period
+from tiltcal.report.terms import symbol, unit_of, words
+
+
+@dataclass(frozen=True)
+class ChangeRow:
+    """One coefficient before and after."""
+
+    words: str
+    symbol: tuple[str, str]
+    before: Aligned
+    after: Aligned
+    change: Aligned
+    ratio: Aligned
+    unit: str
+    changed: bool
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What changed since an earlier calibration.
+
+    Attributes
+    ----------
+    since : str
+        Name of the earlier file, and when it was measured.
+    verdict : str
+    rows : sequence of ChangeRow
+    """
+
+    since: str
+    verdict: str
+    rows: Sequence[ChangeRow]
+
+
+def drift(before: Calibration, name: str, after: Calibration) -> Drift:
+    """Every coefficient that both files have, the earlier ones at the later one's reference temperature."""
+    earlier, later = (dict(named_uncertainties(one.uncertainty)) for one in (before, after))
+    found = changes(before.coefficients, after.coefficients, earlier, later)
+    verdict = judge(found)
+    old = column(_told(one.before, earlier.get(one.name)) for one in found)
+    new = column(_told(one.after, later.get(one.name)) for one in found)
+    moved = column(_told(one.difference, one.u) for one in found)
+    ratios = column("" if one.ratio is None else f"{one.ratio:.2f}" for one in found)
+    unit = after.sensor.unit
+    rows = [
+        ChangeRow(words(one.name), symbol(one.name), *told, unit_of(one.name, unit), one.name in verdict.changed)
+        for one, told in zip(found, zip(old, new, moved, ratios, strict=True), strict=True)
+    ]
+    when = period(before.provenance)
+    return Drift(f"{name}, {when}" if when else name, _sentence(str(verdict)), rows)
+
+
+def _told(value: float, u: float | None) -> str:
+    return measured(value, u) if u else plain(value, 6)
+
+
+def _sentence(verdict: str) -> str:
+    return verdict[:1].upper() + verdict[1:] + "."

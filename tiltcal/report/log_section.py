@@ -1,0 +1,225 @@
+"""What a log comes to: shares of flags and their reasons, its angles over time and how often each occurs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.compensate import FLAGS, REASONS
+from tiltcal.core.model import Array
+from tiltcal.core.overview import Overview
+from tiltcal.report.digits import Aligned, at_place, column, grouped
+from tiltcal.report.figure import BLUE, GREY, RED, Picture, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BINS = 48
+SECONDS = (("s", 1.0, 300.0), ("min", 60.0, 4 * 3600.0), ("h", 3600.0, 4 * 86400.0), ("d", 86400.0, float("inf")))
+"""Units of a time axis: name, seconds, and how long a log may be for it."""
+
+FEW = 100
+"""Rows that are shown one by one."""
+
+LEAST_MOMENT, LAST_MOMENT = 1e8, 253402300799.0
+"""Seconds since 1970, from 1973 to 9999; fewer are counted from anywhere."""
+
+GAP = 5.0
+"""Times the usual distance of two stretches, beyond which nothing was recorded."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log as it lies on the disk, and what it comes to.
+
+    Attributes
+    ----------
+    name : str
+    sha256 : str
+    overview : Overview
+    compensated : bool
+        Whether the log brought its tilt along; otherwise the calibration of the page was applied to it.
+    timed : bool
+        Whether its time is in seconds; otherwise rows are counted.
+    """
+
+    name: str
+    sha256: str
+    overview: Overview
+    compensated: bool
+    timed: bool
+
+
+@dataclass(frozen=True)
+class Share:
+    """How many rows have a flag or a reason."""
+
+    code: int
+    words: str
+    rows: str
+    percent: str
+
+
+@dataclass(frozen=True)
+class AngleRow:
+    """One angle over the log, degrees."""
+
+    name: str
+    least: Aligned
+    mean: Aligned
+    most: Aligned
+
+
+@dataclass(frozen=True)
+class LogSection:
+    """A log as the page shows it."""
+
+    name: str
+    sha256: str
+    rows: str
+    how: str
+    flags: Sequence[Share]
+    reasons: Sequence[Share]
+    angles: Sequence[AngleRow]
+    figure: Picture
+
+
+def log_section(log: Log, number: int) -> LogSection:
+    """The section of a log; ``number`` counts them in the page."""
+    overview = log.overview
+    return LogSection(
+        log.name,
+        log.sha256,
+        grouped(overview.rows),
+        "Its tilt is as it stands in the log." if log.compensated else "The calibration was applied to its readings.",
+        _shares(overview.flags, FLAGS, overview.rows),
+        _shares(overview.reasons, REASONS, overview.rows),
+        _angle_rows(overview),
+        _figure(log, number),
+    )
+
+
+def _shares(counts: dict[int, int], names: dict[int, str], rows: int) -> list[Share]:
+    met = [code for code in names if counts.get(code)]
+    return [Share(code, names[code], grouped(counts[code]), _percent(counts[code], rows)) for code in met]
+
+
+def _percent(count: int, rows: int) -> str:
+    """A share in per cent that is not rounded to nothing, nor to everything."""
+    share = 100.0 * count / rows
+    if 0 < count < rows:
+        share = min(max(share, 0.001), 99.999)
+        return f"{share:.3f}"
+    return "100.000"
+
+
+def _angle_rows(overview: Overview) -> list[AngleRow]:
+    columns = []
+    for values in (overview.low, overview.high):
+        reach = [column_of[np.isfinite(column_of)] for column_of in values.T]
+        columns.append(reach)
+    least = column(at_place(float(np.min(v)), 3) if len(v) else "" for v in columns[0])
+    most = column(at_place(float(np.max(v)), 3) if len(v) else "" for v in columns[1])
+    mean = column(at_place(v, 3) if np.isfinite(v) else "" for v in overview.mean.tolist())
+    return [AngleRow(words_of(name), *row) for name, *row in zip(overview.angles, least, mean, most, strict=True)]
+
+
+def words_of(angle: str) -> str:
+    """A column of angles in words: ``tilt_x`` is the tilt of x."""
+    return f"tilt of {angle.removeprefix('tilt_')}" if angle.startswith("tilt_") else angle
+
+
+def _figure(log: Log, number: int) -> Picture:
+    overview = log.overview
+    said = "; ".join(f"{row.name} from {text(row.least)}° to {text(row.most)}°" for row in _angle_rows(overview))
+    return picture(
+        f"log{number}",
+        0.55 + 1.15 * len(overview.angles),
+        partial(_plot, log=log),
+        title=f"Tilt over time in {log.name}",
+        description=f"{overview.rows} rows; {said}.",
+        caption="Left: smallest and largest angle of each stretch of rows over time; below them red where rows fail or "
+        "are missing, grey where they are suspect. Right: how often each angle occurs.",
+    )
+
+
+def text(number: Aligned) -> str:
+    """An aligned number as one text."""
+    return number.whole + number.rest
+
+
+def _plot(figure: Figure, log: Log) -> None:
+    overview = log.overview
+    count = len(overview.angles)
+    panels = figure.subplots(
+        count + 1, 2, sharex="col", squeeze=False, width_ratios=[5, 1], height_ratios=[*([1.0] * count), 0.12]
+    )
+    time, label = _clock(log)
+    breaks = _breaks(time)
+    for k, angle in enumerate(overview.angles):
+        panel, beside = panels[k]
+        low, high = (np.insert(values[:, k], breaks, np.nan) for values in (overview.low, overview.high))
+        at = np.insert(time, breaks, np.nan)
+        panel.fill_between(at, low, high, color=BLUE, linewidth=0.5, edgecolor=BLUE)
+        if len(time) <= FEW:
+            panel.plot(at, low, ".", color=BLUE, markersize=4.0)
+        panel.set_ylabel(f"{words_of(angle)} [°]")
+        panel.margins(x=0.0)
+        _histogram(beside, overview, k)
+        beside.set_ylim(panel.get_ylim())
+        beside.tick_params(left=False, labelleft=False, bottom=False, labelbottom=False)
+    _flag_strip(panels[-1, 0], time, overview)
+    panels[-1, 0].set_xlabel(label)
+    panels[-1, 1].set_axis_off()
+
+
+def _histogram(panel: Axes, overview: Overview, k: int) -> None:
+    edges, counts = overview.histogram(BINS)[k]
+    if len(counts):
+        panel.stairs(counts, edges, orientation="horizontal", fill=True, color=GREY)
+    panel.spines["bottom"].set_visible(False)
+    panel.set_xlim(left=0.0)
+
+
+def _flag_strip(panel: Axes, time: Array, overview: Overview) -> None:
+    """Where rows are flagged, a strip below the angles."""
+    suspect, bad = overview.flagged.T
+    for share, colour, height in ((suspect, GREY, 0.45), (bad, RED, 1.0)):
+        panel.vlines(time[share > 0.0], 0.0, height, color=colour, linewidth=max(0.6, FEW / (4.0 * len(time))))
+    panel.set_ylim(0.0, 1.0)
+    panel.set_yticks([0.5], ["flags"])
+    panel.tick_params(axis="y", length=0)
+    for side in ("left", "bottom"):
+        panel.spines[side].set_visible(False)
+
+
+def _clock(log: Log) -> tuple[Array, str]:
+    """The time of every stretch from the first one on, and what the axis says."""
+    time = log.overview.time
+    if not log.timed:
+        return time, "row"
+    known = time[np.isfinite(time)]
+    begin, length = (float(known[0]), float(known[-1] - known[0])) if len(known) else (0.0, 0.0)
+    name, seconds, _ = next(unit for unit in SECONDS if length <= unit[2])
+    return (time - begin) / seconds, f"time from {_moment(begin)} [{name}]"
+
+
+def _moment(seconds: float) -> str:
+    """When a log begins: a moment, where its seconds can only be those since 1970."""
+    if not LEAST_MOMENT <= seconds <= LAST_MOMENT:
+        return "the first row"
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _breaks(time: Array) -> NDArray[np.intp]:
+    """In front of which stretches nothing was recorded for long."""
+    steps = np.diff(time)
+    usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
+    return np.asarray(np.flatnonzero(steps > GAP * usual) + 1 if usual > 0.0 else [], dtype=np.intp)

@@ -1,0 +1,53 @@
+"""From what a page says to its HTML: one file, with its style and figures inside."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tiltcal.errors import UsageError
+
+EXTRA = "a report needs {}, which is not installed: pip install 'tiltcal[report]'"
+
+KEPT = 16
+"""A table of no more rows than these stays on one page of paper."""
+
+
+def require_extra() -> None:
+    """See, before anything is read, that the libraries of a report are there.
+
+    Raises
+    ------
+    UsageError
+        One is not; the message names the extra.
+    """
+    from importlib.util import find_spec
+
+    for module, name in (("jinja2", "Jinja2"), ("matplotlib", "matplotlib")):
+        if find_spec(module) is None:
+            raise UsageError(EXTRA.format(name))
+
+
+def render(template: str, **content: Any) -> str:
+    """A page.
+
+    Parameters
+    ----------
+    template : str
+        One of the folder ``templates``. Whatever it is given is escaped, but the figures, which are drawn here.
+    content
+        What the template names; a name that is missing is an error.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    environment = Environment(
+        loader=PackageLoader("tiltcal.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["svg"] = lambda picture: Markup(picture.svg)
+    environment.globals["KEPT"] = KEPT
+    return environment.get_template(template).render(**content)

@@ -1,0 +1,155 @@
+"""The page of matched accelerometer pairs: the source's Table 1, and its figure 6 where the log is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.model import Array
+from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
+from tiltcal.files.pair import PairCalibration
+from tiltcal.report.digits import Aligned, column, grouped, measured, plain
+from tiltcal.report.figure import Picture, picture
+from tiltcal.report.identity import Fact, Source, notice, provenance_facts
+from tiltcal.report.page import render
+from tiltcal.report.pair import HEADINGS, Drawing, draw_spectra, suppressed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BINS = 400
+"""Of a spectrum's frequencies, on a logarithmic scale."""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """The spectra of a log, drawn."""
+
+    name: str
+    figure: Picture
+
+
+def spectrum(name: str, number: int, drawing: Drawing) -> Spectrum:
+    """The spectra of a log, drawn with so many points that their peaks and troughs are there.
+
+    Parameters
+    ----------
+    name : str
+        Of the log.
+    number : int
+        Counts the logs of the page.
+    drawing : Drawing
+    """
+    shown = _outstanding(drawing.frequency, list(drawing.densities.values()))
+    densities = {said: one[shown] for said, one in drawing.densities.items()}
+    thinned = replace(drawing, frequency=drawing.frequency[shown], densities=densities)
+
+    def plot(figure: Figure) -> None:
+        panel = figure.subplots()
+        draw_spectra(panel, thinned)
+        panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.1)
+        panel.margins(x=0.01)
+
+    figure = picture(
+        f"spectra{number}",
+        3.1,
+        plot,
+        title=f"Amplitude spectra of {name}",
+        description=f"Amplitude densities over frequency of {', '.join(densities)}.",
+        caption="Amplitude density of one accelerometer, and of the sum after p and after p and q.",
+    )
+    return Spectrum(name, figure)
+
+
+def _outstanding(frequency: Array, densities: Sequence[Array]) -> NDArray[np.intp]:
+    """Where any density is largest or smallest among its neighbours on a logarithmic scale; the first stays first."""
+    if len(frequency) <= 2 * BINS:
+        return np.arange(len(frequency))
+    edges = np.unique(np.geomspace(1, len(frequency), BINS + 1).astype(np.intp))
+    chosen = {0}
+    for low, high in pairwise(edges.tolist()):
+        for density in densities:
+            chosen |= {low + int(np.argmax(density[low:high])), low + int(np.argmin(density[low:high]))}
+    return np.array(sorted(chosen), dtype=np.intp)
+
+
+@dataclass(frozen=True)
+class ComponentRow:
+    """One channel, or the sum: sin and cos at every stage."""
+
+    name: str
+    cells: Sequence[Aligned]
+
+
+@dataclass(frozen=True)
+class PairSection:
+    """One pair as the page shows it."""
+
+    heading: str
+    p: Aligned
+    q: Aligned
+    suppression: str
+    rows: Sequence[ComponentRow]
+
+
+def pair_page(calibration: PairCalibration, source: Source, spectra: Sequence[Spectrum] = ()) -> str:
+    """One HTML page that needs nothing but itself; the same input gives the same page.
+
+    Raises
+    ------
+    UsageError
+        The libraries of the extra ``report`` are not installed.
+    """
+    return render(
+        "pair.html.j2",
+        names=[f"{matching.pair.first} and {matching.pair.second}" for matching in calibration.matchings],
+        notice=notice(calibration.provenance),
+        facts=_facts(calibration, source),
+        pairs=[_section(matching) for matching in calibration.matchings],
+        stages=[HEADINGS[stage].capitalize() for stage in STAGES],
+        logs=spectra,
+    )
+
+
+def _facts(calibration: PairCalibration, source: Source) -> list[Fact]:
+    frequency = calibration.frequency
+    said = [
+        Fact("Turns of the stage", plain(calibration.turns, 6)),
+        Fact("Frequency of the spin", f"{plain(frequency, 6)} Hz" if frequency else ""),
+        Fact("Column of the stage angle", calibration.phase or ""),
+        Fact("Estimated", "sample by sample" if calibration.online else "from the whole record"),
+    ]
+    return [
+        *(fact for fact in said if fact.value),
+        *provenance_facts(calibration.provenance),
+        Fact("Calibration file", source.name),
+        Fact("SHA-256 of the file", source.sha256, code=True),
+    ]
+
+
+def _section(matching: Matching) -> PairSection:
+    pair = matching.pair
+    names = {pair.first: pair.first, pair.second: pair.second, SUM: f"{pair.first} + {pair.second}"}
+    columns = []
+    for stage in STAGES:
+        row: list[Component] = [matching.components[stage][name] for name in names]
+        columns.append(column(measured(one.sin, one.u_sin) for one in row))
+        columns.append(column(measured(one.cos, one.u_cos) for one in row))
+    p, q = column([measured(matching.p, matching.u_p), measured(matching.q, matching.u_q)])
+    return PairSection(
+        f"{pair.first} and {pair.second}, orthogonal {pair.orthogonal}",
+        p,
+        q,
+        f"{suppressed(matching, _factor)}.".capitalize(),
+        [ComponentRow(said, [cells[k] for cells in columns]) for k, said in enumerate(names.values())],
+    )
+
+
+def _factor(value: float) -> str:
+    """A factor with three significant digits, its thousands parted."""
+    return grouped(int(float(f"{value:.3g}"))) if value >= 1000.0 else plain(value, 3)

@@ -1,0 +1,108 @@
+"""The figure of the residuals: every position and channel, measured less modelled."""
+
+from __future__ import annotations
+
+from functools import partial
+from operator import mul
+from typing import TYPE_CHECKING
+
+from tiltcal.files.calibration import Calibration
+from tiltcal.report.figure import CHANNELS, GREY, INK, RED, Picture, picture
+from tiltcal.report.record import number, numbers, section, text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COVERAGE = 1.96
+"""Times the standard uncertainty of a mean, to either side of its residual."""
+
+
+def residual_figure(calibration: Calibration) -> Picture | None:
+    """Measured less modelled for every position, a panel per channel; None where the file does not say."""
+    residuals = section(calibration.fit, "residuals")
+    positions = [name for name in residuals if numbers(residuals, name)]
+    if not positions:
+        return None
+    channels = calibration.coefficients.channels
+    worst = {
+        channel: max((abs(number(residuals, name, channel) or 0.0) for name in positions), default=0.0)
+        for channel in channels
+    }
+    told = "; ".join(f"channel {channel}: none beyond {value:.3g}" for channel, value in worst.items())
+    return picture(
+        "residuals",
+        0.75 + 0.155 * len(positions),
+        partial(_plot, calibration=calibration, positions=positions),
+        title="Residuals of the positions",
+        description=f"Measured less modelled in {calibration.sensor.unit} for {len(positions)} positions; {told}.",
+        caption="Residual of every position, measured less modelled with the position as it was set. Bars: ±1.96 "
+        "standard uncertainties of the mean, from noise alone. Above: what it is as an angle near level.",
+    )
+
+
+def _plot(figure: Figure, calibration: Calibration, positions: list[str]) -> None:
+    coefficients = calibration.coefficients
+    panels = figure.subplots(1, len(coefficients.channels), sharey=True, sharex=True, squeeze=False)[0]
+    for panel, channel in zip(panels, coefficients.channels, strict=True):
+        _plot_channel(panel, calibration, positions, channel)
+    first = panels[0]
+    first.set_yticks(range(len(positions)), positions)
+    first.set_ylim(len(positions) - 0.4, -0.6)
+    suspects = section(calibration.fit, "worse_than_stated")
+    for label, name in zip(first.get_yticklabels(), positions, strict=True):
+        if name in suspects:
+            label.set_color(RED)
+            label.set_fontweight("bold")
+
+
+def _plot_channel(panel: Axes, calibration: Calibration, positions: list[str], channel: str) -> None:
+    residuals, doubts = section(calibration.fit, "residuals"), _uncertainties(calibration, channel)
+    colour, mark, _ = CHANNELS[channel]
+    panel.axvline(0.0, color=INK, linewidth=0.6)
+    for row, name in enumerate(positions):
+        value = number(residuals, name, channel)
+        if value is not None:
+            panel.plot([0.0, value], [row, row], color=GREY, linewidth=0.4)
+            panel.errorbar(
+                value,
+                row,
+                xerr=COVERAGE * doubts.get(name, 0.0),
+                color=colour,
+                marker=mark,
+                markersize=3.2,
+                linewidth=0.8,
+            )
+    panel.set_xlabel(f"residual of {channel} [{calibration.sensor.unit}]")
+    panel.tick_params(axis="y", length=0)
+    panel.spines["left"].set_visible(False)
+    _angle_above(panel, calibration, channel)
+
+
+def _angle_above(panel: Axes, calibration: Calibration, channel: str) -> None:
+    """A second scale: the angle near level that a residual stands for."""
+    from math import degrees
+
+    from matplotlib.ticker import MaxNLocator
+
+    coefficients = calibration.coefficients
+    if channel not in coefficients.axes:
+        return
+    own = float(coefficients.sensitivity[coefficients.channels.index(channel), coefficients.axes.index(channel)])
+    per_unit = degrees(1.0 / own)
+    above = panel.secondary_xaxis("top", functions=(partial(mul, per_unit), partial(mul, 1.0 / per_unit)))
+    above.spines["top"].set_visible(True)
+    above.spines["top"].set_linewidth(0.4)
+    above.tick_params(labelsize=7, width=0.4)
+    above.set_xlabel("as an angle [°]", fontsize=7)
+    above.xaxis.set_major_locator(MaxNLocator(5))
+
+
+def _uncertainties(calibration: Calibration, channel: str) -> dict[str, float]:
+    """Standard uncertainty of the mean by position; of a name that comes twice, the first, which was fitted."""
+    found: dict[str, float] = {}
+    for record in calibration.positions:
+        name, u = text(record, "position"), number(record, "u", channel)
+        if name and u is not None:
+            found.setdefault(name, u)
+    return found

@@ -1,0 +1,117 @@
+"""The figure of the drift: the fitted curve over temperature with its band, and the positions that it was fitted to."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiltcal.core.model import Array, Thermal, polynomial
+from tiltcal.files.calibration import Calibration
+from tiltcal.files.uncertainty import named_uncertainties
+from tiltcal.report.figure import CHANNELS, GREY, Picture, picture
+from tiltcal.report.record import number, section, text
+from tiltcal.report.result import coverage_factors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+POINTS = 81
+
+
+def temperature_figure(calibration: Calibration) -> Picture | None:
+    """Offset over temperature per channel, and the sensitivity's drift where there is one; None without either."""
+    thermal = calibration.coefficients.thermal
+    if thermal is None:
+        return None
+    rows = 1 + bool(thermal.gain.any())
+    low, high = _range(calibration, thermal)
+    channels = ", ".join(calibration.coefficients.channels)
+    return picture(
+        "temperature",
+        0.35 + 1.85 * rows,
+        partial(_plot, calibration=calibration, thermal=thermal),
+        title="Drift over temperature",
+        description=f"Offset of {channels} over temperature from {low:.3g} to {high:.3g} °C: the fitted polynomial "
+        "with its 95 % band, and the measured positions.",
+        caption="Drift with temperature. Line: the fitted polynomial; band: its 95 % interval; marks: the positions, "
+        "less what the model says of their tilt, joined in the order in which they were measured. Dotted: the "
+        "reference temperature.",
+    )
+
+
+def _plot(figure: Figure, calibration: Calibration, thermal: Thermal) -> None:
+    coefficients = calibration.coefficients
+    gains = bool(thermal.gain.any())
+    panels = figure.subplots(1 + gains, len(coefficients.channels), sharex=True, squeeze=False)
+    t = np.linspace(*_range(calibration, thermal), POINTS)
+    for column, channel in enumerate(coefficients.channels):
+        curve = coefficients.offset[column] + polynomial(thermal.drift, t - thermal.reference)[:, column]
+        names = [f"offset.{channel}", *(f"temperature.offset.{channel}.{k + 1}" for k in range(thermal.drift.shape[1]))]
+        powers = np.vander(t - thermal.reference, len(names), increasing=True)
+        _curve(panels[0, column], t, curve, _half_width(calibration, names, powers), channel)
+        _positions(panels[0, column], calibration, thermal, column)
+        panels[0, column].set_ylabel(f"offset of {channel} [{calibration.sensor.unit}]")
+        if gains:
+            gain = polynomial(thermal.gain, t - thermal.reference)[:, column]
+            names = [f"temperature.sensitivity.{channel}.{k + 1}" for k in range(thermal.gain.shape[1])]
+            powers = np.vander(t - thermal.reference, len(names) + 1, increasing=True)[:, 1:]
+            half = _half_width(calibration, names, powers)
+            _curve(panels[1, column], t, 100.0 * gain, None if half is None else 100.0 * half, channel)
+            panels[1, column].set_ylabel(f"sensitivity of {channel} [%]")
+        panels[-1, column].set_xlabel("temperature [°C]")
+        for panel in panels[:, column]:
+            panel.axvline(thermal.reference, color=GREY, linewidth=0.6, linestyle=":")
+            panel.ticklabel_format(useOffset=False)
+
+
+def _curve(panel: Axes, t: Array, curve: Array, half: Array | None, channel: str) -> None:
+    colour = CHANNELS[channel][0]
+    if half is not None:
+        panel.fill_between(t, curve - half, curve + half, color=colour, alpha=0.18, linewidth=0)
+    panel.plot(t, curve, color=colour, linewidth=1.1)
+
+
+def _positions(panel: Axes, calibration: Calibration, thermal: Thermal, column: int) -> None:
+    """The curve at each position's temperature, and on it the residual."""
+    channel = calibration.coefficients.channels[column]
+    residuals = section(calibration.fit, "residuals")
+    fitted: dict[str, tuple[float, float]] = {}
+    for record in calibration.positions:
+        name, t = text(record, "position") or "", number(record, "temperature")
+        residual = number(residuals, name, channel)
+        if t is not None and residual is not None and name not in fitted:
+            fitted[name] = t, residual
+    if not fitted:
+        return
+    t, residual = np.array(list(fitted.values())).T
+    at = (
+        calibration.coefficients.offset[column] + polynomial(thermal.drift, t - thermal.reference)[:, column] + residual
+    )
+    panel.plot(t, at, color=GREY, linewidth=0.4)
+    panel.plot(t, at, CHANNELS[channel][1], color=CHANNELS[channel][0], markersize=3.2)
+
+
+def _half_width(calibration: Calibration, names: list[str], powers: Array) -> Array | None:
+    """Half the 95 % interval of a polynomial; None where the file does not say how uncertain it is."""
+    covariance = section(calibration.uncertainty, "covariance")
+    parameters = list(covariance.get("parameters", ()))
+    if not parameters or any(name not in dict(named_uncertainties(calibration.uncertainty)) for name in names):
+        return None
+    own = np.zeros((len(names), len(names)))
+    matrix = np.array(covariance["matrix"], dtype=float)
+    known = [(i, parameters.index(name)) for i, name in enumerate(names) if name in parameters]
+    for i, row in known:
+        for j, other in known:
+            own[i, j] = matrix[row, other]
+    factors = coverage_factors(calibration)
+    factor = max((factors[name] for name in names if name in factors), default=1.96)
+    return np.asarray(factor * np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", powers, own, powers), 0.0)))
+
+
+def _range(calibration: Calibration, thermal: Thermal) -> tuple[float, float]:
+    """The temperatures that were covered, or some around the reference."""
+    covered = calibration.limits.temperature or thermal.range
+    return covered if covered else (thermal.reference - 10.0, thermal.reference + 10.0)

@@ -1,0 +1,165 @@
+"""The figure of the tilt's error over its range: by the data sheet's coefficients, and what the calibration leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from math import degrees, radians
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiltcal.core.angles import Doubt, UncertainCompensation
+from tiltcal.core.compensate import Compensation
+from tiltcal.core.features import TURN
+from tiltcal.core.model import Array, Limits
+from tiltcal.errors import EstimateError, UsageError
+from tiltcal.files.calibration import Calibration
+from tiltcal.files.uncertainty import stated_uncertainty
+from tiltcal.report.figure import CHANNELS, GREY, INK, Picture, picture
+from tiltcal.report.result import without_mounting
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+POINTS = 121
+STEEPEST = 80.0
+"""Beyond this the uncertainty of an arcsine runs away and hides all else, degrees."""
+
+USUAL = 30.0
+"""Shown where no range of tilts was covered, degrees."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """What is drawn for one axis, shape (n,), degrees.
+
+    Attributes
+    ----------
+    tilt : ndarray
+    before : ndarray or None
+        Error with the data sheet's coefficients; None where nobody knows them.
+    alone, reading : ndarray
+        Half the 95 % interval from the coefficients alone, and with the noise of one reading.
+    """
+
+    tilt: Array
+    before: Array | None
+    alone: Array
+    reading: Array
+
+
+def tilt_figure(calibration: Calibration) -> Picture | None:
+    """Error of the tilt of each axis, the other level; None where the file states no uncertainty."""
+    try:
+        curves = _curves(calibration)
+    except EstimateError:
+        return None
+    largest = max(float(np.nanmax(one.alone)) for one in curves.values())
+    known = any(one.before is not None for one in curves.values())
+    told = (
+        "Left: error of the tilt with the data sheet’s coefficients in place of these. Right: half" if known else "Half"
+    )
+    return picture(
+        "tilt",
+        2.2,
+        partial(_plot, curves=curves),
+        title="Error of the tilt over its range",
+        description=f"Tilt of {' and '.join(curves)}: half the 95 % interval of the calibrated tilt is at most "
+        f"{largest:.2g}° over the range that is shown.",
+        caption=f"{told} the 95 % interval of the calibrated tilt at the reference temperature: thick from the "
+        "coefficients alone, thin of one single reading with its noise. Each axis is tilted by itself."
+        + ("" if calibration.limits.tilt else f" No range of tilts was covered: ±{USUAL:g}° is shown."),
+    )
+
+
+def _plot(figure: Figure, curves: dict[str, Curves]) -> None:
+    known = any(one.before is not None for one in curves.values())
+    panels = figure.subplots(1, 1 + known, squeeze=False)[0]
+    for axis, one in curves.items():
+        colour, _, line = CHANNELS[axis]
+        if one.before is not None:
+            panels[0].plot(one.tilt, one.before, line, color=colour, linewidth=1.1)
+        panels[-1].plot(one.tilt, one.alone, line, color=colour, linewidth=1.3, label=f"tilt of {axis}")
+        panels[-1].plot(one.tilt, one.reading, line, color=colour, linewidth=0.5)
+    if known:
+        panels[0].axhline(0.0, color=INK, linewidth=0.6)
+        panels[0].set_ylabel("error, data sheet [°]")
+    panels[-1].set_ylabel("95 % interval, calibrated: ± [°]")
+    panels[-1].set_ylim(bottom=0.0)
+    panels[-1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
+    for panel in panels:
+        panel.axvline(0.0, color=GREY, linewidth=0.4, linestyle=":")
+        panel.set_xlabel("tilt [°]")
+        panel.margins(x=0.01)
+
+
+def _curves(calibration: Calibration) -> dict[str, Curves]:
+    """By axis; raises EstimateError where the file does not say how uncertain the coefficients are."""
+    coefficients, nominal = without_mounting(calibration.coefficients), _nominal(calibration)
+    compensation = Compensation(coefficients)
+    kernels = [UncertainCompensation(compensation, coefficients, _doubt(calibration, noise)) for noise in (0.0, None)]
+    found = {}
+    for axis, tilt in _reaches(calibration, compensation.axes).items():
+        readings = coefficients.predict(_attitudes(axis, tilt))
+        temperature = None if coefficients.thermal is None else np.full(len(tilt), coefficients.thermal.reference)
+        place = compensation.axes.index(axis)
+        alone, reading = (kernel(readings, temperature).expanded[:, place] for kernel in kernels)
+        before = None if nominal is None else nominal(readings).tilt[:, nominal.axes.index(axis)] - tilt
+        found[axis] = Curves(tilt, before, alone, reading)
+    return found
+
+
+def _doubt(calibration: Calibration, noise: float | None) -> Doubt:
+    """What the tilt in the sensor's own frame is uncertain by."""
+    coefficients = without_mounting(calibration.coefficients)
+    doubt = stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).doubt
+    own = [k for k, name in enumerate(doubt.names) if not name.startswith(TURN)]
+    return replace(
+        doubt,
+        names=tuple(doubt.names[k] for k in own),
+        covariance=doubt.covariance[np.ix_(own, own)],
+        factors=doubt.factors[own],
+    )
+
+
+def _reaches(calibration: Calibration, axes: Sequence[str]) -> dict[str, Array]:
+    """Tilts of each axis that is reported, over the range that was covered, degrees."""
+    found = {}
+    for axis in axes:
+        low, high = calibration.limits.tilt.get(axis, (radians(-USUAL), radians(USUAL)))
+        found[axis] = np.linspace(max(degrees(low), -STEEPEST), min(degrees(high), STEEPEST), POINTS)
+    return found
+
+
+def _attitudes(axis: str, tilt: Array) -> Array:
+    """Up while one axis is tilted and the rest of gravity is along z, or for z along x; shape (n, 3)."""
+    other = "z" if axis != "z" else "x"
+    gravity = np.zeros((len(tilt), 3))
+    gravity[:, "xyz".index(axis)] = np.sin(np.radians(tilt))
+    gravity[:, "xyz".index(other)] = np.cos(np.radians(tilt))
+    return gravity
+
+
+def _nominal(calibration: Calibration) -> Compensation | None:
+    """What the data sheet alone would make of readings; None where nobody knows the model, or its scale."""
+    from tiltcal.drivers import find_model
+
+    sensor, coefficients = calibration.sensor, calibration.coefficients
+    try:
+        model = find_model(sensor.model)
+    except UsageError:
+        return None
+    if model.unit != sensor.unit or not model.scaled:
+        return None
+    channels = coefficients.channels
+    plain = replace(
+        without_mounting(coefficients),
+        axes=channels,
+        offset=np.full(len(channels), model.offset),
+        sensitivity=model.sensitivity * np.eye(len(channels)),
+        thermal=None,
+        nonlinearity=None,
+    )
+    return Compensation(plain, Limits())
