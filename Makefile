@@ -19,7 +19,7 @@ endif
 .PHONY: help demo test check bench fixtures reference clean
 
 help:
-	@echo "make demo       calibrate a virtual sensor, and show what that does to a recorded log"
+	@echo "make demo       calibrate a virtual sensor, show what that does to a recorded log, and write its report"
 	@echo "make test       run the tests"
 	@echo "make check      lint, types, layers, and what the wheel holds"
 	@echo "make bench      measure how fast it is; benchmarks/README.md has the long ones"

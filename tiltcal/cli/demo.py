@@ -12,6 +12,7 @@ import click
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.plan import plan_session, single
 from tiltcal.bench.session import Session
+from tiltcal.cli.report import write_report
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.device import Model
@@ -19,6 +20,7 @@ from tiltcal.errors import UsageError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure import find_procedure
 from tiltcal.files.whole import write_whole
+from tiltcal.report.page import require_extra
 from tiltcal.report.summary import summary
 
 if TYPE_CHECKING:
@@ -43,7 +45,8 @@ def command(folder: Path, seed: int) -> None:
     except OSError as error:
         raise UsageError(f"cannot make the folder {folder}: {error.strerror}") from None
     calibration, journal = folder / f"{SERIAL}.yaml", folder / f"{SERIAL}.journal.jsonl"
-    log, compensated, picture = folder / "log.csv", folder / "log-tilt.csv", folder / "tilt-error.svg"
+    log, compensated = folder / "log.csv", folder / "log-tilt.csv"
+    picture, page = folder / "tilt-error.svg", folder / "report.html"
 
     click.echo("1. measure, on the virtual bench (no real sensor)")
     journal.unlink(missing_ok=True)
@@ -61,7 +64,17 @@ def command(folder: Path, seed: int) -> None:
     _apply(calibration, log, compensated)
     click.echo(f"   wrote {compensated}")
     click.echo("\n4. tilt error against the log's true tilt")
-    _report(model, compensated, picture)
+    before, after = _errors(model, compensated)
+    _print_errors(before, after)
+    click.echo("\n5. report")
+    try:
+        require_extra()
+    except UsageError as missing:
+        click.echo(f"   no picture and no page: {missing}")
+        return
+    _draw(compensated, before, after, picture)
+    write_report([str(calibration), str(compensated)], page)
+    click.echo(f"   wrote {picture}\n   wrote {page}")
 
 
 def _record(path: Path, address: Address, model: Model) -> None:
@@ -81,24 +94,28 @@ def _apply(calibration: Path, log: Path, compensated: Path) -> None:
     apply.main([str(calibration), str(log), "-o", str(compensated)], standalone_mode=False)
 
 
-def _report(model: Model, compensated: Path, picture: Path) -> None:
-    """Print and draw the errors before and after."""
+def _errors(model: Model, compensated: Path) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Error of the tilt of each axis, with the data sheet's coefficients and with the calibrated ones, degrees."""
+    column = _columns(compensated)
+    true = {axis: column[f"true_tilt_{axis}"] for axis in ("x", "y")}
+    before = {axis: _nominal_tilt(model, column[axis]) - true[axis] for axis in true}
+    return before, {axis: column[f"tilt_{axis}"] - true[axis] for axis in true}
+
+
+def _draw(compensated: Path, before: Mapping[str, Array], after: Mapping[str, Array], picture: Path) -> None:
+    """Draw the errors before and after."""
+    from tiltcal.report.tilt_error import draw_tilt_error
+
+    column = _columns(compensated)
+    title = f"{MODEL} on the virtual bench, tilts within ±{REACH:g}°"
+    draw_tilt_error(picture, column["time"], column["temperature"], before, after, ("x", "y"), title)
+
+
+def _columns(log: Path) -> dict[str, Array]:
     import polars as pl
 
-    rows = pl.read_csv(compensated)
-    column = {name: rows[name].to_numpy() for name in rows.columns}
-    before = {axis: _nominal_tilt(model, column[axis]) - column[f"true_tilt_{axis}"] for axis in ("x", "y")}
-    after = {axis: column[f"tilt_{axis}"] - column[f"true_tilt_{axis}"] for axis in ("x", "y")}
-    _print_errors(before, after)
-    try:
-        from tiltcal.report.tilt_error import draw_tilt_error
-
-        title = f"{MODEL} on the virtual bench, tilts within ±{REACH:g}°"
-        draw_tilt_error(picture, column["time"], column["temperature"], before, after, ("x", "y"), title)
-    except ModuleNotFoundError:
-        click.echo("   no picture: pip install 'tiltcal[report]'")
-    else:
-        click.echo(f"   wrote {picture}")
+    rows = pl.read_csv(log)
+    return {name: rows[name].to_numpy() for name in rows.columns}
 
 
 def _nominal_tilt(model: Model, readings: Array) -> Array:
