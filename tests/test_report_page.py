@@ -327,6 +327,14 @@ class TestDrift:
 
 
 class TestCommand:
+    @pytest.mark.parametrize("file", sorted(FIXTURES.glob("*.yaml")), ids=lambda path: path.stem)
+    def test_every_golden_file_has_its_page(self, file: Path, tmp_path: Path) -> None:
+        output = tmp_path / "report.html"
+        assert run(["report", str(file), "-o", str(output)]) == 0
+        text = output.read_text(encoding="utf-8")
+        assert Page(text).facts["Calibration file"] == file.name
+        assert "{" not in Page(text).root.find("main")[0].text
+
     def test_it_writes_the_page(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         output = tmp_path / "report.html"
         assert run(["report", str(FIXTURES / "plane.yaml"), "-o", str(output)]) == 0

@@ -72,7 +72,7 @@ def _facts(provenance: Mapping[str, Any]) -> Iterator[Fact]:
     yield Fact("Calibrated", period(provenance))
     for name, value in leaves(provenance):
         if name not in ("started", "ended") and not (name == "made_by" and notice(provenance)):
-            label = _WORDS.get(name, name.replace("_", " ").replace(".", ": ").capitalize())
+            label = _WORDS.get(name, name[:1].upper() + name[1:].replace("_", " ").replace(".", ": "))
             yield Fact(label, value, code=name.endswith(("sha256", "address")))
 
 
