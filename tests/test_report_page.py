@@ -227,7 +227,7 @@ class TestVerdict:
         said = self.judged(chi_square=40.1, p_value=2e-9, worse_than_stated=suspects)
         assert "do not agree" in said
         assert "0.000000002" in said
-        assert "Position x-tilt2 was further off than stated, by 0.512°." in said
+        assert "Further off than stated: x-tilt2 (by 0.512°)." in said
 
     def test_nothing_left_to_check_by(self) -> None:
         assert "nothing checks them" in self.judged(degrees_of_freedom=0)

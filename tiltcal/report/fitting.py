@@ -113,9 +113,10 @@ def _sentences(fit: Mapping[str, Any], unit: str) -> Iterator[str]:
             "scatter of the residuals themselves."
         )
     suspects = section(fit, "worse_than_stated")
-    for name in suspects:
-        off = number(suspects, name, "off_degrees")
-        yield f"Position {name} was further off than stated" + ("." if off is None else f", by {plain(off, 3)}°.")
+    if suspects:
+        off = {name: number(suspects, name, "off_degrees") for name in suspects}
+        told = (name if angle is None else f"{name} (by {plain(angle, 3)}°)" for name, angle in off.items())
+        yield f"Further off than stated: {', '.join(told)}."
     worst = section(fit, "worst")
     residual = number(worst, "residual")
     if residual is not None:
