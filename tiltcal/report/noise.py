@@ -13,7 +13,9 @@ import numpy as np
 from tiltcal.core.noise.advice import Advice, Limit, advise, uncertainty
 from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.terms import FLICKER
-from tiltcal.report.pair import bracketed
+from tiltcal.files.whole import whole_file
+from tiltcal.report.digits import bracketed
+from tiltcal.report.figure import house_style, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -307,16 +309,15 @@ def draw_noise(path: Path, noises: Mapping[str, ChannelNoise], scale: Scale) -> 
     noises : mapping of str to ChannelNoise
     scale : Scale
     """
-    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context({"svg.hashsalt": "tiltcal", "svg.fonttype": "none", "font.size": 10}):
+    with house_style(), whole_file(path) as stream:
         figure = Figure(figsize=(8.0, 1.0 + 3.6 * len(noises)), layout="constrained")
         panels = figure.subplots(len(noises), 1, squeeze=False)[:, 0]
         for panel, (channel, noise) in zip(panels, noises.items(), strict=True):
             _draw_channel(panel, channel, noise, scale)
         panels[-1].set_xlabel("averaging time [s]")
-        figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "tiltcal"})
+        save(figure, stream)
 
 
 def _draw_channel(panel: Axes, channel: str, noise: ChannelNoise, scale: Scale) -> None:
@@ -345,5 +346,5 @@ def _draw_channel(panel: Axes, channel: str, noise: ChannelNoise, scale: Scale) 
             "right", functions=(lambda v: np.multiply(v, factor), lambda v: np.divide(v, factor))
         )
         beside.set_ylabel("near level [°]")
-    panel.legend(loc="best", frameon=False)
-    panel.spines["top"].set_visible(False)
+        beside.spines["right"].set_visible(True)
+    panel.legend(loc="best")
