@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.compensate import FAIL, FLAGS, REASONS, SUSPECT
+from tiltcal.core.compensate import FAIL, REASONS, SUSPECT
 from tiltcal.core.model import Array
 
 STRETCHES = 600
@@ -18,6 +18,17 @@ STEP = 0.005
 """Width of a histogram's bins, degrees."""
 
 _REACH = 180.0
+
+
+def count_flags(flags: Counter[int], reasons: Counter[int], flag: NDArray[np.uint8], reason: NDArray[np.uint8]) -> None:
+    """Add some rows to the rows by flag, and to those by bit of the reason, of which a row may have several."""
+    for value, count in enumerate(np.bincount(flag).tolist()):
+        if count:
+            flags[value] += count
+    for mask, count in enumerate(np.bincount(reason).tolist()):
+        for bit in REASONS:
+            if count and mask & bit:
+                reasons[bit] += count
 
 
 class Overview:
@@ -65,7 +76,7 @@ class Overview:
             Degrees; NaN where there is none.
         flag, reason : ndarray of uint8, shape (n,)
         """
-        self._count(flag, reason)
+        count_flags(self.flags, self.reasons, flag, reason)
         self._distribute(angles)
         if not len(flag):
             return
@@ -126,15 +137,6 @@ class Overview:
     @property
     def _used(self) -> int:
         return -(-self.rows // self._length)
-
-    def _count(self, flag: NDArray[np.uint8], reason: NDArray[np.uint8]) -> None:
-        for value, count in enumerate(np.bincount(flag, minlength=0).tolist()):
-            if count and value in FLAGS:
-                self.flags[value] += count
-        for mask, count in enumerate(np.bincount(reason).tolist()):
-            for bit in REASONS:
-                if count and mask & bit:
-                    self.reasons[bit] += count
 
     def _distribute(self, angles: Array) -> None:
         for k, column in enumerate(angles.T):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 import numpy as np
 
 from tiltcal.core.compensate import FLAGS, REASONS
+from tiltcal.core.overview import count_flags
 from tiltcal.errors import UsageError
 from tiltcal.logs.columns import TEMPERATURE
 from tiltcal.logs.widths import Widths
@@ -73,13 +74,7 @@ class Summary:
         """Count some rows."""
         self.rows += len(flag)
         self.bad_rows += bad_rows
-        for value, count in enumerate(np.bincount(flag).tolist()):
-            if count:
-                self.flags[value] += count
-        for mask, count in enumerate(np.bincount(reason).tolist()):
-            for bit in REASONS:
-                if count and mask & bit:
-                    self.reasons[bit] += count
+        count_flags(self.flags, self.reasons, flag, reason)
 
     def as_data(self) -> dict[str, object]:
         """The counts as plain data, every flag and reason that occurred."""

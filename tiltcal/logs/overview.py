@@ -16,18 +16,12 @@ from tiltcal.logs.csv_rows import Rows
 FLAG, REASON = "flag", "reason"
 
 
-_DIRECTIONS = ("pitch", "roll", "inclination")
 _ABSENT = {FLAG: MISSING, REASON: NOT_A_NUMBER}
-
-
-def angles_of(compensation: Compensation) -> tuple[str, ...]:
-    """The columns of a compensation that hold angles in degrees."""
-    return tuple(name for name in compensation.columns if name.startswith("tilt_") or name in _DIRECTIONS)
 
 
 def is_compensated(log: CsvLog, compensation: Compensation) -> bool:
     """Whether a log has the columns that the compensation would add."""
-    return set(angles_of(compensation)) | {FLAG, REASON} <= set(log.names)
+    return set(compensation.angles) | {FLAG, REASON} <= set(log.names)
 
 
 def look_over(
@@ -59,7 +53,7 @@ def look_over(
     InputError
         See :class:`CsvLog`.
     """
-    overview = Overview(angles_of(compensation))
+    overview = Overview(compensation.angles)
     for rows, clock in _timed(log, columns.values(), time, overview):
         readings = np.stack([rows.values[columns[channel]] for channel in channels]).T
         readings[list(rows.faults)] = np.nan
@@ -81,7 +75,7 @@ def look_over_compensated(
     InputError
         See :class:`CsvLog`.
     """
-    overview = Overview(angles_of(compensation))
+    overview = Overview(compensation.angles)
     where = {name: log.names.index(name) for name in (*overview.angles, FLAG, REASON)}
     for rows, clock in _timed(log, where.values(), time, overview):
         angles = np.stack([rows.values[where[angle]] for angle in overview.angles], axis=1)
