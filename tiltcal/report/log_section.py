@@ -25,6 +25,9 @@ BINS = 48
 SECONDS = (("s", 1.0, 300.0), ("min", 60.0, 4 * 3600.0), ("h", 3600.0, 4 * 86400.0), ("d", 86400.0, float("inf")))
 """Units of a time axis: name, seconds, and how long a log may be for it."""
 
+ROUND = "roll"
+"""An angle that goes on from 180° to -180°, so that its mean says nothing."""
+
 FEW = 100
 """Rows that are shown one by one."""
 
@@ -127,7 +130,8 @@ def _angle_rows(overview: Overview) -> list[AngleRow]:
         columns.append(reach)
     least = column(at_place(float(np.min(v)), 3) if len(v) else "" for v in columns[0])
     most = column(at_place(float(np.max(v)), 3) if len(v) else "" for v in columns[1])
-    mean = column(at_place(v, 3) if np.isfinite(v) else "" for v in overview.mean.tolist())
+    means = zip(overview.angles, overview.mean.tolist(), strict=True)
+    mean = column(at_place(value, 3) if np.isfinite(value) and name != ROUND else "" for name, value in means)
     return [AngleRow(words_of(name), *row) for name, *row in zip(overview.angles, least, mean, most, strict=True)]
 
 
