@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import degrees, sqrt
 from typing import Any
 
@@ -254,8 +254,3 @@ def _quantities(rows: Sequence[Row]) -> list[Quantity]:
         Quantity(name, said, sign, value, unit, width, f"{factor:.2f}" if factor and u else "")
         for (name, said, sign, _, u, unit, factor), value, width in zip(rows, told, widths, strict=True)
     ]
-
-
-def without_mounting(coefficients: Coefficients) -> Coefficients:
-    """The coefficients in the sensor's own frame."""
-    return replace(coefficients, mounting=None)

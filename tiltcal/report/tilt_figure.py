@@ -13,12 +13,11 @@ import numpy as np
 from tiltcal.core.angles import Doubt, UncertainCompensation
 from tiltcal.core.compensate import Compensation
 from tiltcal.core.features import TURN
-from tiltcal.core.model import Array, Limits
+from tiltcal.core.model import Array, Coefficients, Limits
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import Calibration
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.report.figure import CHANNELS, GREY, INK, Picture, picture
-from tiltcal.report.result import without_mounting
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -97,7 +96,7 @@ def _plot(figure: Figure, curves: dict[str, Curves]) -> None:
 
 def _curves(calibration: Calibration) -> dict[str, Curves]:
     """By axis; raises EstimateError where the file does not say how uncertain the coefficients are."""
-    coefficients, nominal = without_mounting(calibration.coefficients), _nominal(calibration)
+    coefficients, nominal = _unmounted(calibration.coefficients), _nominal(calibration)
     compensation = Compensation(coefficients)
     kernels = [UncertainCompensation(compensation, coefficients, _doubt(calibration, noise)) for noise in (0.0, None)]
     found = {}
@@ -113,7 +112,7 @@ def _curves(calibration: Calibration) -> dict[str, Curves]:
 
 def _doubt(calibration: Calibration, noise: float | None) -> Doubt:
     """What the tilt in the sensor's own frame is uncertain by."""
-    coefficients = without_mounting(calibration.coefficients)
+    coefficients = _unmounted(calibration.coefficients)
     doubt = stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).doubt
     own = [k for k, name in enumerate(doubt.names) if not name.startswith(TURN)]
     return replace(
@@ -155,7 +154,7 @@ def _nominal(calibration: Calibration) -> Compensation | None:
         return None
     channels = coefficients.channels
     plain = replace(
-        without_mounting(coefficients),
+        _unmounted(coefficients),
         axes=channels,
         offset=np.full(len(channels), model.offset),
         sensitivity=model.sensitivity * np.eye(len(channels)),
@@ -163,3 +162,8 @@ def _nominal(calibration: Calibration) -> Compensation | None:
         nonlinearity=None,
     )
     return Compensation(plain, Limits())
+
+
+def _unmounted(coefficients: Coefficients) -> Coefficients:
+    """The coefficients in the sensor's own frame, in which its range of tilts was covered."""
+    return replace(coefficients, mounting=None)
