@@ -233,10 +233,6 @@ class TestRefusals:
     def test_an_absent_log(self) -> None:
         assert "cannot read none.csv" in refused(apply("cal.yaml", "none.csv"), UsageError)
 
-    @pytest.mark.parametrize("arguments", [("log.parquet",), ("log.nc",), ("log.csv", "-o", "out.parquet")])
-    def test_formats_that_are_not_there_yet(self, arguments: tuple[str, ...]) -> None:
-        assert "CSV for now" in refused(apply("cal.yaml", *arguments), UsageError)
-
     def test_first_order_of_three_axes(self) -> None:
         Path("three.yaml").write_text(THREE)
         said = refused(apply("three.yaml", "-", "--first-order", stdin=b"x,y,z\n1,2,3\n"), InputError)

@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tiltcal.cli.log_files import STANDARD, log_sink, log_source, progress_bar, require_csv
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.cli.log_files import STANDARD, log_sink, log_source, progress_bar
+from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
-    from tiltcal.core.angles import UncertainCompensation
-    from tiltcal.core.compensate import Compensation
-    from tiltcal.files.calibration import Calibration
-    from tiltcal.logs.compensated import Kernel
+    from tiltcal.logs.compensated import Summary
+    from tiltcal.logs.kernels import Applied
 
 _EXAMPLE = """\b
 Examples:
   tiltcal apply S-0042.yaml night.csv -o night-tilt.csv
   tiltcal apply S-0042.yaml night.csv --uncertainty -o night-tilt.csv
+  tiltcal apply S-0042.yaml night.parquet -o night-tilt.parquet
   tiltcal apply S-0042.yaml night.csv --columns x=VoutX,y=VoutY,temperature=T -o night-tilt.csv
   zcat night.csv.gz | tiltcal apply S-0042.yaml - | gzip > night-tilt.csv.gz
 """
@@ -67,7 +66,8 @@ def command(
 ) -> None:
     """Turn the raw readings of LOG into tilt with quality flags.
 
-    LOG is CSV with a header, or - for standard input. Its columns are kept as they are; behind them come g_x and
+    LOG is CSV with a header, Parquet (.parquet, .pq), or - for CSV on standard input; OUT has the format that its name
+    says. The log's columns are kept as they are; behind them come g_x and
     tilt_x in degrees for each axis (with three axes also pitch, roll and inclination), and flag and reason. flag: 1
     pass, 3 suspect, 4 fail, 9 missing. reason adds up: 1 arcsine argument beyond ±1, 2 temperature outside the
     calibrated range, 4 reading at the rail, 8 tilt outside the calibrated range, 16 temperature missing, 32 not a
@@ -80,72 +80,44 @@ def command(
     Where CALIBRATION is of accelerometer pairs (from `tiltcal match`), the columns are the matched sum of each pair
     and, with both pairs, the gradient signal and its components at twice the turning, over the turn before.
     """
-    from tiltcal.logs.columns import locate_columns, parse_columns
-    from tiltcal.logs.compensated import compensate_log
-    from tiltcal.logs.csv_log import CsvLog
+    from tiltcal.logs.kernels import Wish, applied
 
-    require_csv(log, output)
     if reading_noise is not None and not uncertainty:
         raise UsageError("--reading-noise is for --uncertainty, which is not there")
-    compensation, channels, watched = _kernel(calibration, first_order, uncertainty, reading_noise)
-    named = parse_columns(columns, channels)
-    with log_source(log) as (stream, name, size), log_sink(output) as sink, progress_bar("apply", size) as progress:
-        rows = CsvLog(stream, name=name, skip_bad_rows=skip_bad_rows)
-        located = locate_columns(rows.names, channels, named, file=name)
-        summary = compensate_log(rows, sink, compensation, channels, located, progress, watched)
+    known = applied(Wish(calibration, first_order, uncertainty, reading_noise), lambda line: click.echo(line, err=True))
+    summary = _apply(known, log, output, columns, skip_bad_rows)
     if as_json:
         click.echo(json.dumps(summary.as_data()), err=output == STANDARD)
     else:
         click.echo(summary.as_text(), err=True)
 
 
-def _kernel(
-    path: Path, first_order: bool, uncertainty: bool, reading_noise: float | None
-) -> tuple[Kernel, tuple[str, ...], tuple[str, ...]]:
-    """The kernel for what a calibration file is of, a tilt sensor or pairs of accelerometers.
+def _apply(known: Applied, log: str, output: str, columns: str, skip_bad_rows: bool) -> Summary:
+    """Compensate one log, from its door to where its rows go; both formats are told by the names."""
+    from tiltcal.logs.columns import locate_columns, parse_columns
+    from tiltcal.logs.compensated import Summary, compensated
+    from tiltcal.logs.csv_log import CsvLog
+    from tiltcal.logs.csv_table import CsvTable
+    from tiltcal.logs.formats import is_parquet, log_of
+    from tiltcal.logs.written import write_csv, write_csv_of_types, write_parquet
 
-    Returns
-    -------
-    kernel : Kernel
-    channels : tuple of str
-        The readings that it takes.
-    watched : tuple of str
-        The columns to be summed up.
-    """
-    from tiltcal.core.compensate import Compensation
-    from tiltcal.core.pair.compensate import PairCompensation
-    from tiltcal.files.calibration import calibration_of
-    from tiltcal.files.document import checked_kind, read_document
-    from tiltcal.files.pair import pair_of
-    from tiltcal.rails import with_rails
-
-    document = read_document(path)
-    kind = document.entries().get("kind")
-    if kind is not None and kind.names("pair"):
-        for name, given in (("--first-order", first_order), ("--uncertainty", uncertainty)):
-            if given:
-                raise UsageError(f"{name} is for tilt calibrations; {path} is of pairs, which have no tilt")
-        pairs = pair_of(checked_kind(document, "pair"))
-        matched = PairCompensation(pairs.matchings, pairs.phase)
-        return matched, matched.channels, ()
-    known = calibration_of(checked_kind(document, "tilt"))
-    channels = known.coefficients.channels
-    try:
-        compensation = Compensation(known.coefficients, with_rails(known), first_order=first_order)
-        if not uncertainty:
-            return compensation, channels, ()
-        uncertain = _uncertain(known, compensation, reading_noise)
-    except EstimateError as failure:
-        raise InputError(str(failure), file=path) from failure
-    return uncertain, channels, uncertain.expanded
-
-
-def _uncertain(known: Calibration, compensation: Compensation, reading_noise: float | None) -> UncertainCompensation:
-    """The kernel that tells uncertainties too; says what it has to take for granted."""
-    from tiltcal.core.angles import UncertainCompensation
-    from tiltcal.files.uncertainty import stated_uncertainty
-
-    stated = stated_uncertainty(known.uncertainty, known.coefficients, reading_noise=reading_noise)
-    for remark in stated.remarks:
-        click.echo(f"note: {remark}", err=True)
-    return UncertainCompensation(compensation, known.coefficients, stated.doubt)
+    named = parse_columns(columns, known.channels)
+    summary = Summary.watching(known.watched)
+    added = known.kernel.columns
+    with log_source(log) as (stream, name, size), progress_bar("apply", size) as progress:
+        rows = log_of(stream, name, skip_bad_rows=skip_bad_rows)
+        located = locate_columns(rows.names, known.channels, named, file=name, line=rows.header_line)
+        passed = (known.kernel, known.channels, located, summary, progress)
+        if isinstance(rows, CsvLog) and not is_parquet(output):
+            plain = compensated(rows, *passed)
+            with log_sink(output) as sink:
+                write_csv(sink, rows, added, plain)
+            return summary
+        typed = CsvTable(rows, sorted(set(located.values())), name=name) if isinstance(rows, CsvLog) else rows
+        blocks = compensated(typed, *passed)
+        with log_sink(output) as sink:
+            if is_parquet(output):
+                write_parquet(sink, typed, added, blocks, {**typed.notes, **known.as_note})
+            else:
+                write_csv_of_types(sink, typed, added, blocks)
+    return summary

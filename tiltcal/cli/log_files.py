@@ -15,20 +15,6 @@ from tiltcal.errors import UsageError
 STANDARD = "-"
 
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
-_LATER = (".parquet", ".nc")
-
-
-def require_csv(*names: str) -> None:
-    """Refuse the formats that are not there yet.
-
-    Raises
-    ------
-    UsageError
-        One of the names is that of another format.
-    """
-    for name in names:
-        if name.lower().endswith(_LATER):
-            raise UsageError(f"{name}: logs are CSV for now; convert it to CSV first")
 
 
 @contextmanager

@@ -78,13 +78,12 @@ def command(
 ) -> None:
     """Match accelerometer pairs on a turning stage: scale factor p and misalignment q.
 
-    LOG is CSV with a header, or - for standard input; it is read once, whatever its size. The sum
+    LOG is CSV with a header, Parquet, or - for CSV on standard input; it is read once, whatever its size. The sum
     FIRST + (SECOND + q ORTHOGONAL) / (1 - p) is free of the acceleration that all of them feel; `tiltcal apply` adds it
     to a log. Two pairs give the gradient signal as well. A column called time is in seconds or ISO 8601.
 
     With --online, Ctrl-C ends a stream that has no end of its own, and what was found until then is the result.
     """
-    from tiltcal.cli.log_files import require_csv
     from tiltcal.files.pair import write_pair
     from tiltcal.files.whole import check_writable
     from tiltcal.logs.pair_witness import SpectralWitness, Watch
@@ -92,7 +91,6 @@ def command(
 
     if loops and not online:
         raise UsageError("--loops says which of the --online estimators is meant; give --online too")
-    require_csv(log)
     wanted = _pairs(pairs, orthogonals)
     channels = tuple(dict.fromkeys(channel for pair in wanted for channel in pair.channels))
     for path in filter(None, (output, figure)):
@@ -150,18 +148,18 @@ def _read(
 ) -> tuple[Demodulated, str]:
     """The log, demodulated, and the checksum of what was read of it."""
     from tiltcal.cli.log_files import progress_bar
-    from tiltcal.logs.csv_log import CsvLog
-    from tiltcal.logs.digest import Digested
+    from tiltcal.logs.digest import Digested, sha256_of
+    from tiltcal.logs.formats import is_parquet, log_of
     from tiltcal.logs.matching import demodulate_log
 
     digested = Digested(stream)
     witness = [look for look in looks if look is not None]
     with progress_bar("match", size) as progress:
-        rows = CsvLog(cast("BinaryIO", digested), name=name, skip_bad_rows=skip_bad_rows)
+        rows = log_of(cast("BinaryIO", digested), name, skip_bad_rows=skip_bad_rows)
         found = demodulate_log(
             *(rows, channels, phase), file=name, witness=witness, say=say, live=looks[0] is not None, progress=progress
         )
-    return found, digested.sha256
+    return found, sha256_of(Path(name)) if is_parquet(name) else digested.sha256
 
 
 def _matched(found: Demodulated, pair: Pair, watch: Watch | None, loops: bool) -> Matching:

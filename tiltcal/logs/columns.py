@@ -51,7 +51,7 @@ def locate_columns(
     named: Mapping[str, str],
     *,
     file: str,
-    line: int = 1,
+    line: int | None = 1,
     option: str = "--columns {role}=",
 ) -> dict[str, int]:
     """Where the readings stand in a log.
@@ -68,8 +68,8 @@ def locate_columns(
         Column name by role, from :func:`parse_columns`.
     file : str
         The log as the user named it, for the message.
-    line : int
-        Where its header stands.
+    line : int or None
+        Where its header stands; None where the file has no lines.
     option : str
         What on the command line names the column of a ``{role}``, for the message.
 

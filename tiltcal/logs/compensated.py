@@ -1,13 +1,11 @@
-"""A log on its way through the compensation: read rows, compensate, write rows."""
+"""A log on its way through the compensation, block after block: one way for every format."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from io import BytesIO
-from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -15,14 +13,14 @@ from tiltcal.core.compensate import FLAGS, REASONS
 from tiltcal.core.overview import count_flags
 from tiltcal.errors import UsageError
 from tiltcal.logs.columns import TEMPERATURE
+from tiltcal.logs.door import AnyBlock, Log
 from tiltcal.logs.widths import Widths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tiltcal.core.model import Array
-    from tiltcal.logs.csv_log import CsvLog
-    from tiltcal.logs.csv_rows import Rows
+    from tiltcal.logs.written import Table
 
 
 class Flagged(Protocol):
@@ -43,7 +41,7 @@ class Kernel(Protocol):
 
     def __call__(self, readings: Array, temperature: Array | None = None) -> Flagged: ...
 
-    def table(self, compensated: Any, /) -> Mapping[str, NDArray[np.float64] | NDArray[np.uint8]]: ...
+    def table(self, compensated: Any, /) -> Table: ...
 
 
 @dataclass
@@ -70,8 +68,15 @@ class Summary:
     bad_rows: int = 0
     widths: dict[str, Widths] = field(default_factory=dict)
 
-    def add(self, flag: NDArray[np.uint8], reason: NDArray[np.uint8], bad_rows: int) -> None:
+    @classmethod
+    def watching(cls, columns: Sequence[str]) -> Summary:
+        """One that keeps the median and the largest value of some columns of the result."""
+        return cls(widths={name: Widths() for name in columns})
+
+    def add(self, flag: NDArray[np.uint8], reason: NDArray[np.uint8], bad_rows: int, table: Table) -> None:
         """Count some rows."""
+        for name, widths in self.widths.items():
+            widths.add(np.asarray(table[name], dtype=float))
         self.rows += len(flag)
         self.bad_rows += bad_rows
         count_flags(self.flags, self.reasons, flag, reason)
@@ -99,86 +104,68 @@ class Summary:
         return "\n".join(lines)
 
 
-def compensate_log(
-    log: CsvLog,
-    sink: BinaryIO,
-    compensation: Kernel,
+def compensated(
+    log: Log[AnyBlock],
+    kernel: Kernel,
     channels: Sequence[str],
     columns: Mapping[str, int],
+    summary: Summary,
     progress: Callable[[int], None] | None = None,
-    watched: Sequence[str] = (),
-) -> Summary:
-    """Write a log's rows with the compensated columns behind their own.
+) -> Iterator[tuple[AnyBlock, Table]]:
+    """A log's rows with what a kernel makes of them.
 
     Parameters
     ----------
-    log : CsvLog
-        Its columns pass through byte for byte.
-    sink : BinaryIO
-        Takes the header and one row for each row of the log, in order.
-    compensation : Kernel
+    log : Log
+    kernel : Kernel
         Called with the rows in order, block after block.
     channels : sequence of str
         The readings, in the order of the calibration.
     columns : mapping of str to int
         Where each channel and, if there is one, the temperature stands in the log.
+    summary : Summary
+        Told of every row.
     progress : callable, optional
         Told how many bytes of the log have been read.
-    watched : sequence of str
-        Columns of the result whose median and largest value belong in the summary.
 
     Returns
     -------
-    Summary
+    iterator of (Block, mapping of str to ndarray)
+        The log's own blocks, in order, and the columns that belong behind theirs.
 
     Raises
     ------
     UsageError
         The log has a column of a name that the result needs.
     InputError
-        See :class:`CsvLog`.
+        A row cannot be parsed, or the log is damaged; once the iterator comes to it.
     """
-    taken = [name for name in compensation.columns if name in log.names]
+    taken = [name for name in kernel.columns if name in log.names]
     if taken:
         raise UsageError(
             f"the log has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
         )
-    summary = Summary(widths={name: Widths() for name in watched})
-    # One block is written while the next is read and compensated; a single writer keeps the order.
-    with ThreadPoolExecutor(max_workers=1) as writer:
-        added = f",{','.join(compensation.columns)}{log.line_end}".encode()
-        written: Future[object] | None = None
-        for rows in log.rows(sorted(set(columns.values()))):
-            readings = np.stack([rows.values[columns[channel]] for channel in channels]).T
-            readings[list(rows.faults)] = np.nan
-            temperature = rows.values[columns[TEMPERATURE]] if TEMPERATURE in columns else None
-            result = compensation(readings, temperature)
-            if written is None:
-                sink.write(log.header + added)
-            else:
-                written.result()
-            table = compensation.table(result)
-            written = writer.submit(_write, sink, rows, table, log.line_end)
-            summary.add(result.flag, result.reason, len(rows.faults))
-            for name, widths in summary.widths.items():
-                widths.add(np.asarray(table[name], dtype=float))
-            if progress is not None:
-                progress(log.bytes_read)
-        if written is not None:
-            written.result()
-    return summary
+    return _compensated(log, kernel, channels, columns, summary, progress)
 
 
-def _write(
-    sink: BinaryIO, rows: Rows, table: Mapping[str, NDArray[np.float64] | NDArray[np.uint8]], line_end: str
-) -> None:
-    """The rows' own text and the columns behind it."""
-    import polars as pl
-
-    text = BytesIO()
-    frame = pl.DataFrame({"": rows.lines, **table})
-    frame.write_csv(text, include_header=False, quote_style="never", line_terminator=line_end)
-    sink.write(text.getbuffer() if rows.encoding == "utf-8" else text.getvalue().decode().encode(rows.encoding))
+def _compensated(
+    log: Log[AnyBlock],
+    kernel: Kernel,
+    channels: Sequence[str],
+    columns: Mapping[str, int],
+    summary: Summary,
+    progress: Callable[[int], None] | None,
+) -> Iterator[tuple[AnyBlock, Table]]:
+    for rows in log.rows(sorted(set(columns.values()))):
+        readings = np.stack([rows.values[columns[channel]] for channel in channels]).T
+        readings[list(rows.faults)] = np.nan
+        temperature = rows.values[columns[TEMPERATURE]] if TEMPERATURE in columns else None
+        result = kernel(readings, temperature)
+        table = kernel.table(result)
+        summary.add(result.flag, result.reason, len(rows.faults), table)
+        yield rows, table
+        if progress is not None:
+            progress(log.bytes_read)
 
 
 def _told(name: str, widths: Widths) -> str:

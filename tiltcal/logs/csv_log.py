@@ -42,6 +42,8 @@ class CsvLog:
         log without a header or parted by blanks.
     names : tuple of str
         The columns.
+    header_line : int
+        Where they are named: the first.
     line_end : str
         LF or CRLF, as the first line has it.
     bytes_read : int
@@ -52,6 +54,8 @@ class CsvLog:
     InputError
         The file is empty or no text, or its header names a column twice.
     """
+
+    header_line = 1
 
     def __init__(self, stream: BinaryIO, *, name: str, skip_bad_rows: bool = False, block: int = _BLOCK) -> None:
         self._stream: BinaryIO | BlankSeparated = stream
@@ -76,7 +80,7 @@ class CsvLog:
         if names is not None:
             self._begin_behind_blanks(stream)
 
-    def rows(self, columns: Sequence[int], time: int | None = None) -> Iterator[Rows]:
+    def rows(self, columns: Sequence[int], time: int | None = None, texts: Sequence[int] = ()) -> Iterator[Rows]:
         """The rows, block after block.
 
         Parameters
@@ -85,6 +89,8 @@ class CsvLog:
             Indices of the columns that hold needed numbers.
         time : int, optional
             Of them, the one that may hold moments in ISO 8601, which become seconds.
+        texts : sequence of int
+            Indices of other columns that are wanted as text.
 
         Yields
         ------
@@ -97,7 +103,7 @@ class CsvLog:
         """
         empty = True
         for data, ended, unended in self._blocks():
-            rows = parse_rows(data, self.names, columns, time=time, unended=unended)
+            rows = parse_rows(data, self.names, columns, time=time, texts=texts, unended=unended)
             if rows.faults and not self._skip_bad_rows:
                 row = min(rows.faults)
                 raise self._error(rows.faults[row], self._line + rows.starts[row])

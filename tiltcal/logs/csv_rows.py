@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -59,6 +59,8 @@ class Rows:
         ``utf-8``, or ``latin-1`` where the bytes were no UTF-8: encode ``lines`` with it to have the bytes again.
     rest : bytes
         A row at the end whose quoted field goes on behind these bytes.
+    texts : mapping of int to polars.Series of String, length n
+        The text columns that were asked for; null where a cell is empty.
     """
 
     lines: pl.Series
@@ -68,10 +70,17 @@ class Rows:
     line_count: int
     encoding: str
     rest: bytes
+    texts: Mapping[int, pl.Series] = field(default_factory=dict)
 
 
 def parse_rows(
-    data: bytes, names: Sequence[str], columns: Sequence[int], *, time: int | None = None, unended: bool = False
+    data: bytes,
+    names: Sequence[str],
+    columns: Sequence[int],
+    *,
+    time: int | None = None,
+    texts: Sequence[int] = (),
+    unended: bool = False,
 ) -> Rows:
     """Parse rows.
 
@@ -85,6 +94,8 @@ def parse_rows(
         Indices of the columns that hold needed numbers.
     time : int, optional
         Of them, the one that may hold moments in ISO 8601; what is neither is missing there.
+    texts : sequence of int
+        Indices of other columns that are wanted as text.
     unended : bool
         The last line had no end in the file.
 
@@ -96,8 +107,11 @@ def parse_rows(
     data, encoding = _as_utf8(data)
     starts: Sequence[int]
     if b'"' in data:
-        lines, cells, faults, starts, rest = _split_quoted(data.decode(), len(names), columns, unended)
-        series, values = _series(lines), _parse_cells(cells, names, faults, time)
+        wanted = [*columns, *texts]
+        lines, cells, faults, starts, rest = _split_quoted(data.decode(), len(names), wanted, unended)
+        series = _series(lines)
+        values = _parse_cells({index: cells[index] for index in columns}, names, faults, time)
+        words = {index: cells[index].replace("", None) for index in texts}
         line_count = data.count(b"\n") - rest.count("\n")
     else:
         if b"\r" in data:
@@ -107,11 +121,14 @@ def parse_rows(
         if faults:
             data, numeric = _repaired(data, faults, len(names))
         series, values = _plain_lines(data), _plain_values(numeric, names, columns, faults, time)
+        words = _plain_texts(numeric, names, texts)
         line_count, rest = len(series), ""
         starts = range(line_count)
     for column in values.values():
         column[list(faults)] = np.nan
-    return Rows(series, values, faults, starts, line_count, encoding, rest.encode(encoding))
+    if words and faults:
+        words = _with_bad_rows(words, series, faults)
+    return Rows(series, values, faults, starts, line_count, encoding, rest.encode(encoding), words)
 
 
 def _as_utf8(data: bytes) -> tuple[bytes, str]:
@@ -219,6 +236,15 @@ def _plain_values(
     return _parse_cells({index: texts[str(index)] for index in columns}, names, faults, time)
 
 
+def _plain_texts(data: bytes, names: Sequence[str], texts: Sequence[int]) -> dict[int, pl.Series]:
+    import polars as pl
+
+    if not texts:
+        return {}
+    frame = _engine(data, schema={str(index): pl.String for index in range(len(names))}, columns=sorted(set(texts)))
+    return {index: frame[str(index)] for index in texts}
+
+
 def _has_open_points(data: bytes) -> bool:
     """Whether a decimal point is followed by something else than a digit, which the engine would take for a number."""
     buffer = np.frombuffer(data, np.uint8)
@@ -314,6 +340,16 @@ def _parse_cells(
         for row in np.flatnonzero(wrong).tolist():
             faults.setdefault(row, f"column {names[index]!r}: {column[row]!r} is no number")
     return values
+
+
+def _with_bad_rows(words: Mapping[int, pl.Series], lines: pl.Series, faults: Mapping[int, str]) -> dict[int, pl.Series]:
+    """The text columns with the cells of bad rows as these were refitted."""
+    rows = sorted(faults)
+    cells = [next(csv.reader([line])) if '"' in line else line.split(",") for line in lines.gather(rows)]
+    return {
+        index: column.scatter(rows, [row[index] if index < len(row) and row[index] else None for row in cells])
+        for index, column in words.items()
+    }
 
 
 def _refitted(row: Sequence[str], line: str, fields: int) -> str:

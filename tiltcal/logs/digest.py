@@ -1,8 +1,9 @@
-"""The checksum of a log, taken while it is read."""
+"""The checksum of a log, taken while it is read, or of a file."""
 
 from __future__ import annotations
 
-from hashlib import sha256
+from hashlib import file_digest, sha256
+from pathlib import Path
 from typing import BinaryIO, Protocol
 
 
@@ -33,3 +34,9 @@ class Digested:
         data = self._stream.read(size)
         self._digest.update(data)
         return data
+
+
+def sha256_of(path: Path) -> str:
+    """The checksum of a whole file, hexadecimal."""
+    with open(path, "rb") as stream:
+        return file_digest(stream, "sha256").hexdigest()

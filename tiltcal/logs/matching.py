@@ -14,7 +14,7 @@ from tiltcal.core.pair.spin import Spin, estimate_spin, followed_spin
 from tiltcal.core.pair.stage import Stage
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.logs.columns import TIME, locate_columns
-from tiltcal.logs.csv_log import CsvLog
+from tiltcal.logs.door import Block, Log
 from tiltcal.logs.stretch import Stretch
 from tiltcal.logs.stuck_values import StuckValues
 
@@ -60,7 +60,7 @@ class Demodulated:
 
 
 def demodulate_log(
-    log: CsvLog,
+    log: Log[Block],
     channels: Sequence[str],
     phase: str | None,
     *,
@@ -74,7 +74,7 @@ def demodulate_log(
 
     Parameters
     ----------
-    log : CsvLog
+    log : Log
     channels : sequence of str
         The columns of the readings.
     phase : str or None
@@ -168,11 +168,12 @@ class _Angles:
             yield Stretch(self.spin.theta(_clock(stretch)), stretch.readings, stretch.time, stretch.first)
 
 
-def _stretches(log: CsvLog, channels: Sequence[str], phase: str | None, file: str) -> Iterator[Stretch]:
+def _stretches(log: Log[Block], channels: Sequence[str], phase: str | None, file: str) -> Iterator[Stretch]:
     """The log's rows."""
-    where = locate_columns(log.names, channels, {}, file=file, option="--pair or --orthogonal ")
+    line = log.header_line
+    where = locate_columns(log.names, channels, {}, file=file, line=line, option="--pair or --orthogonal ")
     if phase is not None:
-        where |= locate_columns(log.names, (phase,), {}, file=file, option="--phase ")
+        where |= locate_columns(log.names, (phase,), {}, file=file, line=line, option="--phase ")
     if TIME in log.names:
         where[TIME] = log.names.index(TIME)
     first = 0

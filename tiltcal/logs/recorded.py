@@ -22,7 +22,7 @@ from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
 from tiltcal.logs.columns import TEMPERATURE, locate_columns
-from tiltcal.logs.csv_log import CsvLog
+from tiltcal.logs.formats import log_of
 
 FEWEST = 2
 """Samples that a segment needs for a standard deviation."""
@@ -90,7 +90,7 @@ class Hold:
 
 
 def read_record(path: Path, channels: Sequence[str], named: Mapping[str, str]) -> Record:
-    """Read the readings of a CSV log.
+    """Read the readings of a log.
 
     Parameters
     ----------
@@ -106,8 +106,8 @@ def read_record(path: Path, channels: Sequence[str], named: Mapping[str, str]) -
     """
     try:
         with open(path, "rb") as stream:
-            log = CsvLog(stream, name=str(path))
-            where = locate_columns(log.names, channels, named, file=str(path))
+            log = log_of(stream, str(path))
+            where = locate_columns(log.names, channels, named, file=str(path), line=log.header_line)
             blocks = [rows.values for rows in log.rows(sorted(set(where.values())))]
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", file=path) from None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.segments import Segment, read_segments
 from tiltcal.logs.columns import parse_columns
+from tiltcal.logs.digest import sha256_of
 from tiltcal.logs.recorded import Hold, Record, holds_of, holds_of_table, oriented, placed, read_record
 from tiltcal.logs.still import WINDOWS, find_still, still_segments, told
 from tiltcal.unit_gravity import directions
@@ -132,10 +132,10 @@ def _given(source: Source, channels: Sequence[str]) -> tuple[list[Hold], dict[st
     """What the sensor read in the segments or the table that were given, and where these come from."""
     if source.segments is None:
         holds = holds_of_table(read_positions(source.log, channels))
-        return holds, {"table": {"name": source.log.name, "sha256": _sha256(source.log)}}
+        return holds, {"table": {"name": source.log.name, "sha256": sha256_of(source.log)}}
     segments = read_segments(source.segments)
     record = _record(source, channels)
-    origin = {"name": source.segments.name, "sha256": _sha256(source.segments)}
+    origin = {"name": source.segments.name, "sha256": sha256_of(source.segments)}
     return holds_of(record, segments, file=str(source.segments)), {**_log(source, record), "segments": origin}
 
 
@@ -144,9 +144,4 @@ def _record(source: Source, channels: Sequence[str]) -> Record:
 
 
 def _log(source: Source, record: Record) -> dict[str, Any]:
-    return {"log": {"name": source.log.name, "rows": record.rows, "sha256": _sha256(source.log)}}
-
-
-def _sha256(path: Path) -> str:
-    with open(path, "rb") as stream:
-        return file_digest(stream, "sha256").hexdigest()
+    return {"log": {"name": source.log.name, "rows": record.rows, "sha256": sha256_of(source.log)}}

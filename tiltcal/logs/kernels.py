@@ -1,0 +1,139 @@
+"""From a calibration file to the kernel that applies it: of a tilt sensor, or of pairs of accelerometers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import tiltcal
+from tiltcal.core.angles import UncertainCompensation
+from tiltcal.core.compensate import Compensation
+from tiltcal.core.model import Limits
+from tiltcal.core.pair.compensate import PairCompensation
+from tiltcal.drivers import find_model
+from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.files.calibration import Calibration, calibration_of
+from tiltcal.files.document import checked_kind, read_document
+from tiltcal.files.node import Node
+from tiltcal.files.pair import pair_of
+from tiltcal.files.uncertainty import stated_uncertainty
+from tiltcal.logs.compensated import Kernel
+from tiltcal.logs.digest import sha256_of
+
+
+@dataclass(frozen=True)
+class Wish:
+    """How a calibration is to be applied.
+
+    Attributes
+    ----------
+    calibration : Path
+        Its file.
+    first_order : bool
+        Cross-axis Compensation eq. 6 in place of the whole matrix.
+    uncertainty : bool
+        Add the uncertainty of every angle.
+    reading_noise : float or None
+        Standard uncertainty of a reading of the log, in its unit; None for that of a sample at the bench.
+    """
+
+    calibration: Path
+    first_order: bool = False
+    uncertainty: bool = False
+    reading_noise: float | None = None
+
+
+@dataclass(frozen=True)
+class Applied:
+    """A calibration, ready for the rows of one log: a pair's kernel remembers those that it has seen.
+
+    Attributes
+    ----------
+    kernel : Kernel
+    channels : tuple of str
+        The readings that it takes.
+    watched : tuple of str
+        The columns to be summed up.
+    origin : mapping of str to str
+        What a file made with it should say: ``software``, ``calibration``, ``sha256`` and, of a sensor, ``serial``.
+    """
+
+    kernel: Kernel
+    channels: tuple[str, ...]
+    watched: tuple[str, ...]
+    origin: Mapping[str, str]
+
+    @property
+    def as_note(self) -> dict[str, str]:
+        """The origin as key-value metadata."""
+        return {"tiltcal": json.dumps(dict(self.origin))}
+
+
+def applied(wish: Wish, say: Callable[[str], None] = lambda line: None) -> Applied:
+    """Read a calibration file and make it ready.
+
+    Parameters
+    ----------
+    wish : Wish
+    say : callable
+        Told what had to be taken for granted.
+
+    Raises
+    ------
+    UsageError
+        The file is of pairs, and what is wished is for tilt.
+    InputError
+        Anything in the file is wrong.
+    """
+    path = wish.calibration
+    document = read_document(path)
+    kind = document.entries().get("kind")
+    origin = {"software": f"tiltcal {tiltcal.__version__}", "calibration": path.name, "sha256": sha256_of(path)}
+    if kind is not None and kind.names("pair"):
+        return _of_pairs(document, wish, origin)
+    known = calibration_of(checked_kind(document, "tilt"))
+    channels = known.coefficients.channels
+    origin["serial"] = known.sensor.serial
+    try:
+        compensation = Compensation(known.coefficients, _with_rails(known), first_order=wish.first_order)
+        if not wish.uncertainty:
+            return Applied(compensation, channels, (), origin)
+        uncertain = _uncertain(known, compensation, wish.reading_noise, say)
+    except EstimateError as failure:
+        raise InputError(str(failure), file=path) from failure
+    return Applied(uncertain, channels, uncertain.expanded, origin)
+
+
+def _of_pairs(document: Node, wish: Wish, origin: Mapping[str, str]) -> Applied:
+    for name, given in (("--first-order", wish.first_order), ("--uncertainty", wish.uncertainty)):
+        if given:
+            raise UsageError(f"{name} is for tilt calibrations; {wish.calibration} is of pairs, which have no tilt")
+    pairs = pair_of(checked_kind(document, "pair"))
+    matched = PairCompensation(pairs.matchings, pairs.phase)
+    return Applied(matched, matched.channels, (), origin)
+
+
+def _uncertain(
+    known: Calibration, compensation: Compensation, reading_noise: float | None, say: Callable[[str], None]
+) -> UncertainCompensation:
+    """The kernel that tells uncertainties too; says what it has to take for granted."""
+    stated = stated_uncertainty(known.uncertainty, known.coefficients, reading_noise=reading_noise)
+    for remark in stated.remarks:
+        say(f"note: {remark}")
+    return UncertainCompensation(compensation, known.coefficients, stated.doubt)
+
+
+def _with_rails(calibration: Calibration) -> Limits:
+    """The calibration's limits, with the rails of its model where the file itself names none."""
+    limits, sensor = calibration.limits, calibration.sensor
+    if limits.reading:
+        return limits
+    try:
+        model = find_model(sensor.model)
+    except UsageError:
+        return limits  # a model that nobody knows has no rails that anybody knows
+    if model.unit != sensor.unit:
+        return limits
+    return replace(limits, reading=dict.fromkeys(sensor.channels, model.rails))
