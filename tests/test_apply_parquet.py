@@ -200,7 +200,10 @@ class TestBesideCsv:
             assert apply("disk.csv.yaml", name, "-o", f"{name}.out.parquet").exit_code == 0
         one, other = (pl.read_parquet(f"{name}.out.parquet") for name in ("disk.csv", "disk.parquet"))
         assert one["gradient_sin"].is_finite().sum() > rows // 2
-        assert_frame_equal(one, other, check_exact=True)
+        # A turn is summed up block by block, and the blocks of the formats differ.
+        summed = ["gradient_sin", "gradient_cos"]
+        assert_frame_equal(one.drop(summed), other.drop(summed), check_exact=True)
+        assert_frame_equal(one.select(summed), other.select(summed), abs_tol=1e-12)
 
 
 class TestFromCsvToParquet:
