@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,9 +67,9 @@ def command(
 ) -> None:
     """Turn the raw readings of LOG into tilt with quality flags.
 
-    LOG is CSV with a header, Parquet (.parquet, .pq), or - for CSV on standard input; OUT has the format that its name
-    says. The log's columns are kept as they are; behind them come g_x and
-    tilt_x in degrees for each axis (with three axes also pitch, roll and inclination), and flag and reason. flag: 1
+    LOG is CSV with a header, Parquet (.parquet, .pq), NetCDF-4 (.nc), or - for CSV on standard input. OUT has the
+    format that its name says; a NetCDF log stays NetCDF. The log's columns are kept as they are; behind them come g_x
+    and tilt_x in degrees for each axis (with three axes also pitch, roll and inclination), and flag and reason. flag: 1
     pass, 3 suspect, 4 fail, 9 missing. reason adds up: 1 arcsine argument beyond ±1, 2 temperature outside the
     calibrated range, 4 reading at the rail, 8 tilt outside the calibrated range, 16 temperature missing, 32 not a
     number. The output appears whole or not at all, on standard output too.
@@ -98,26 +99,29 @@ def _apply(known: Applied, log: str, output: str, columns: str, skip_bad_rows: b
     from tiltcal.logs.compensated import Summary, compensated
     from tiltcal.logs.csv_log import CsvLog
     from tiltcal.logs.csv_table import CsvTable
-    from tiltcal.logs.formats import is_parquet, log_of
+    from tiltcal.logs.formats import is_parquet, log_of, require_way
+    from tiltcal.logs.netcdf_log import NetcdfLog
+    from tiltcal.logs.netcdf_written import write_netcdf
     from tiltcal.logs.written import write_csv, write_csv_of_types, write_parquet
 
+    require_way(log, output)
     named = parse_columns(columns, known.channels)
     summary = Summary.watching(known.watched)
     added = known.kernel.columns
     with log_source(log) as (stream, name, size), progress_bar("apply", size) as progress:
         rows = log_of(stream, name, skip_bad_rows=skip_bad_rows)
         located = locate_columns(rows.names, known.channels, named, file=name, line=rows.header_line)
-        passed = (known.kernel, known.channels, located, summary, progress)
-        if isinstance(rows, CsvLog) and not is_parquet(output):
-            plain = compensated(rows, *passed)
-            with log_sink(output) as sink:
-                write_csv(sink, rows, added, plain)
-            return summary
-        typed = CsvTable(rows, sorted(set(located.values())), name=name) if isinstance(rows, CsvLog) else rows
-        blocks = compensated(typed, *passed)
+        needed = sorted(set(located.values()))
+        way = (known.kernel, known.channels, located, summary, progress)
         with log_sink(output) as sink:
-            if is_parquet(output):
-                write_parquet(sink, typed, added, blocks, {**typed.notes, **known.as_note})
+            if isinstance(rows, NetcdfLog):
+                now = datetime.now(UTC)
+                write_netcdf(sink, stream, rows, needed, added, compensated(rows, *way), known.origin, now)
+            elif is_parquet(output):
+                typed = CsvTable(rows, needed, name=name) if isinstance(rows, CsvLog) else rows
+                write_parquet(sink, typed, added, compensated(typed, *way), {**typed.notes, **known.as_note})
+            elif isinstance(rows, CsvLog):
+                write_csv(sink, rows, added, compensated(rows, *way))
             else:
-                write_csv_of_types(sink, typed, added, blocks)
+                write_csv_of_types(sink, rows, added, compensated(rows, *way))
     return summary

@@ -97,7 +97,7 @@ def command(
     segments_out: Path | None,
     output: Path,
 ) -> None:
-    """Calibrate from a recorded LOG (CSV or Parquet) and its still segments, by the positions of PROCEDURE.
+    """Calibrate from a recorded LOG (CSV, Parquet or NetCDF-4) and its still segments, by the positions of PROCEDURE.
 
     With PROCEDURE free nobody has to know the positions: a three-axis sensor is held still in a dozen or more
     attitudes, whatever they are, and gravity is 1 g in each. How the sensor is mounted stays undetermined.

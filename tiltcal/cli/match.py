@@ -78,9 +78,9 @@ def command(
 ) -> None:
     """Match accelerometer pairs on a turning stage: scale factor p and misalignment q.
 
-    LOG is CSV with a header, Parquet, or - for CSV on standard input; it is read once, whatever its size. The sum
-    FIRST + (SECOND + q ORTHOGONAL) / (1 - p) is free of the acceleration that all of them feel; `tiltcal apply` adds it
-    to a log. Two pairs give the gradient signal as well. A column called time is in seconds or ISO 8601.
+    LOG is CSV with a header, Parquet, NetCDF-4, or - for CSV on standard input; it is read once, whatever its size. The
+    sum FIRST + (SECOND + q ORTHOGONAL) / (1 - p) is free of the acceleration that all of them feel; `tiltcal apply`
+    adds it to a log. Two pairs give the gradient signal as well. A column called time is in seconds or ISO 8601.
 
     With --online, Ctrl-C ends a stream that has no end of its own, and what was found until then is the result.
     """
@@ -149,7 +149,7 @@ def _read(
     """The log, demodulated, and the checksum of what was read of it."""
     from tiltcal.cli.log_files import progress_bar
     from tiltcal.logs.digest import Digested, sha256_of
-    from tiltcal.logs.formats import is_parquet, log_of
+    from tiltcal.logs.formats import is_csv, log_of
     from tiltcal.logs.matching import demodulate_log
 
     digested = Digested(stream)
@@ -159,7 +159,7 @@ def _read(
         found = demodulate_log(
             *(rows, channels, phase), file=name, witness=witness, say=say, live=looks[0] is not None, progress=progress
         )
-    return found, sha256_of(Path(name)) if is_parquet(name) else digested.sha256
+    return found, digested.sha256 if is_csv(name) else sha256_of(Path(name))
 
 
 def _matched(found: Demodulated, pair: Pair, watch: Watch | None, loops: bool) -> Matching:

@@ -25,7 +25,7 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
     The stream writes to a file without a name in the same folder, so that a program that is killed leaves nothing
     behind; where the system knows no such files, to a temporary one. At the end it is flushed to the disk and renamed;
     where the block raises, it is gone and a file that stood at ``path`` is as it was. A device or pipe has no such end:
-    it is written as it comes.
+    it is written as it comes. What was written can be read again, but for a device or pipe.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
     part = target.with_name(f".tiltcal-{token_hex(6)}.part")
     try:
         nameless = _nameless(target.parent)
-        stream = open(part, "xb") if nameless is None else open(nameless, "wb")  # noqa: SIM115  (told apart from writing)
+        stream = open(part, "x+b") if nameless is None else open(nameless, "w+b")  # noqa: SIM115  (told apart from writing)
     except OSError as failure:
         raise _cannot_write(target, failure) from failure
     try:
@@ -133,7 +133,7 @@ def _nameless(folder: Path) -> int | None:
     if not hasattr(os, "O_TMPFILE") or not os.path.exists("/proc/self/fd"):
         return None
     try:
-        return os.open(folder, os.O_TMPFILE | os.O_WRONLY | os.O_CLOEXEC, 0o666)
+        return os.open(folder, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o666)
     except OSError as failure:
         if failure.errno in _NO_ROOM:
             raise
