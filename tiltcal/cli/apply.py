@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from tiltcal.cli.log_files import STANDARD, log_sink, log_source, progress_bar
-from tiltcal.errors import UsageError
+from tiltcal.cli.log_files import STANDARD
+from tiltcal.errors import InputError, TiltcalError, UsageError
 
 if TYPE_CHECKING:
-    from tiltcal.logs.compensated import Summary
-    from tiltcal.logs.kernels import Applied
+    from collections.abc import Sequence
+
+    from tiltcal.cli.apply_logs import Task
 
 _EXAMPLE = """\b
 Examples:
@@ -22,14 +23,21 @@ Examples:
   tiltcal apply S-0042.yaml night.csv --uncertainty -o night-tilt.csv
   tiltcal apply S-0042.yaml night.parquet -o night-tilt.parquet
   tiltcal apply S-0042.yaml night.csv --columns x=VoutX,y=VoutY,temperature=T -o night-tilt.csv
+  tiltcal apply S-0042.yaml may-*.parquet -o tilt
   zcat night.csv.gz | tiltcal apply S-0042.yaml - | gzip > night-tilt.csv.gz
 """
 
 
 @click.command(epilog=_EXAMPLE)
 @click.argument("calibration", type=click.Path(path_type=Path))
-@click.argument("log")
-@click.option("-o", "--output", default=STANDARD, metavar="OUT", help="File to write; standard output by default.")
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True)
+@click.option(
+    "-o",
+    "--output",
+    default=STANDARD,
+    metavar="OUT",
+    help="File to write, standard output by default; of several logs the folder, where each keeps its name.",
+)
 @click.option(
     "--columns",
     default="",
@@ -53,18 +61,25 @@ Examples:
     help="With --uncertainty: the standard uncertainty of a reading of LOG, in its unit, in place of that of a single "
     "sample at the bench; 0 for the uncertainty of the calibration alone.",
 )
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Do each log on a worker of the dask scheduler there, such as tcp://10.0.0.1:8786; the workers must see the "
+    "same files.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Summary as JSON: on stdout, or on stderr if the rows go there.")
 def command(
     calibration: Path,
-    log: str,
+    logs: tuple[str, ...],
     output: str,
     columns: str,
     skip_bad_rows: bool,
     first_order: bool,
     uncertainty: bool,
     reading_noise: float | None,
+    scheduler: str | None,
     as_json: bool,
-) -> None:
+) -> int:
     """Turn the raw readings of LOG into tilt with quality flags.
 
     LOG is CSV with a header, Parquet (.parquet, .pq), NetCDF-4 (.nc), or - for CSV on standard input. OUT has the
@@ -74,6 +89,9 @@ def command(
     calibrated range, 4 reading at the rail, 8 tilt outside the calibrated range, 16 temperature missing, 32 not a
     number. The output appears whole or not at all, on standard output too.
 
+    Several logs go one after another into the folder -o, or with --scheduler on the workers of a cluster, one task for
+    each; one that cannot be done is named, and the others are done.
+
     With --uncertainty there come behind these, in degrees, u_tilt_x (standard uncertainty, k = 1) and U95_tilt_x (the
     truth is within tilt_x ± U95_tilt_x in 95 % of all cases) for every angle: from the calibration's covariance, the
     noise of a reading and the thermometer.
@@ -81,47 +99,42 @@ def command(
     Where CALIBRATION is of accelerometer pairs (from `tiltcal match`), the columns are the matched sum of each pair
     and, with both pairs, the gradient signal and its components at twice the turning, over the turn before.
     """
+    from tiltcal.cli.apply_logs import Task, apply_to_log, tasks_of
     from tiltcal.logs.kernels import Wish, applied
 
     if reading_noise is not None and not uncertainty:
         raise UsageError("--reading-noise is for --uncertainty, which is not there")
-    known = applied(Wish(calibration, first_order, uncertainty, reading_noise), lambda line: click.echo(line, err=True))
-    summary = _apply(known, log, output, columns, skip_bad_rows)
+    wish = Wish(calibration, first_order, uncertainty, reading_noise)
+    if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
+        tasks = tasks_of(wish, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
+        applied(wish, _say)  # what is wrong with the calibration is wrong once
+        return _each(tasks, scheduler, as_json)
+    summary = apply_to_log(Task(wish, logs[0], output, columns, skip_bad_rows), _say)
     if as_json:
         click.echo(json.dumps(summary.as_data()), err=output == STANDARD)
     else:
-        click.echo(summary.as_text(), err=True)
+        _say(summary.as_text())
+    return 0
 
 
-def _apply(known: Applied, log: str, output: str, columns: str, skip_bad_rows: bool) -> Summary:
-    """Compensate one log, from its door to where its rows go; both formats are told by the names."""
-    from tiltcal.logs.columns import locate_columns, parse_columns
-    from tiltcal.logs.compensated import Summary, compensated
-    from tiltcal.logs.csv_log import CsvLog
-    from tiltcal.logs.csv_table import CsvTable
-    from tiltcal.logs.formats import is_parquet, log_of, require_way
-    from tiltcal.logs.netcdf_log import NetcdfLog
-    from tiltcal.logs.netcdf_written import write_netcdf
-    from tiltcal.logs.written import write_csv, write_csv_of_types, write_parquet
+def _each(tasks: Sequence[Task], scheduler: str | None, as_json: bool) -> int:
+    """Do several logs, tell of each when it is done, and fail at the end where one could not be."""
+    from tiltcal.cli.apply_logs import done_here, done_on
 
-    require_way(log, output)
-    named = parse_columns(columns, known.channels)
-    summary = Summary.watching(known.watched)
-    added = known.kernel.columns
-    with log_source(log) as (stream, name, size), progress_bar("apply", size) as progress:
-        rows = log_of(stream, name, skip_bad_rows=skip_bad_rows)
-        located = locate_columns(rows.names, known.channels, named, file=name, line=rows.header_line)
-        needed = sorted(set(located.values()))
-        way = (known.kernel, known.channels, located, summary, progress)
-        with log_sink(output) as sink:
-            if isinstance(rows, NetcdfLog):
-                now = datetime.now(UTC)
-                write_netcdf(sink, stream, rows, needed, added, compensated(rows, *way), known.origin, now)
-            elif is_parquet(output):
-                typed = CsvTable(rows, needed, name=name) if isinstance(rows, CsvLog) else rows
-                write_parquet(sink, typed, added, compensated(typed, *way), {**typed.notes, **known.as_note})
-            elif isinstance(rows, CsvLog):
-                write_csv(sink, rows, added, compensated(rows, *way))
-            else:
-                write_csv_of_types(sink, rows, added, compensated(rows, *way))
-    return summary
+    told = {}
+    for task, outcome in done_here(tasks) if scheduler is None else done_on(scheduler, tasks):
+        if isinstance(outcome, TiltcalError):
+            _say(f"{task.log} is left out: {outcome}")
+            continue
+        told[task.log] = {"output": task.output, **outcome.as_data()}
+        if not as_json:
+            _say(f"{task.output}: {outcome.as_text()}")
+    if as_json:
+        click.echo(json.dumps({"logs": {task.log: told[task.log] for task in tasks if task.log in told}}))
+    if len(told) < len(tasks):
+        raise InputError(f"{len(tasks) - len(told)} of {len(tasks)} logs could not be done; the others are there")
+    return 0
+
+
+def _say(line: str) -> None:
+    click.echo(line, err=True)

@@ -5,6 +5,8 @@ Each writer takes the blocks of a log and what the kernel made of them, in order
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from io import BytesIO
@@ -28,8 +30,8 @@ Table = Mapping[str, Array | NDArray[np.uint8]]
 
 _ROW_GROUP = 1 << 18
 """Rows of a Parquet file that are packed together; so many are in memory at once."""
-_NO_ROOM = ("(os error 27)", "(os error 28)", "(os error 122)")
-"""How the engine ends its words on a file too large, a full disk, a full share of it."""
+_OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")
+"""How the engine ends its words on a full disk, and on all else that the system refuses."""
 
 
 def write_csv(sink: BinaryIO, log: CsvLog, added: Sequence[str], blocks: Iterable[tuple[Rows, Table]]) -> None:
@@ -109,7 +111,7 @@ def write_parquet(
 
     Raises
     ------
-    UsageError
+    OSError
         The disk is full.
 
     Notes
@@ -130,8 +132,9 @@ def write_parquet(
             sink, row_group_size=_ROW_GROUP, maintain_order=True, metadata=dict(notes), engine="streaming"
         )
     except pl.exceptions.ComputeError as failure:
-        if str(failure).endswith(_NO_ROOM):
-            raise UsageError(f"cannot write: {failure}; choose another folder") from failure
+        if found := _OF_THE_SYSTEM.search(str(failure)):
+            code = int(found[1])
+            raise OSError(code, os.strerror(code)) from failure
         raise
 
 
