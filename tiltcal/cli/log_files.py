@@ -17,6 +17,21 @@ STANDARD = "-"
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
 
 
+def require_csv(*names: str) -> None:
+    """Refuse what is not CSV, where nothing else is read.
+
+    Raises
+    ------
+    UsageError
+        One of the names is that of another format.
+    """
+    from tiltcal.logs.formats import is_csv
+
+    for name in names:
+        if not is_csv(name):
+            raise UsageError(f"{name}: logs are CSV for now; convert it to CSV first")
+
+
 @contextmanager
 def log_source(log: str) -> Iterator[tuple[BinaryIO, str, int | None]]:
     """The log's bytes, what to call it in messages, and its size where it has one.

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import tiltcal
 from tiltcal.core.angles import UncertainCompensation
 from tiltcal.core.compensate import Compensation
-from tiltcal.core.model import Limits
 from tiltcal.core.pair.compensate import PairCompensation
-from tiltcal.drivers import find_model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import Calibration, calibration_of
 from tiltcal.files.document import checked_kind, read_document
@@ -21,6 +19,7 @@ from tiltcal.files.pair import pair_of
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.logs.compensated import Kernel
 from tiltcal.logs.digest import sha256_of
+from tiltcal.rails import with_rails
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ def applied(wish: Wish, say: Callable[[str], None] = lambda line: None) -> Appli
     channels = known.coefficients.channels
     origin["serial"] = known.sensor.serial
     try:
-        compensation = Compensation(known.coefficients, _with_rails(known), first_order=wish.first_order)
+        compensation = Compensation(known.coefficients, with_rails(known), first_order=wish.first_order)
         if not wish.uncertainty:
             return Applied(compensation, channels, (), origin)
         uncertain = _uncertain(known, compensation, wish.reading_noise, say)
@@ -123,17 +122,3 @@ def _uncertain(
     for remark in stated.remarks:
         say(f"note: {remark}")
     return UncertainCompensation(compensation, known.coefficients, stated.doubt)
-
-
-def _with_rails(calibration: Calibration) -> Limits:
-    """The calibration's limits, with the rails of its model where the file itself names none."""
-    limits, sensor = calibration.limits, calibration.sensor
-    if limits.reading:
-        return limits
-    try:
-        model = find_model(sensor.model)
-    except UsageError:
-        return limits  # a model that nobody knows has no rails that anybody knows
-    if model.unit != sensor.unit:
-        return limits
-    return replace(limits, reading=dict.fromkeys(sensor.channels, model.rails))
