@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import json
+import os
+import signal
+import subprocess
+import sys
+import termios
+import time
 from math import asin, degrees, isnan
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from command import TILTCAL
 
 from tiltcal.cli.apply import command
 from tiltcal.errors import InputError, TiltcalError, UsageError
+
+FIXTURES = Path(__file__).parents[1] / "fixtures"
 
 PLAIN = """\
 tiltcal: 1
@@ -270,3 +280,20 @@ def test_a_whole_recorded_session_comes_out_row_for_row(tmp_path: Path) -> None:
         for axis in "xyz":
             mean = sum(float(row[f"g_{axis}"]) for row in inside) / len(inside)
             assert mean == pytest.approx(float(segment[f"g{axis}"]), abs=0.005)
+
+
+def test_ctrl_c_ends_the_wait_for_a_pipe_that_has_gone_quiet(tmp_path: Path) -> None:
+    """More than a block of rows has been parsed by then: the engine that did so must not keep Ctrl-C to itself."""
+    command = [*TILTCAL, "apply", FIXTURES / "plane.yaml", "-", "-o", "out.csv"]
+    with subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        if process.stdin is None or process.stderr is None:
+            raise RuntimeError("no pipes")
+        process.stdin.write(b"time,x,y,temperature\n" + b"".join(b"%d,1020,1021,24\n" % n for n in range(400_000)))
+        process.stdin.flush()
+        deadline = time.monotonic() + 60
+        while int.from_bytes(fcntl.ioctl(process.stdin, termios.FIONREAD, bytes(4)), sys.byteorder):
+            assert time.monotonic() < deadline, "the rows were not read"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+        assert "interrupted" in process.stderr.read().decode()
+    assert os.listdir(tmp_path) == []

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
-from select import select
 from types import FrameType
 from typing import TYPE_CHECKING, cast
 
-from tiltcal.cli.log_files import log_source
+from tiltcal.cli.log_files import has_no_end, log_source
 
 if TYPE_CHECKING:
     import io
@@ -35,7 +32,7 @@ class LiveStream:
 
     def __init__(self, stream: io.BufferedReader) -> None:
         self._stream = stream
-        self.endless = _has_no_end(stream)
+        self.endless = has_no_end(stream)
         self.interrupted = False
         self._waiting = False
         self._begun = b""
@@ -45,9 +42,6 @@ class LiveStream:
         while not self.interrupted:
             try:
                 self._waiting = True
-                if self.endless and os.name == "posix":
-                    # The engine that parses the rows has its own word on signals, and lets a read go on after one.
-                    select([self._stream], [], [])
                 arrived = self._stream.read1(size)
             except KeyboardInterrupt:
                 break
@@ -90,10 +84,3 @@ def live_source(log: str) -> Iterator[tuple[LiveStream, str, int | None]]:
         stream = LiveStream(cast("io.BufferedReader", source))
         with stream.ended_by_ctrl_c():
             yield stream, name, size
-
-
-def _has_no_end(stream: io.BufferedReader) -> bool:
-    try:
-        return not stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
-    except OSError:  # memory
-        return False
