@@ -193,7 +193,8 @@ def oriented(holds: Sequence[Hold], attitudes: Array) -> list[Measurement]:
 def _place(hold: Hold, known: Mapping[str, Position], procedure: Procedure, file: str) -> Position:
     """The position that a hold was in."""
     if hold.gravity is not None:
-        return Position(hold.position, "", hold.gravity)
+        heading = known[hold.position].heading if hold.position in known else None
+        return Position(hold.position, "", hold.gravity, heading=heading)
     if hold.position in known:
         return known[hold.position]
     near = get_close_matches(hold.position, known, n=1)
@@ -208,7 +209,9 @@ def _place(hold: Hold, known: Mapping[str, Position], procedure: Procedure, file
 
 def _placed(hold: Hold, position: Position) -> Measurement:
     temperature = position.temperature if hold.temperature is None else hold.temperature
-    return Measurement(hold.name, position.gravity, position.tilt, temperature, hold.summaries, hold.where)
+    return Measurement(
+        hold.name, position.gravity, position.tilt, temperature, hold.summaries, hold.where, heading=position.heading
+    )
 
 
 def _require_steady(hold: Hold, procedure: Procedure, file: str) -> None:
