@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command import tiltcal
 
-from tiltcal.files.calibration import read_calibration
+from tiltcal.files.calibration import Calibration, read_calibration
 
 
 class TestTemperaturePoint:
@@ -54,3 +54,40 @@ class TestTemperaturePoint:
         assert result.returncode == 2
         assert "segments.csv:3: segment level-cold: the temperature drifts by -1.9" in result.stderr
         assert not (tmp_path / "S-1.yaml").exists()
+
+
+class TestSweep:
+    """A log of ``temperature-sweep``: a straight drift, and x is 0.8 count higher on the way up at 15 °C."""
+
+    DOWN, UP = ("down-24", "down-15", "down-5.5"), ("up-15", "up-24", "up-32", "up-40", "back-32", "back-24")
+
+    @pytest.fixture
+    def found(self, tmp_path: Path) -> Calibration:
+        folder, rng = tmp_path, np.random.default_rng(8)
+        rows, segments = ["x,y,temperature"], ["position,start,end"]
+        for name in (*self.DOWN, *self.UP):
+            temperature = float(name.split("-")[1])
+            loop = 0.8 if name == "up-15" else 0.0
+            segments.append(f"{name},{len(rows) - 1},{len(rows) + 99}")
+            for x, y in rng.normal(0.0, 0.5, (100, 2)) + 1024.0 + 0.2 * (temperature - 24.0):
+                rows.append(f"{x + loop:.3f},{y:.3f},{temperature}")
+        (folder / "log.csv").write_text("\n".join(rows) + "\n")
+        (folder / "segments.csv").write_text("\n".join(segments) + "\n")
+        result = tiltcal(
+            *("fit", "temperature-sweep", "log.csv", "--segments", "segments.csv", "--sensor", "sca100t-d02"),
+            *("--serial", "S-1", "-o", "S-1.yaml"),
+            cwd=folder,
+        )
+        assert result.returncode == 0, result.stderr
+        return read_calibration(folder / "S-1.yaml")
+
+    def test_the_order_is_chosen_and_not_the_highest(self, found: Calibration) -> None:
+        thermal = found.coefficients.thermal
+        assert thermal is not None
+        assert thermal.drift.shape == (2, 1)
+        assert found.fit["cross_validation"]["order"] == 1
+
+    def test_the_hysteresis_is_told_with_its_sign(self, found: Calibration) -> None:
+        loop = found.fit["hysteresis"]["x"]
+        assert loop["between"] == ["down-15", "up-15"]
+        assert loop["difference"] == pytest.approx(0.8, abs=3 * 0.05 * sqrt(2))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibrate import Measurement, Subject, design_of, observations_of
+from tiltcal.calibrate import Measurement, Subject, calibrate_jointly, design_of, observations_of
 from tiltcal.core.estimation.design import Sensor
 from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.rounding import significant
@@ -38,6 +38,36 @@ class Choice:
 
     order: int
     errors: Mapping[int, float]
+
+
+def calibrate_in_order(
+    subjects: Sequence[Subject],
+    procedure: Procedure,
+    *,
+    jig: float | None = None,
+    thermometer: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> list[Calibration]:
+    """Calibrate all sensors of a fixture with the order of the drift that the procedure states, or has chosen.
+
+    The arguments are those of :func:`tiltcal.calibrate.calibrate_jointly`.
+
+    Raises
+    ------
+    EstimateError
+        The positions cannot determine the coefficients, or are too few to choose an order by.
+    """
+    choice = None
+    if procedure.determines.cross_validated:
+        choice = choose_order(subjects, procedure, jig=jig, thermometer=thermometer)
+        procedure = with_order(procedure, choice.order)
+    found = calibrate_jointly(
+        subjects, procedure, jig=jig, thermometer=thermometer, settings=settings, provenance=provenance
+    )
+    if choice is None:
+        return found
+    return [swept(one, subject.measurements, choice) for one, subject in zip(found, subjects, strict=True)]
 
 
 def choose_order(

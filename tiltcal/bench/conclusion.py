@@ -12,13 +12,13 @@ from tiltcal.bench.plan import Place, Plan, stamp
 from tiltcal.bench.rack import Bay
 from tiltcal.bench.rotation import Turned
 from tiltcal.bench.runner import Taken
-from tiltcal.calibrate import Measurement, Nominal, Subject, calibrate_jointly
+from tiltcal.calibrate import Measurement, Nominal, Subject
 from tiltcal.drivers.device import Model
 from tiltcal.files.calibration import Calibration, calibration_of
 from tiltcal.files.document import checked_kind, parse_document
 from tiltcal.files.pair import PairCalibration
 from tiltcal.mount import mount
-from tiltcal.sweep import choose_order, swept, with_order
+from tiltcal.sweep import calibrate_in_order
 from tiltcal.typical import with_typical_temperature
 from tiltcal.unit_gravity import directed, with_verdict
 
@@ -119,15 +119,9 @@ def _calibrated(
     procedure, warmth = plan.procedure, _thermometer_uncertainty(plan, walked)
     if procedure.determines.free:
         subjects = directed(subjects)
-    choice = None
-    if procedure.determines.cross_validated:
-        choice = choose_order(subjects, procedure, jig=plan.jig, thermometer=warmth)
-        procedure = with_order(procedure, choice.order)
-    found = calibrate_jointly(subjects, procedure, jig=plan.jig, thermometer=warmth, settings=settings)
+    found = calibrate_in_order(subjects, procedure, jig=plan.jig, thermometer=warmth, settings=settings)
     if procedure.determines.free:
         found = [with_verdict(one, its.measurements) for one, its in zip(found, subjects, strict=True)]
-    if choice is not None:
-        found = [swept(one, its.measurements, choice) for one, its in zip(found, subjects, strict=True)]
     return found
 
 

@@ -102,13 +102,14 @@ def command(
     With PROCEDURE free nobody has to know the positions: a three-axis sensor is held still in a dozen or more
     attitudes, whatever they are, and gravity is 1 g in each. How the sensor is mounted stays undetermined.
     """
-    from tiltcal.calibrate import Nominal, calibrate
+    from tiltcal.calibrate import Nominal, Subject
     from tiltcal.files.calibration import SensorIdentity, write_calibration
     from tiltcal.files.procedure import find_procedure
     from tiltcal.logs import remarks
     from tiltcal.logs.source import Source, free_positions, set_positions
     from tiltcal.outlook import require_tilt
     from tiltcal.report.summary import summary
+    from tiltcal.sweep import calibrate_in_order
     from tiltcal.unit_gravity import require_no_jig, with_verdict
 
     steps = find_procedure(procedure, tilt)
@@ -133,13 +134,13 @@ def command(
         if free
         else set_positions(source, channels, steps)
     )
-    calibration = calibrate(
-        SensorIdentity(sensor or UNKNOWN_MODEL, serial, unit, channels),
+    nominal = (
+        None if model is None else Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
+    )
+    identity = SensorIdentity(sensor or UNKNOWN_MODEL, serial, unit, channels)
+    (calibration,) = calibrate_in_order(
+        [Subject(identity, positions.measurements, nominal)],
         steps,
-        positions.measurements,
-        nominal=Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
-        if model
-        else None,
         jig=jig,
         thermometer=thermometer if model is None or thermometer is not None else model.thermometer_rounding,
         provenance={
