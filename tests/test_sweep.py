@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, radians, sin
 
 import numpy as np
@@ -70,6 +71,16 @@ def test_hysteresis_is_reported() -> None:
     loop = swept(found, measured, choice).fit["hysteresis"]["x"]
     assert abs(loop["difference"]) == pytest.approx(2.0, abs=0.4)
     assert sorted(name.split("-")[0] for name in loop["between"]) in (["back", "up"], ["down", "up"])
+
+
+def test_means_without_an_uncertainty_choose_an_order_too() -> None:
+    """A table may leave it out; the orders are then compared by how far off they foretell."""
+    procedure, measured = sweep((0.2, 0.02), seed=5)
+    bare = [
+        replace(one, summaries={c: Summary(summary.mean, 0.0, 1, 0.0) for c, summary in one.summaries.items()})
+        for one in measured
+    ]
+    assert choose_order([Subject(SENSOR, bare, NOMINAL)], procedure).order == 2
 
 
 def test_too_few_temperatures_to_leave_one_out() -> None:

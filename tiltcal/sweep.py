@@ -16,6 +16,7 @@ import numpy as np
 from tiltcal.calibrate import Measurement, Subject, calibrate_jointly, design_of, observations_of
 from tiltcal.core.estimation.design import Sensor
 from tiltcal.core.estimation.estimate import estimate_jointly
+from tiltcal.core.model import Array
 from tiltcal.core.rounding import significant
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration
@@ -92,7 +93,7 @@ def choose_order(
     -----
     Of the orders whose mean error is within one standard error of the best one's, the lowest is taken.
     """
-    squares: dict[int, np.ndarray[tuple[int], np.dtype[np.float64]]] = {}
+    squares: dict[int, Array] = {}
     for order in range(1, procedure.determines.drift + 1):
         try:
             squares[order] = _left_out(subjects, with_order(procedure, order), jig, thermometer)
@@ -126,11 +127,10 @@ def swept(calibration: Calibration, measurements: Sequence[Measurement], choice:
     return replace(calibration, fit={**calibration.fit, **record})
 
 
-def _left_out(
-    subjects: Sequence[Subject], procedure: Procedure, jig: float | None, thermometer: float | None
-) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Squared error of foretelling each position from the others, over its variance."""
+def _left_out(subjects: Sequence[Subject], procedure: Procedure, jig: float | None, thermometer: float | None) -> Array:
+    """Squared error of foretelling each position from the others, over its variance; over 1 where none is known."""
     found = []
+    noise = [_uncertainties(subject, design_of(subject, procedure, jig, thermometer).channels) for subject in subjects]
     for number in range(len(subjects[0].measurements)):
         rest = [
             replace(subject, measurements=[m for k, m in enumerate(subject.measurements) if k != number])
@@ -140,14 +140,19 @@ def _left_out(
         for subject in rest:
             design = design_of(subject, procedure, jig, thermometer)
             sensors.append(Sensor(design, observations_of(subject.measurements, design.channels), subject.orientation))
-        for subject, estimate in zip(subjects, estimate_jointly(sensors), strict=True):
+        for subject, u, estimate in zip(subjects, noise, estimate_jointly(sensors), strict=True):
             out = subject.measurements[number]
             gravity, temperature = np.array([out.gravity]), np.array([out.temperature], dtype=float)
             foretold = estimate.coefficients.predict(gravity, temperature)[0]
-            for channel, value in zip(estimate.coefficients.channels, foretold, strict=True):
-                summary = out.summaries[channel]
-                found.append(((summary.mean - float(value)) / max(summary.u, 1e-300)) ** 2)
+            mean = [out.summaries[channel].mean for channel in estimate.coefficients.channels]
+            found.extend((((np.array(mean) - foretold) / u[number]) ** 2).tolist())
     return np.array(found)
+
+
+def _uncertainties(subject: Subject, channels: Sequence[str]) -> Array:
+    """Of every position's mean readings, shape (positions, channels)."""
+    u = np.array([observation.u for observation in observations_of(subject.measurements, channels)])
+    return np.where(u > 0.0, u, 1.0)
 
 
 def _hysteresis(calibration: Calibration, measurements: Sequence[Measurement]) -> dict[str, Any]:
