@@ -77,3 +77,10 @@ def test_drift_uncertainty_covers_noise() -> None:
 
 def test_samples_of_one_instant_have_not_drifted() -> None:
     assert drift([2.5, 2.5, 2.5], [1.0, 7.0, 3.0]) == (0.0, 0.0)
+
+
+def test_identical_samples_have_no_scatter_at_all() -> None:
+    """A hundred times 0.1 is not 10 in binary digits."""
+    for value in (0.1, 107.123, 1 / 3):
+        summary = summarise([value] * 97)
+        assert (summary.mean, summary.std, summary.u) == (value, 0.0, 0.0)

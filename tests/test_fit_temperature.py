@@ -91,3 +91,17 @@ class TestSweep:
         loop = found.fit["hysteresis"]["x"]
         assert loop["between"] == ["down-15", "up-15"]
         assert loop["difference"] == pytest.approx(0.8, abs=3 * 0.05 * sqrt(2))
+
+
+def test_a_segment_without_a_temperature_does_not_take_the_procedures(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    cells = [(f"{x:.3f},{y:.3f}", "24.0" if k < 50 else "") for k, (x, y) in enumerate(rng.normal(1024, 0.5, (100, 2)))]
+    (tmp_path / "log.csv").write_text("x,y,temperature\n" + "".join(f"{xy},{told}\n" for xy, told in cells))
+    (tmp_path / "segments.csv").write_text(TestTemperaturePoint.SEGMENTS)
+    result = tiltcal(
+        *("fit", "two-temperature", "log.csv", "--segments", "segments.csv", "--sensor", "sca100t-d02"),
+        *("--serial", "S-1", "-o", "S-1.yaml"),
+        cwd=tmp_path,
+    )
+    assert result.returncode == 2
+    assert "segments.csv:3: segment level-cold: there is no temperature in its rows" in result.stderr

@@ -59,7 +59,8 @@ def summarise(samples: Sequence[float], resolution: float = 0.0) -> Summary:
         The step of the reading; 0 where it is continuous.
     """
     n = len(samples)
-    mean = fsum(samples) / n
+    # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
+    mean = samples[0] if min(samples) == max(samples) else fsum(samples) / n
     std = sqrt(fsum((sample - mean) ** 2 for sample in samples) / (n - 1)) if n > 1 else 0.0
     noise, dof = _type_a(samples, std)
     step = rounding_left(std, resolution)

@@ -15,7 +15,7 @@ import numpy as np
 
 from tiltcal.calibrate import Measurement
 from tiltcal.core.frames import Vector
-from tiltcal.core.model import Array
+from tiltcal.core.model import AXES, Array
 from tiltcal.core.statistics import Summary, summarise
 from tiltcal.errors import InputError
 from tiltcal.files.positions import TabledPosition
@@ -23,12 +23,16 @@ from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
 from tiltcal.logs.columns import TEMPERATURE, locate_columns
 from tiltcal.logs.formats import log_of
+from tiltcal.logs.resolution import alike_by_chance, step_of
 
 FEWEST = 2
 """Samples that a segment needs for a standard deviation."""
 
 FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
 """Samples that tell a rise from their scatter, and by how many of its standard deviations."""
+
+TILTED = 0.1
+"""How far a channel's axis has to move before its reading must, g."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +136,10 @@ def holds_of(record: Record, segments: Sequence[Segment], *, file: str) -> list[
     """
     parts = [list(group) for _, group in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
     names = _distinct([part[0].name for part in parts])
-    return [_hold(record, part, name, file) for part, name in zip(parts, names, strict=True)]
+    step = step_of(values for role, values in record.columns.items() if role != TEMPERATURE)
+    holds = [_hold(record, step, part, name, file) for part, name in zip(parts, names, strict=True)]
+    _require_alive(holds, step, file)
+    return holds
 
 
 def holds_of_table(positions: Sequence[TabledPosition]) -> list[Hold]:
@@ -166,13 +173,17 @@ def placed(holds: Sequence[Hold], procedure: Procedure, *, file: str) -> list[Me
     Raises
     ------
     InputError
-        A position is named that the procedure does not have, or the temperature did not stand still where it counts.
+        A position is named that the procedure does not have, the temperature did not stand still where it counts or is
+        missing in some, or a channel is the same in all.
     """
     known = {position.name: position for position in procedure.positions}
     if procedure.determines.drift or procedure.determines.gain:
         for hold in holds:
             _require_steady(hold, procedure, file)
-    return [_placed(hold, _place(hold, known, procedure, file)) for hold in holds]
+        _require_temperatures(holds, file)
+    measurements = [_placed(hold, _place(hold, known, procedure, file)) for hold in holds]
+    _require_moved(measurements, file)
+    return measurements
 
 
 def oriented(holds: Sequence[Hold], attitudes: Array) -> list[Measurement]:
@@ -226,7 +237,44 @@ def _require_steady(hold: Hold, procedure: Procedure, file: str) -> None:
         )
 
 
-def _hold(record: Record, parts: Sequence[Segment], name: str, file: str) -> Hold:
+def _require_temperatures(holds: Sequence[Hold], file: str) -> None:
+    """Refuse holds of which only some have a temperature: the procedure's is no stand-in for one that was lost."""
+    told = [hold for hold in holds if hold.temperature is not None]
+    silent = next((hold for hold in holds if hold.temperature is None), None)
+    if told and silent is not None:
+        raise InputError(
+            f"segment {silent.name}: there is no temperature in its rows, and {told[0].name} has one; choose rows that "
+            "have it, or fill it in",
+            file=file,
+            line=silent.line,
+        )
+
+
+def _require_alive(holds: Sequence[Hold], step: float, file: str) -> None:
+    """Refuse a channel that stood at one value where its own noise would have moved it."""
+    usual = {c: float(np.median([hold.summaries[c].std for hold in holds])) for c in holds[0].summaries}
+    for channel, noise in usual.items():
+        for hold in holds:
+            summary = hold.summaries[channel]
+            if summary.std == 0.0 and not alike_by_chance(summary.n, noise, step):
+                raise InputError(
+                    f"segment {hold.position}: all samples of {channel} are identical, and elsewhere they scatter by "
+                    f"{noise:.3g}: it was stuck, not still; choose other rows",
+                    file=file,
+                    line=hold.line,
+                )
+
+
+def _require_moved(measurements: Sequence[Measurement], file: str) -> None:
+    """Refuse a channel that reads the same however far its axis is tilted."""
+    for axis, channel in enumerate(AXES):
+        reach = {one.gravity[axis] for one in measurements if channel in one.summaries}
+        means = {one.summaries[channel].mean for one in measurements if channel in one.summaries}
+        if len(means) == 1 and max(reach) - min(reach) > TILTED:
+            raise InputError(f"{channel} reads {means.pop():g} in every position: is it connected?", file=file)
+
+
+def _hold(record: Record, step: float, parts: Sequence[Segment], name: str, file: str) -> Hold:
     samples = {role: _samples(record, role, parts) for role in record.columns}
     temperature = samples.pop(TEMPERATURE, None)
     for part in parts:
@@ -239,7 +287,7 @@ def _hold(record: Record, parts: Sequence[Segment], name: str, file: str) -> Hol
         name,
         parts[0].name,
         parts[0].gravity,
-        {channel: summarise(values.tolist()) for channel, values in samples.items()},
+        {channel: summarise(values.tolist(), step) for channel, values in samples.items()},
         None if known is None or not len(known) else summarise(known.tolist()).mean,
         parts[0].line,
         0.0 if known is None else _rise(known),
