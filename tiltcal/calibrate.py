@@ -15,6 +15,7 @@ from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.model import AXES, Array, Limits
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import Summary
+from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration, SensorIdentity
 from tiltcal.files.procedure import Procedure
@@ -66,6 +67,11 @@ class Nominal:
     sensitivity: float
     spread: float
     rails: tuple[float, float]
+
+    @classmethod
+    def of(cls, model: Model) -> Nominal:
+        """Of a model as its data sheet has it."""
+        return cls(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
 
 
 @dataclass(frozen=True)

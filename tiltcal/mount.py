@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import degrees, radians
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,42 @@ from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.propagation import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, rotation_vector, solve_mounting
-from tiltcal.errors import EstimateError
-from tiltcal.files.calibration import Calibration
+from tiltcal.errors import EstimateError, UsageError
+from tiltcal.files.calibration import Calibration, read_calibration
 from tiltcal.files.coefficients import ANGLES
+from tiltcal.files.procedure import Procedure
 from tiltcal.files.uncertainty import SHAPED, stated_uncertainty
 from tiltcal.findings import covariance_record
+
+
+def base_of(procedure: Procedure, path: Path | None, serials: Sequence[str]) -> Calibration | None:
+    """The calibration that a mounting completes; None where the procedure makes one of its own.
+
+    Parameters
+    ----------
+    procedure : Procedure
+    path : Path or None
+        As the user names it.
+    serials : sequence of str
+        Of the sensors that are measured.
+
+    Raises
+    ------
+    UsageError
+        It is missing, is not wanted, or is of another sensor.
+    InputError
+        Anything in it is wrong.
+    """
+    if not procedure.determines.mounting:
+        if path is not None:
+            raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
+        return None
+    if path is None:
+        raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor that is mounted")
+    base = read_calibration(path)
+    if list(serials) != [base.sensor.serial]:
+        raise UsageError(f"{path} is of {base.sensor.serial}, and the sensor to measure is {' and '.join(serials)}")
+    return base
 
 
 def mount(

@@ -92,9 +92,8 @@ def outlook(
     """
     require_tilt(procedure, model)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
-    nominal = Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
     warmth = model.thermometer_rounding if thermometer is None else thermometer
-    design = design_of(Subject(identity, (), nominal), procedure, jig, warmth)
+    design = design_of(Subject(identity, (), Nominal.of(model)), procedure, jig, warmth)
     scatter = _usual_noise(model) if noise is None else noise
     count = samples or procedure.samples
     # A steady reading that is rounded keeps an error that no averaging removes.

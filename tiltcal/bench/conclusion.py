@@ -13,7 +13,6 @@ from tiltcal.bench.rack import Bay
 from tiltcal.bench.rotation import Turned
 from tiltcal.bench.runner import Taken
 from tiltcal.calibrate import Measurement, Nominal, Subject
-from tiltcal.drivers.device import Model
 from tiltcal.files.calibration import Calibration, calibration_of
 from tiltcal.files.document import checked_kind, parse_document
 from tiltcal.files.pair import PairCalibration
@@ -114,7 +113,7 @@ def _calibrated(
 ) -> list[Calibration]:
     """The calibrations of all sensors together, in the rack's order."""
     subjects = [
-        Subject(bay.identity, measured[bay.serial], _nominal(bay.model), bay.orientation.matrix) for bay in walked.bays
+        Subject(bay.identity, measured[bay.serial], Nominal.of(bay.model), bay.orientation.matrix) for bay in walked.bays
     ]
     procedure, warmth = plan.procedure, _thermometer_uncertainty(plan, walked)
     if procedure.determines.free:
@@ -147,11 +146,6 @@ def _thermometer_uncertainty(plan: Plan, walked: Walked) -> float | None:
     if plan.thermometer is not None or any(one.typed for one in walked.taken):
         return None
     return max(bay.model.thermometer_rounding for bay in walked.bays) or None
-
-
-def _nominal(model: Model) -> Nominal:
-    """What is known of a sensor before it is measured."""
-    return Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
 
 
 def _provenance(plan: Plan, bench: Mapping[str, Any], ending: Ending) -> dict[str, Any]:

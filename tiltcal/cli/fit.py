@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from tiltcal.files.whole import check_writable
 
 if TYPE_CHECKING:
     from tiltcal.drivers.device import Model
-    from tiltcal.files.calibration import Calibration
+    from tiltcal.files.calibration import Calibration, SensorIdentity
     from tiltcal.files.procedure import Procedure
     from tiltcal.files.segments import Segment
     from tiltcal.logs.source import Source
@@ -79,6 +80,12 @@ Examples:
 @click.option(
     "--segments-out", type=click.Path(path_type=Path), metavar="FILE", help="Write the still rows that were found."
 )
+@click.option(
+    "--base",
+    type=click.Path(path_type=Path),
+    metavar="CAL",
+    help="The sensor's calibration file, which the mounting procedure completes.",
+)
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The calibration file to write.")
 def command(
     procedure: str,
@@ -95,6 +102,7 @@ def command(
     gravity: float | None,
     window: int | None,
     segments_out: Path | None,
+    base: Path | None,
     output: Path,
 ) -> None:
     """Calibrate from a recorded LOG (CSV, Parquet or NetCDF-4) and its still segments, by the positions of PROCEDURE.
@@ -103,12 +111,13 @@ def command(
     attitudes, whatever they are, and gravity is 1 g in each. How the sensor is mounted stays undetermined.
     """
     from tiltcal.calibrate import Nominal, Subject
-    from tiltcal.files.calibration import SensorIdentity, write_calibration
+    from tiltcal.files.calibration import write_calibration
     from tiltcal.files.procedure import find_procedure
     from tiltcal.logs import remarks
     from tiltcal.logs.source import Source, free_positions, set_positions
+    from tiltcal.mount import base_of, mount
     from tiltcal.outlook import require_tilt
-    from tiltcal.report.summary import summary
+    from tiltcal.report.summary import mounting_summary, summary
     from tiltcal.sweep import calibrate_in_order
     from tiltcal.unit_gravity import require_no_jig, with_verdict
 
@@ -123,35 +132,30 @@ def command(
     model = find_model(sensor) if sensor else None
     if model is not None:
         require_tilt(steps, model)
-    if unit is None and model is None:
-        raise UsageError("say the readings' --unit (such as m/s2), or the --sensor model that has it")
-    unit = unit or str(model and model.unit)
+    mounted = base_of(steps, base, [serial])
+    identity = _identity(mounted, model, steps, unit, serial)
     for path in filter(None, (output, segments_out)):
         check_writable(path)
-    channels = _channels(model, steps, free)
     positions = (
-        free_positions(source, channels, unit, lambda line: click.echo(line, err=True))
+        free_positions(source, identity.channels, identity.unit, lambda line: click.echo(line, err=True))
         if free
-        else set_positions(source, channels, steps)
+        else set_positions(source, identity.channels, steps)
     )
-    nominal = (
-        None if model is None else Nominal(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
-    )
-    identity = SensorIdentity(sensor or UNKNOWN_MODEL, serial, unit, channels)
-    (calibration,) = calibrate_in_order(
-        [Subject(identity, positions.measurements, nominal)],
-        steps,
-        jig=jig,
-        thermometer=thermometer if model is None or thermometer is not None else model.thermometer_rounding,
-        provenance={
-            "made_by": "fit of a table of positions" if table else "fit of a recorded log",
-            **positions.provenance,
-            "software": f"tiltcal {tiltcal.__version__}",
-        },
-    )
+    provenance = {
+        "made_by": "fit of a table of positions" if table else "fit of a recorded log",
+        **positions.provenance,
+        "software": f"tiltcal {tiltcal.__version__}",
+    }
+    if mounted is not None:
+        calibration = replace(mount(mounted, positions.measurements, jig=jig), provenance=provenance)
+    else:
+        nominal = None if model is None or model.unit != identity.unit else Nominal.of(model)
+        warmth = thermometer if model is None or thermometer is not None else model.thermometer_rounding
+        subject = Subject(identity, positions.measurements, nominal)
+        (calibration,) = calibrate_in_order([subject], steps, jig=jig, thermometer=warmth, provenance=provenance)
     if free:
         calibration = with_verdict(calibration, positions.measurements)
-    if table:
+    if table and mounted is None:
         calibration = remarks.of_table(calibration, positions.measurements)
     if gravity is not None:
         calibration = remarks.of_local_gravity(calibration, gravity)
@@ -159,7 +163,7 @@ def command(
     if segments_out is not None:
         _write_segments(segments_out, positions.found)
         click.echo(f"wrote {segments_out}", err=True)
-    click.echo(summary(calibration))
+    click.echo(summary(calibration) if mounted is None else mounting_summary(calibration))
     if free:
         _tell_free(calibration)
     click.echo(f"wrote {output}", err=True)
@@ -177,14 +181,34 @@ def _refuse_contradictions(source: Source, free: bool) -> None:
         )
 
 
-def _channels(model: Model | None, steps: Procedure, free: bool) -> tuple[str, ...]:
+def _identity(
+    base: Calibration | None, model: Model | None, steps: Procedure, unit: str | None, serial: str
+) -> SensorIdentity:
+    """Which sensor it is, and in what unit it reads."""
+    from tiltcal.files.calibration import SensorIdentity
+
+    if base is not None:
+        for what, said, known in (
+            ("--unit", unit, base.sensor.unit),
+            ("--sensor", model and model.name, base.sensor.model),
+        ):
+            if said not in (None, known):
+                raise UsageError(f"{what} {said} contradicts the --base, which has {known}: leave it out")
+        return base.sensor
+    if unit is None and model is None:
+        raise UsageError("say the readings' --unit (such as m/s2), or the --sensor model that has it")
+    if model is not None and unit not in (None, model.unit) and not steps.determines.axes:
+        raise UsageError(
+            f"{steps.name} takes the nominal sensitivity of {model.name}, which is per g in {model.unit} and not in "
+            f"{unit}: name the model that reads {unit}, or leave --unit out"
+        )
     channels = tuple(model.channels) if model else steps.determines.axes or ("x", "y", "z")
-    if free and channels != ("x", "y", "z"):
+    if steps.determines.free and channels != ("x", "y", "z"):
         raise UsageError(
             f"unit gravity alone needs three channels x, y and z; {model.name if model else 'it'} has "
             f"{', '.join(channels)}: name a procedure whose positions were set"
         )
-    return channels
+    return SensorIdentity(model.name if model else UNKNOWN_MODEL, serial, unit or str(model and model.unit), channels)
 
 
 def _tell_free(calibration: Calibration) -> None:

@@ -14,7 +14,6 @@ from tiltcal.cli.leading import LEADERS, captured, free_journal, led, left_at_de
 from tiltcal.drivers.device import in_words
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.bench import BenchFile, read_bench
-from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_text
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.unit_gravity import require_no_jig
@@ -167,16 +166,10 @@ def _show_outlook(plan: Plan) -> None:
 
 def _base(procedure: Procedure, base: Path | None, sensors: BenchFile) -> str | None:
     """The text of the calibration that a mounting completes."""
-    if not procedure.determines.mounting:
-        if base is not None:
-            raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
-        return None
-    if base is None:
-        raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor that is mounted")
-    serial, named = read_calibration(base).sensor.serial, [sensor.serial for sensor in sensors.sensors]
-    if named != [serial]:
-        raise UsageError(f"{base} is of {serial}, and the sensor to measure is {' and '.join(named)}")
-    return read_text(base)
+    from tiltcal.mount import base_of
+
+    base_of(procedure, base, [sensor.serial for sensor in sensors.sensors])
+    return None if base is None else read_text(base)
 
 
 def _require_steady(samples: int | None, settle: float | None, jig: float | None) -> None:

@@ -8,11 +8,24 @@ from math import asin, degrees
 import numpy as np
 
 from tiltcal.files.calibration import Calibration
+from tiltcal.files.coefficients import ANGLES
 
 
 def summary(calibration: Calibration) -> str:
     """The coefficients with their standard uncertainties, and how well the positions fit."""
     return "\n".join(_lines(calibration))
+
+
+def mounting_summary(calibration: Calibration) -> str:
+    """How a sensor sits in its application, with standard uncertainties where they are known."""
+    sensor, mounting = calibration.sensor, calibration.coefficients.mounting
+    lines = [f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)"]
+    for angle in ANGLES if mounting is not None else ():
+        value, u = degrees(getattr(mounting, angle)), calibration.uncertainty.get("mounting", {}).get(angle)
+        lines.append(f"  {angle:<6}{value:>12.6g}°" if u is None else f"  {angle:<6}{_pair(value, u)}°")
+    if calibration.derived.get("gimbal_lock"):
+        lines.append("  gimbal lock: at a pitch of ±90° only roll and yaw together are determined")
+    return "\n".join(lines)
 
 
 def _lines(calibration: Calibration) -> Iterator[str]:
