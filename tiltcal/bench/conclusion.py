@@ -113,7 +113,8 @@ def _calibrated(
 ) -> list[Calibration]:
     """The calibrations of all sensors together, in the rack's order."""
     subjects = [
-        Subject(bay.identity, measured[bay.serial], Nominal.of(bay.model), bay.orientation.matrix) for bay in walked.bays
+        Subject(bay.identity, measured[bay.serial], Nominal.of(bay.model), bay.orientation.matrix)
+        for bay in walked.bays
     ]
     procedure, warmth = plan.procedure, _thermometer_uncertainty(plan, walked)
     if procedure.determines.free:

@@ -4,15 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot
-from statistics import NormalDist
+from math import inf, sqrt
 
 import numpy as np
 
+from tiltcal.core.budget import COVERAGE, NEGLIGIBLE, coverage_factor, welch_satterthwaite
 from tiltcal.core.model import Array, Coefficients, Thermal, polynomial
+from tiltcal.core.propagation import propagated, vector_of, with_vector
 
-COVERAGE = 0.95
-"""How sure the verdict is to be that nothing has changed before it calls a difference one."""
+
+@dataclass(frozen=True)
+class Known:
+    """How well a coefficient is known.
+
+    Attributes
+    ----------
+    u : float
+        Standard uncertainty.
+    dof : float
+        Its effective degrees of freedom; infinite where it was not estimated from a scatter.
+    """
+
+    u: float
+    dof: float = inf
 
 
 @dataclass(frozen=True)
@@ -26,12 +40,15 @@ class Change:
     before, after : float
     u : float or None
         Standard uncertainty of the difference; None where one of the files states none.
+    dof : float
+        Its effective degrees of freedom.
     """
 
     name: str
     before: float
     after: float
     u: float | None
+    dof: float = inf
 
     @property
     def difference(self) -> float:
@@ -43,6 +60,54 @@ class Change:
         """The difference over its standard uncertainty; None where that is not known, or zero."""
         return abs(self.difference) / self.u if self.u else None
 
+    def threshold(self, confidence: float) -> float:
+        """How many standard uncertainties the difference of an unchanged coefficient may be."""
+        from scipy.special import ndtri, stdtrit
+
+        upper = (1.0 + confidence) / 2.0
+        return float(ndtri(upper) if self.dof == inf else stdtrit(self.dof, upper))
+
+
+def known(
+    coefficients: Coefficients, names: Sequence[str], covariance: Array, factors: Array, reference: float | None = None
+) -> dict[str, Known]:
+    """How well each coefficient is known, counted from another reference temperature.
+
+    Parameters
+    ----------
+    coefficients : Coefficients
+    names : sequence of str
+        Of the uncertain coefficients.
+    covariance : ndarray, shape (k, k)
+    factors : ndarray, shape (k,)
+        What each standard uncertainty is multiplied with for an interval of 95 %: Student's t tells the degrees of
+        freedom.
+    reference : float, optional
+        °C; None for the coefficients' own.
+
+    Returns
+    -------
+    dict of str to Known
+        By dotted name; those that are certain are not there.
+    """
+    from scipy.special import stdtridf
+
+    def numbers(vector: Array) -> Array:
+        moved = with_vector(coefficients, names, vector)
+        return np.array(list(values(moved if reference is None else referred(moved, reference)).values()))
+
+    normal = float(coverage_factor(np.array([inf]))[0])
+    vector, wider = vector_of(coefficients, names), np.maximum(factors / normal, 1.0)
+    u = propagated(numbers, vector, covariance)
+    stretched = propagated(numbers, vector, covariance * np.outer(wider, wider))
+    found = {}
+    for name, own, stretch in zip(values(coefficients), u.tolist(), stretched.tolist(), strict=True):
+        if own > 0.0:
+            factor = normal * stretch / own
+            told = factor > normal * (1.0 + NEGLIGIBLE)
+            found[name] = Known(own, float(stdtridf(0.5 + COVERAGE / 2.0, factor)) if told else inf)
+    return found
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -50,35 +115,40 @@ class Verdict:
 
     Attributes
     ----------
-    threshold : float or None
-        How many standard uncertainties a change may be; None where no change has one to be compared with.
+    thresholds : mapping of str to float
+        How many standard uncertainties each change may be; empty where none has one to be compared with.
     changed : tuple of str
         The coefficients that changed by more.
     """
 
-    threshold: float | None
+    thresholds: Mapping[str, float]
     changed: tuple[str, ...]
+
+    @property
+    def threshold(self) -> float | None:
+        """The lowest of the thresholds; those of coefficients that rest on few residuals are higher."""
+        return min(self.thresholds.values(), default=None)
 
     @property
     def word(self) -> str:
         """``changed``, ``unchanged`` or ``unknown``."""
-        return "unknown" if self.threshold is None else "changed" if self.changed else "unchanged"
+        return "unknown" if not self.thresholds else "changed" if self.changed else "unchanged"
 
     def __str__(self) -> str:
-        if self.threshold is None:
+        if not self.thresholds:
             return "no verdict: the files state no uncertainties to compare with"
         if not self.changed:
-            return f"unchanged: no change is more than {self.threshold:.2f} standard uncertainties"
-        return f"changed: {', '.join(self.changed)} by more than {self.threshold:.2f} standard uncertainties"
+            return "unchanged: no change is more standard uncertainties than its threshold"
+        return f"changed: {', '.join(self.changed)} by more standard uncertainties than the threshold"
 
 
 def judge(found: Sequence[Change]) -> Verdict:
     """Whether any of some changes is too large for chance, allowing for their number (Šidák)."""
-    ratios = {change.name: change.ratio for change in found if change.ratio is not None}
-    if not ratios:
-        return Verdict(None, ())
-    threshold = NormalDist().inv_cdf((1.0 + COVERAGE ** (1.0 / len(ratios))) / 2.0)
-    return Verdict(threshold, tuple(name for name, ratio in ratios.items() if ratio > threshold))
+    judged = [change for change in found if change.ratio is not None]
+    confidence = COVERAGE ** (1.0 / max(len(judged), 1))
+    thresholds = {change.name: change.threshold(confidence) for change in judged}
+    changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
+    return Verdict(thresholds, changed)
 
 
 def referred(coefficients: Coefficients, reference: float) -> Coefficients:
@@ -116,32 +186,33 @@ def referred(coefficients: Coefficients, reference: float) -> Coefficients:
 
 
 def changes(
-    before: Coefficients,
-    after: Coefficients,
-    u_before: Mapping[str, float],
-    u_after: Mapping[str, float],
+    before: Coefficients, after: Coefficients, known_before: Mapping[str, Known], known_after: Mapping[str, Known]
 ) -> list[Change]:
     """Every coefficient that both have, the earlier ones referred to the later one's reference temperature.
 
     Parameters
     ----------
     before, after : Coefficients
-    u_before, u_after : mapping of str to float
-        Standard uncertainties by dotted name; a name that is missing is not known.
+    known_before, known_after : mapping of str to Known
+        By dotted name, at the later one's reference temperature; a name that is missing is not known.
     """
     if after.thermal is not None:
         before = referred(before, after.thermal.reference)
     old, new = values(before), values(after)
     return [
-        Change(
-            name,
-            old[name],
-            new[name],
-            hypot(u_before[name], u_after[name]) if name in u_before and name in u_after else None,
-        )
+        Change(name, old[name], new[name], *_apart(known_before.get(name), known_after.get(name)))
         for name in new
         if name in old
     ]
+
+
+def _apart(before: Known | None, after: Known | None) -> tuple[float | None, float]:
+    """Standard uncertainty of a difference and its degrees of freedom (GUM, eq. G.2b)."""
+    if before is None or after is None:
+        return None, inf
+    total = before.u**2 + after.u**2
+    parts = [(np.array([one.u**2]), one.dof) for one in (before, after)]
+    return sqrt(total), float(welch_satterthwaite(np.array([total]), parts)[0])
 
 
 def values(coefficients: Coefficients) -> dict[str, float]:
@@ -153,6 +224,9 @@ def values(coefficients: Coefficients) -> dict[str, float]:
         for what, table in (("offset", coefficients.thermal.drift), ("sensitivity", coefficients.thermal.gain)):
             for channel, row in zip(coefficients.channels, table, strict=True):
                 named |= {f"temperature.{what}.{channel}.{k}": float(v) for k, v in enumerate(row, start=1)}
+    if coefficients.nonlinearity is not None:
+        for channel, row in zip(coefficients.channels, coefficients.nonlinearity, strict=True):
+            named |= {f"nonlinearity.{channel}.{k}": float(v) for k, v in enumerate(row, start=2)}
     return named
 
 

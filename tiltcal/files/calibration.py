@@ -13,6 +13,7 @@ from math import radians
 from pathlib import Path
 from typing import Any
 
+from tiltcal.core.change import Change, changes
 from tiltcal.core.model import AXES, Coefficients, Limits
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import (
@@ -23,7 +24,7 @@ from tiltcal.files.coefficients import (
 from tiltcal.files.document import FORMAT_VERSION, read_tiltcal_file
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
-from tiltcal.files.uncertainty import read_uncertainty
+from tiltcal.files.uncertainty import known_coefficients, read_uncertainty
 from tiltcal.files.whole import write_whole
 
 RECORDS = ("derived", "fit", "procedure", "positions", "provenance")
@@ -238,3 +239,11 @@ def _comments(unit: str) -> dict[str, str]:
         "uncertainty": "standard uncertainty, k = 1",
         "limits": "the ranges that were covered, degrees and °C",
     }
+
+
+def changes_between(before: Calibration, after: Calibration) -> list[Change]:
+    """Every coefficient that two calibrations of one sensor have, at the later one's reference temperature."""
+    thermal = after.coefficients.thermal
+    reference = None if thermal is None else thermal.reference
+    known = (known_coefficients(one.uncertainty, one.coefficients, reference) for one in (before, after))
+    return changes(before.coefficients, after.coefficients, *known)

@@ -16,7 +16,7 @@ import numpy as np
 
 from tiltcal.core.angles import Doubt
 from tiltcal.core.budget import coverage_factor
-from tiltcal.core.change import values
+from tiltcal.core.change import Known, known, values
 from tiltcal.core.features import TURN
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
@@ -139,6 +139,20 @@ def stated_uncertainty(
         ),
         tuple(remarks),
     )
+
+
+def known_coefficients(
+    uncertainty: Mapping[str, Any], coefficients: Coefficients, reference: float | None
+) -> dict[str, Known]:
+    """How well the coefficients are known at a reference temperature, °C, or at their own; empty where nobody says."""
+    exact = {name: Known(0.0) for name, u in named_uncertainties(uncertainty) if u == 0.0}
+    try:
+        doubt = stated_uncertainty(uncertainty, coefficients).doubt
+    except EstimateError:
+        return exact
+    own = np.array([not name.startswith(TURN) for name in doubt.names])
+    names = [name for name, kept in zip(doubt.names, own, strict=True) if kept]
+    return exact | known(coefficients, names, doubt.covariance[np.ix_(own, own)], doubt.factors[own], reference)
 
 
 def named_uncertainties(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:

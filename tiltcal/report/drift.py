@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tiltcal.core.change import changes, judge
-from tiltcal.files.calibration import Calibration
+from tiltcal.core.change import judge
+from tiltcal.files.calibration import Calibration, changes_between
 from tiltcal.files.uncertainty import named_uncertainties
 from tiltcal.report.digits import Aligned, column, measured, plain
 from tiltcal.report.identity import period
@@ -47,7 +47,7 @@ class Drift:
 def drift(before: Calibration, name: str, after: Calibration) -> Drift:
     """Every coefficient that both files have, the earlier ones at the later one's reference temperature."""
     earlier, later = (dict(named_uncertainties(one.uncertainty)) for one in (before, after))
-    found = changes(before.coefficients, after.coefficients, earlier, later)
+    found = changes_between(before, after)
     verdict = judge(found)
     old = column(_told(one.before, earlier.get(one.name)) for one in found)
     new = column(_told(one.after, later.get(one.name)) for one in found)
