@@ -240,6 +240,15 @@ class TestIntrinsic:
         with pytest.raises(EstimateError, match="left-handed"):
             separated(np.diag([1.0, 1.0, -1.0]))
 
+    def test_a_mirror_image_has_its_nine_numbers_all_the_same(self) -> None:
+        """A channel that is wired the other way round: lengths stay, and its angles with the others are 180° less."""
+        mirrored = Coefficients(XYZ, XYZ, np.zeros(3), self.TRIANGULAR * np.array([[1.0], [-1.0], [1.0]]))
+        own = intrinsic(mirrored, self.NAMES, 1e-12 * np.eye(12))
+        assert own.sensitivity["y"].value == pytest.approx(sqrt(0.97**2 + 0.05**2))
+        assert own.angle["yz"].value == pytest.approx(180.0 - degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
+        assert own.mounting == {}
+        assert "left-handed" in own.not_separated
+
 
 def test_cross_axis_and_misalignment_with_their_uncertainty() -> None:
     """S_X = 2, S_Y = 0.06, S_Z = 0.08: 5 %; du = (0.6 du_Y + 0.8 du_Z) / 2, for both of 0.01: 0.5 %."""

@@ -14,7 +14,6 @@ from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.intrinsic import Quantity, intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients, Thermal
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.errors import EstimateError
 
 DIGITS = 4
 """Of an uncertainty."""
@@ -178,10 +177,7 @@ def _rounded_rows(table: Array, channels: Sequence[str], name: str, u: Mapping[s
 
 def _intrinsic_record(found: Estimate, design: Design) -> dict[str, Any]:
     """The nine intrinsic parameters and, where positions were set, the rotation that is left."""
-    try:
-        own = intrinsic(found.coefficients, found.names, found.covariance, mounted=not design.free)
-    except EstimateError as error:
-        return {"not_separated": str(error)}
+    own = intrinsic(found.coefficients, found.names, found.covariance, mounted=not design.free)
     record: dict[str, Any] = {}
     doubts: dict[str, Any] = {}
     parts = {"offset": own.offset, "sensitivity": own.sensitivity, "angle_degrees": own.angle}
@@ -192,6 +188,8 @@ def _intrinsic_record(found: Estimate, design: Design) -> dict[str, Any]:
     record["uncertainty"] = doubts
     if own.gimbal_lock:
         record["gimbal_lock"] = True
+    if own.not_separated:
+        record["not_separated"] = own.not_separated
     return record
 
 

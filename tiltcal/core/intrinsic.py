@@ -13,7 +13,7 @@ triangular form that unit gravity alone determines.)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import degrees
 
@@ -50,23 +50,21 @@ class Intrinsic:
         Per channel, along its own sensitive direction, unit/g.
     angle : dict of str to Quantity
         Between the sensitive directions of two channels, ``xy``, ``xz``, ``yz``, degrees.
-    triangular : ndarray, shape (3, 3)
-        U, unit/g.
-    rotation : ndarray, shape (3, 3)
-        R.
     mounting : dict of str to Quantity
-        Roll, pitch and yaw of R, degrees. Empty where the positions were free and R means nothing.
+        Roll, pitch and yaw of R, degrees. Empty where the positions were free and R means nothing, and where there is
+        no such rotation.
     gimbal_lock : bool
         At a pitch of ±90°, where only roll and yaw together are determined.
+    not_separated : str
+        Why there is no rotation, such as channels that form a left-handed frame; empty where there is one.
     """
 
     offset: dict[str, Quantity]
     sensitivity: dict[str, Quantity]
     angle: dict[str, Quantity]
-    triangular: Array
-    rotation: Array
     mounting: dict[str, Quantity]
     gimbal_lock: bool
+    not_separated: str = ""
 
 
 def intrinsic(
@@ -87,12 +85,11 @@ def intrinsic(
     Raises
     ------
     EstimateError
-        Fewer than three channels or axes, or channels that form a left-handed frame.
+        Fewer than three channels or axes.
     """
     if len(coefficients.channels) != 3 or set(coefficients.axes) != set(AXES):
         raise EstimateError("a sensor is separated from its mounting where it has three channels over three axes")
     channels = coefficients.channels
-    triangular, rotation = separated(_matrix(coefficients))
 
     def numbers(vector: Array) -> Array:
         moved = with_vector(coefficients, names, vector)
@@ -103,6 +100,25 @@ def intrinsic(
     values, u = numbers(vector), propagated(numbers, vector, covariance)
     found = [Quantity(float(value), float(doubt)) for value, doubt in zip(values, u, strict=True)]
     pairs = [first + second for first, second in combinations(channels, 2)]
+    own = Intrinsic(
+        offset=dict(zip(channels, found[:3], strict=True)),
+        sensitivity=dict(zip(channels, found[3:6], strict=True)),
+        angle=dict(zip(pairs, found[6:9], strict=True)),
+        mounting={},
+        gimbal_lock=False,
+    )
+    if not mounted:
+        return own
+    try:
+        mounting, gimbal_lock = _mounting(coefficients, names, covariance)
+    except EstimateError as error:
+        return replace(own, not_separated=str(error))
+    return replace(own, mounting=mounting, gimbal_lock=gimbal_lock)
+
+
+def _mounting(coefficients: Coefficients, names: Sequence[str], covariance: Array) -> tuple[dict[str, Quantity], bool]:
+    """Roll, pitch and yaw of R, degrees, and whether they are locked."""
+    _, rotation = separated(_matrix(coefficients))
     angles = mounting_angles(rotation)
     turned = (angles.mounting.roll, angles.mounting.pitch, angles.mounting.yaw)
 
@@ -111,19 +127,12 @@ def intrinsic(
         there = np.array([around.roll, around.pitch, around.yaw])
         return np.asarray(np.degrees(np.mod(there - turned + np.pi, 2 * np.pi) - np.pi))
 
-    doubt = propagated(roll_pitch_yaw, vector, covariance).tolist() if mounted else []
-    return Intrinsic(
-        offset=dict(zip(channels, found[:3], strict=True)),
-        sensitivity=dict(zip(channels, found[3:6], strict=True)),
-        angle=dict(zip(pairs, found[6:9], strict=True)),
-        triangular=triangular,
-        rotation=rotation,
-        mounting={
-            name: Quantity(degrees(angle), u)
-            for name, angle, u in zip(("roll", "pitch", "yaw"), turned, doubt, strict=False)
-        },
-        gimbal_lock=angles.gimbal_lock,
-    )
+    doubt = propagated(roll_pitch_yaw, vector_of(coefficients, names), covariance).tolist()
+    found = {
+        name: Quantity(degrees(angle), u)
+        for name, angle, u in zip(("roll", "pitch", "yaw"), turned, doubt, strict=True)
+    }
+    return found, angles.gimbal_lock
 
 
 def separated(matrix: Array) -> tuple[Array, Array]:
