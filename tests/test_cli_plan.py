@@ -76,3 +76,12 @@ def test_measure_shows_it_first(tmp_path: Path) -> None:
     told = measure("--jig", "0.05", cwd=tmp_path).stderr
     assert told.index("predicted standard uncertainty") < told.index("1/4")
     assert "a jig of 0.05°" in told
+
+
+def test_a_mounting_is_told_in_its_angles() -> None:
+    """By hand, in five positions up to 30°: about z gravity has a lever of 1/2 in four of them, so 4 (1/2)² = 1; about
+    x of cos 30° in two and of 1 in three, so 2 (3/4) + 3 = 4.5; about y the same."""
+    told = plan("mounting", "--jig", "0.1", "--noise", "0")["uncertainty"]
+    assert told["mounting.yaw"] == pytest.approx(0.1, rel=1e-3)
+    assert told["mounting.roll"] == pytest.approx(0.1 / sqrt(4.5), rel=1e-3)
+    assert told["mounting.pitch"] == pytest.approx(0.1 / sqrt(4.5), rel=1e-3)

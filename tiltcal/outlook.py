@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot, sqrt
+from math import degrees, hypot, radians, sqrt
+
+import numpy as np
 
 from tiltcal.calibrate import Nominal, Subject, design_of
 from tiltcal.core.estimation.design import Design
@@ -12,9 +14,11 @@ from tiltcal.core.estimation.prediction import Planned, Prediction, predicted_co
 from tiltcal.core.model import AXES
 from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.core.statistics import summarise
+from tiltcal.core.wahba import angle_uncertainty, solve_mounting
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
 
 
@@ -35,6 +39,46 @@ class Outlook:
     prediction: Prediction
     noise: float
     unit: str
+
+
+def mounting_outlook(
+    procedure: Procedure,
+    model: Model,
+    *,
+    jig: float | None = None,
+    noise: float | None = None,
+    samples: int | None = None,
+) -> dict[str, float]:
+    """Predict the standard uncertainty of roll, pitch and yaw of a sensor that sits straight.
+
+    What the sensor's own calibration is uncertain by comes on top.
+
+    Parameters
+    ----------
+    procedure : Procedure
+        Of a mounting.
+    model, jig, noise, samples
+        As for :func:`outlook`.
+
+    Returns
+    -------
+    dict of str to float
+        Degrees.
+
+    Raises
+    ------
+    EstimateError
+        The positions leave the turn about gravity undetermined.
+    UsageError
+        The device is no tilt sensor.
+    """
+    require_tilt(procedure, model)
+    scatter = _usual_noise(model) if noise is None else noise
+    read = scatter / sqrt(samples or procedure.samples) / model.sensitivity
+    known = np.array([position.gravity for position in procedure.positions])
+    found = solve_mounting(known, known, np.full(len(known), hypot(radians(jig or 0.0), read)))
+    straight = angle_uncertainty(np.eye(3), found.covariance)
+    return {name: degrees(getattr(straight, name)) for name in ANGLES}
 
 
 def require_tilt(procedure: Procedure, model: Model) -> None:

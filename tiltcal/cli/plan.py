@@ -41,7 +41,7 @@ def command(
 
     A procedure that cannot determine what it asks for is refused (exit code 2), with the position to add.
     """
-    from tiltcal.outlook import outlook
+    from tiltcal.outlook import mounting_outlook, outlook
     from tiltcal.report.outlook import outlook_text
     from tiltcal.unit_gravity import require_no_jig
 
@@ -52,6 +52,9 @@ def command(
     require_no_jig(steps, jig)
     if steps.rotation is not None:
         _tell_rotation(steps.rotation, model, as_json)
+        return
+    if steps.determines.mounting:
+        _tell_mounting(mounting_outlook(steps, model, jig=jig, noise=noise, samples=samples), jig, as_json)
         return
     expected = outlook(steps, model, jig=jig, thermometer=thermometer, noise=noise, samples=samples)
     if not as_json:
@@ -76,6 +79,18 @@ _UNKNOWN = (
     "nothing to predict before the stage turns: p and q come out with a standard uncertainty of 2 s / (A sqrt(n)), "
     "after n samples of noise s, where A is the amplitude that an accelerometer has at the turning; it shows then"
 )
+
+
+def _tell_mounting(expected: dict[str, float], jig: float | None, as_json: bool) -> None:
+    """How well the positions tell the angles of a mounting."""
+    if as_json:
+        click.echo(json.dumps({"jig": jig, "uncertainty": {f"mounting.{angle}": u for angle, u in expected.items()}}))
+        return
+    stated = "a perfect jig (none is stated)" if jig is None else f"a jig of {jig:g}°"
+    click.echo(f"predicted standard uncertainty of a sensor that sits straight, with its noise and {stated}:")
+    for angle, u in expected.items():
+        click.echo(f"  {angle:<6} {u:.2g}°")
+    click.echo("  what its calibration is uncertain by comes on top")
 
 
 def _tell_rotation(rotation: Rotation, model: Model, as_json: bool) -> None:
