@@ -99,8 +99,10 @@ def _of_calibration(path: Path) -> list[str]:
     if "chi_square" in fit:
         from scipy.stats import chi2
 
+        from tiltcal.report.summary import INCREDIBLE
+
         p = float(chi2.sf(fit["chi_square"], fit["degrees_of_freedom"]))
-        if p < 1e-3:
+        if p < INCREDIBLE:
             findings.append(
                 f"chi-square {fit['chi_square']:g} with {fit['degrees_of_freedom']} degrees of freedom: the positions "
                 "scatter more than the stated noise and jig allow"

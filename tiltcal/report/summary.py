@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import asin, degrees
+from typing import Any
 
 import numpy as np
 
 from tiltcal.files.calibration import Calibration
 from tiltcal.files.coefficients import ANGLES
+
+INCREDIBLE = 1e-3
+"""A chi-square of which so little is the probability is no chance."""
+
+SHOWN = 3
+"""Positions that are named."""
 
 
 def summary(calibration: Calibration) -> str:
@@ -37,6 +44,10 @@ def _lines(calibration: Calibration) -> Iterator[str]:
         for column, axis in enumerate(coefficients.axes):
             value = _pair(coefficients.sensitivity[row, column], u["sensitivity"][channel][axis])
             yield f"  sensitivity {channel}{axis}    {value} {sensor.unit}/g"
+    if coefficients.nonlinearity is not None:
+        for row, channel in enumerate(coefficients.channels):
+            for power, value in enumerate(coefficients.nonlinearity[row], start=2):
+                yield f"  non-linearity {channel}^{power} {_pair(value, u['nonlinearity'][channel][power - 2])}"
     thermal = coefficients.thermal
     if thermal is not None:
         for name, table, units in (("offset", thermal.drift, sensor.unit + "/"), ("sensitivity", thermal.gain, "1/")):
@@ -56,6 +67,21 @@ def _lines(calibration: Calibration) -> Iterator[str]:
     yield f"  degrees of freedom {fit['degrees_of_freedom']}, uncertainty from {fit['uncertainty_from']}" + (
         f", chi-square {fit['chi_square']:g}" if "chi_square" in fit else ""
     )
+    yield from _doubts(fit)
+
+
+def _doubts(fit: Mapping[str, Any]) -> Iterator[str]:
+    """What speaks against the fit, or against what was stated of the bench."""
+    if fit.get("p_value", 1.0) < INCREDIBLE:
+        yield "  that much is not credible: noise, jig or thermometer are worse than stated, and so is the uncertainty"
+    suspects = fit.get("worse_than_stated", {})
+    if suspects:
+        told = [f"{position} ({one['off_degrees']:g}°)" for position, one in suspects.items()]
+        more = f" and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
+        yield f"  further off than the jig should be, the worst first: {', '.join(told[:SHOWN])}{more}"
+    if "jig_that_shows_degrees" in fit:
+        yield f"  the positions scatter as with a jig of {fit['jig_that_shows_degrees']:g}°"
+    yield from (f"  {note}" for note in fit.get("notes", ()))
 
 
 def _pair(value: float, u: float) -> str:
