@@ -138,8 +138,8 @@ class Verdict:
         if not self.thresholds:
             return "no verdict: the files state no uncertainties to compare with"
         if not self.changed:
-            return "unchanged: no change is more standard uncertainties than its threshold"
-        return f"changed: {', '.join(self.changed)} by more standard uncertainties than the threshold"
+            return "unchanged: no change is more than its threshold of standard uncertainties"
+        return f"changed: {', '.join(self.changed)} by more than the threshold of standard uncertainties"
 
 
 def judge(found: Sequence[Change]) -> Verdict:
