@@ -12,12 +12,12 @@ import pytest
 from click.testing import CliRunner, Result
 from simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
+from tiltcal.calibration.findings import rounded, uncertainty_record
 from tiltcal.cli.apply import command
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import Calibration, SensorIdentity, write_calibration
-from tiltcal.findings import rounded, uncertainty_record
 from tiltcal.logs.widths import Widths
 
 SILENT = """\

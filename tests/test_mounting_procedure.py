@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
-from tiltcal.calibrate import Measurement
+from tiltcal.calibration.calibrate import Measurement
+from tiltcal.calibration.findings import rounded, uncertainty_record
+from tiltcal.calibration.mount import mount
 from tiltcal.core.angles import UncertainCompensation
 from tiltcal.core.compensate import Compensation
 from tiltcal.core.estimation.estimate import estimate_jointly
@@ -24,8 +26,6 @@ from tiltcal.core.wahba import solve_mounting
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration, SensorIdentity, read_calibration
 from tiltcal.files.uncertainty import stated_uncertainty
-from tiltcal.findings import rounded, uncertainty_record
-from tiltcal.mount import mount
 
 POSITIONS = np.array([[0, 0, 1], [0.5, 0, 0.866], [-0.5, 0, 0.866], [0, 0.5, 0.866], [0, -0.5, 0.866]])
 KNOWN = POSITIONS / np.linalg.norm(POSITIONS, axis=1, keepdims=True)

@@ -8,12 +8,12 @@ from math import cos, radians, sin
 import numpy as np
 import pytest
 
-from tiltcal.calibrate import Measurement, Nominal, Subject, calibrate
+from tiltcal.calibration.calibrate import Measurement, Nominal, Subject, calibrate
+from tiltcal.calibration.sweep import choose_order, swept, with_order
 from tiltcal.core.statistics import Summary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.files.procedure import Procedure, find_procedure
-from tiltcal.sweep import choose_order, swept, with_order
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
 NOMINAL = Nominal(819.0, 2.4, (101.0, 2047.0))

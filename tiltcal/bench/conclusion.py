@@ -12,14 +12,14 @@ from tiltcal.bench.plan import Place, Plan, stamp
 from tiltcal.bench.rack import Bay
 from tiltcal.bench.rotation import Turned
 from tiltcal.bench.runner import Taken
-from tiltcal.calibrate import Measurement, Nominal, Subject
+from tiltcal.calibration.calibrate import Measurement, Nominal, Subject
+from tiltcal.calibration.mount import mount
+from tiltcal.calibration.sweep import calibrate_in_order
+from tiltcal.calibration.typical import with_typical_temperature
+from tiltcal.calibration.unit_gravity import directed, with_verdict
 from tiltcal.files.calibration import Calibration, calibration_of
 from tiltcal.files.document import checked_kind, parse_document
 from tiltcal.files.pair import PairCalibration
-from tiltcal.mount import mount
-from tiltcal.sweep import calibrate_in_order
-from tiltcal.typical import with_typical_temperature
-from tiltcal.unit_gravity import directed, with_verdict
 
 
 @dataclass(frozen=True)

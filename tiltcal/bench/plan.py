@@ -15,6 +15,7 @@ from typing import Any
 import tiltcal
 from tiltcal.bench.hookup import hook_up
 from tiltcal.bench.runner import Settings
+from tiltcal.calibration.outlook import require_tilt
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
@@ -23,7 +24,6 @@ from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.journal import Journal
 from tiltcal.files.procedure import Procedure, procedure_from_record
-from tiltcal.outlook import require_tilt
 
 VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
 """When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""

@@ -110,16 +110,16 @@ def command(
     With PROCEDURE free nobody has to know the positions: a three-axis sensor is held still in a dozen or more
     attitudes, whatever they are, and gravity is 1 g in each. How the sensor is mounted stays undetermined.
     """
-    from tiltcal.calibrate import Nominal, Subject
+    from tiltcal.calibration.calibrate import Nominal, Subject
+    from tiltcal.calibration.mount import base_of, mount
+    from tiltcal.calibration.outlook import require_tilt
+    from tiltcal.calibration.sweep import calibrate_in_order
+    from tiltcal.calibration.unit_gravity import require_no_jig, with_verdict
     from tiltcal.files.calibration import write_calibration
     from tiltcal.files.procedure import find_procedure
     from tiltcal.logs import remarks
     from tiltcal.logs.source import Source, free_positions, set_positions
-    from tiltcal.mount import base_of, mount
-    from tiltcal.outlook import require_tilt
     from tiltcal.report.summary import mounting_summary, summary
-    from tiltcal.sweep import calibrate_in_order
-    from tiltcal.unit_gravity import require_no_jig, with_verdict
 
     steps = find_procedure(procedure, tilt)
     steps.require_positions()

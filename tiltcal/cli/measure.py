@@ -10,13 +10,13 @@ import click
 from tiltcal.bench.hookup import hook_up
 from tiltcal.bench.plan import Plan, plan_session, single
 from tiltcal.bench.session import Session
+from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.cli.leading import LEADERS, captured, free_journal, led, left_at_default
 from tiltcal.drivers.device import in_words
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.bench import BenchFile, read_bench
 from tiltcal.files.document import read_text
 from tiltcal.files.procedure import Procedure, find_procedure
-from tiltcal.unit_gravity import require_no_jig
 
 
 @click.command(
@@ -136,7 +136,7 @@ def command(
 
 def _show_outlook(plan: Plan) -> None:
     """Tell how well the positions will determine the coefficients; refuse those that cannot."""
-    from tiltcal.outlook import outlook
+    from tiltcal.calibration.outlook import outlook
     from tiltcal.report.outlook import outlook_text
 
     if plan.procedure.determines.mounting:
@@ -166,7 +166,7 @@ def _show_outlook(plan: Plan) -> None:
 
 def _base(procedure: Procedure, base: Path | None, sensors: BenchFile) -> str | None:
     """The text of the calibration that a mounting completes."""
-    from tiltcal.mount import base_of
+    from tiltcal.calibration.mount import base_of
 
     base_of(procedure, base, [sensor.serial for sensor in sensors.sensors])
     return None if base is None else read_text(base)

@@ -41,9 +41,9 @@ def command(
 
     A procedure that cannot determine what it asks for is refused (exit code 2), with the position to add.
     """
-    from tiltcal.outlook import mounting_outlook, outlook
+    from tiltcal.calibration.outlook import mounting_outlook, outlook
+    from tiltcal.calibration.unit_gravity import require_no_jig
     from tiltcal.report.outlook import outlook_text
-    from tiltcal.unit_gravity import require_no_jig
 
     model = find_model(sensor)
     if address is not None:

@@ -99,8 +99,8 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
 def _certificate(
     calibrations: Sequence[Calibration], names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows: bool
 ) -> str:
+    from tiltcal.calibration.rails import with_rails
     from tiltcal.core.compensate import Compensation
-    from tiltcal.rails import with_rails
     from tiltcal.report.certificate import certificate
 
     last = calibrations[-1]

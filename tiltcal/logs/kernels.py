@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tiltcal
+from tiltcal.calibration.rails import with_rails
 from tiltcal.core.angles import UncertainCompensation
 from tiltcal.core.compensate import Compensation
 from tiltcal.core.pair.compensate import PairCompensation
@@ -19,7 +20,6 @@ from tiltcal.files.pair import pair_of
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.logs.compensated import Kernel
 from tiltcal.logs.digest import sha256_of
-from tiltcal.rails import with_rails
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from tiltcal.calibrate import Measurement
+from tiltcal.calibration.calibrate import Measurement
 from tiltcal.core.rounding import round_to
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration

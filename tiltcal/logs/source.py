@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tiltcal.calibrate import Measurement
+from tiltcal.calibration.calibrate import Measurement
+from tiltcal.calibration.unit_gravity import directions
 from tiltcal.core.rounding import significant
 from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure
@@ -16,7 +17,6 @@ from tiltcal.logs.columns import parse_columns
 from tiltcal.logs.digest import sha256_of
 from tiltcal.logs.recorded import Hold, Record, holds_of, holds_of_table, oriented, placed, read_record
 from tiltcal.logs.still import WINDOWS, find_still, still_segments, told
-from tiltcal.unit_gravity import directions
 
 
 @dataclass(frozen=True)

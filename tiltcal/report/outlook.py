@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from tiltcal.calibration.outlook import Outlook
 from tiltcal.core.estimation.design import Design
-from tiltcal.outlook import Outlook
 from tiltcal.report.terms import unit_of
 
 SHOWN = 3

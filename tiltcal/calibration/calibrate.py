@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.calibration.findings import derived_record, fit_record, rounded, uncertainty_record
 from tiltcal.core.estimation.design import STRAIGHT, Design, Observation, Prior, Sensor
 from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.estimation.pooling import pooled
@@ -19,7 +20,6 @@ from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration, SensorIdentity
 from tiltcal.files.procedure import Procedure
-from tiltcal.findings import derived_record, fit_record, rounded, uncertainty_record
 
 
 @dataclass(frozen=True)

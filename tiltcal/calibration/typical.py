@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from tiltcal.calibrate import Measurement
+from tiltcal.calibration.calibrate import Measurement
 from tiltcal.core.model import Array, Thermal
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.drivers.device import Population

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibrate import Measurement
+from tiltcal.calibration.calibrate import Measurement
+from tiltcal.calibration.findings import covariance_record
 from tiltcal.core.budget import coverage_factor
 from tiltcal.core.compensate import Compensation
 from tiltcal.core.features import TURN
@@ -24,7 +25,6 @@ from tiltcal.files.calibration import Calibration, read_calibration
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.uncertainty import SHAPED, stated_uncertainty
-from tiltcal.findings import covariance_record
 
 
 def base_of(procedure: Procedure, path: Path | None, serials: Sequence[str]) -> Calibration | None:

@@ -8,7 +8,7 @@ from math import degrees, hypot, radians, sqrt
 
 import numpy as np
 
-from tiltcal.calibrate import Nominal, Subject, design_of
+from tiltcal.calibration.calibrate import Nominal, Subject, design_of
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.prediction import Planned, Prediction, predicted_covariance
 from tiltcal.core.model import AXES

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibrate import Measurement, Subject, calibrate_jointly, design_of, observations_of
+from tiltcal.calibration.calibrate import Measurement, Subject, calibrate_jointly, design_of, observations_of
 from tiltcal.core.estimation.design import Sensor
 from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.model import Array
@@ -52,7 +52,7 @@ def calibrate_in_order(
 ) -> list[Calibration]:
     """Calibrate all sensors of a fixture with the order of the drift that the procedure states, or has chosen.
 
-    The arguments are those of :func:`tiltcal.calibrate.calibrate_jointly`.
+    The arguments are those of :func:`tiltcal.calibration.calibrate.calibrate_jointly`.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibrate import Measurement, Subject
+from tiltcal.calibration.calibrate import Measurement, Subject
 from tiltcal.core.estimation.ellipsoid import UNKNOWNS, count_distinct, fit_ellipsoid, misfits
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.rounding import significant
