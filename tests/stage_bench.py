@@ -10,7 +10,7 @@ import numpy as np
 
 from tiltcal.bench.desk import Desk
 from tiltcal.bench.hookup import hook_up
-from tiltcal.bench.operators.operator import Answer
+from tiltcal.bench.operators.answer import Answer
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.operators.stage import Turn
 from tiltcal.bench.rack import Bay, Rack

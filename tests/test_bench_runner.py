@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from command import measure, tiltcal
 
-from tiltcal.bench.operators.operator import Answer
+from tiltcal.bench.operators.answer import Answer
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.plan import Plan, plan_session, single
 from tiltcal.bench.session import Session

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tiltcal.bench.operators.operator import Answer
+from tiltcal.bench.operators.answer import Answer
 from tiltcal.bench.tape import Tape
 
 

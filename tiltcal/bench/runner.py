@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiltcal.bench.desk import Desk
-from tiltcal.bench.operators.operator import Answer, Measured, Operator
+from tiltcal.bench.operators.answer import Answer
+from tiltcal.bench.operators.operator import Measured, Operator
 from tiltcal.bench.rack import Bay, Rack, Sample
 from tiltcal.bench.settle import Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.tape import Resumed, Tape, TapedClock

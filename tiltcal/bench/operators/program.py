@@ -31,8 +31,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, TextIO
 
+from tiltcal.bench.operators.answer import Answer
 from tiltcal.bench.operators.lines import SpokenLines
-from tiltcal.bench.operators.operator import Answer, Live, Measured
+from tiltcal.bench.operators.operator import Live, Measured
 from tiltcal.bench.operators.stage import QUESTION, Turn
 from tiltcal.core.pair.matching import Coefficients, Matching
 from tiltcal.core.pair.model import Pair

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from tiltcal.bench.operators.operator import Answer, Live, Measured
+from tiltcal.bench.operators.answer import Answer
+from tiltcal.bench.operators.operator import Live, Measured
 from tiltcal.bench.operators.stage import Turn, said
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import Pair

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
+from tiltcal.bench.operators.answer import Answer
 from tiltcal.core.pair.matching import Coefficients, Matching
 from tiltcal.core.pair.model import Pair
-
-if TYPE_CHECKING:
-    from tiltcal.bench.operators.operator import Answer
 
 QUESTION = "rotation"
 """What the operator is asked, and what refusals belong to."""

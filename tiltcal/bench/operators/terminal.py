@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from tiltcal.bench.operators.answer import Answer
 from tiltcal.bench.operators.keys import ENTER, Keys
-from tiltcal.bench.operators.operator import Answer, Live, Measured
+from tiltcal.bench.operators.operator import Live, Measured
 from tiltcal.bench.operators.stage import Turn, said
 from tiltcal.core.frames import gravity_from_tilt, normalised
 from tiltcal.core.pair.matching import Matching
