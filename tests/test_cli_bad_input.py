@@ -108,9 +108,11 @@ def test_a_file_that_is_not_there(name: str, folder: Path) -> None:
 class TestFit:
     OPTIONS = ("--segments", "seg.csv", "--unit", "count", "--serial", "S-1", "-o", "new.yaml")
 
-    def fit(self, folder: Path, segments: str, *options: str, procedure: str = "six-face") -> str:
+    ROWS = "1,2,3\n1.5,2,3\n" * 20
+
+    def fit(self, folder: Path, segments: str, *options: str, procedure: str = "six-face", rows: str = ROWS) -> str:
         (folder / "seg.csv").write_text(segments)
-        (folder / "log.csv").write_text("x,y,z\n" + "1,2,3\n1.5,2,3\n" * 20)
+        (folder / "log.csv").write_text("x,y,z\n" + rows)
         result = tiltcal("fit", procedure, "log.csv", *self.OPTIONS, *options, cwd=folder)
         assert result.returncode == 2
         assert not (folder / "new.yaml").exists()
@@ -131,7 +133,9 @@ class TestFit:
         assert "stuck" in told
 
     def test_too_few_positions(self, folder: Path) -> None:
-        assert "add" in self.fit(folder, "position,start,end\nx-up,0,9\ny-up,10,19\n")
+        rows = "9.8,0.1,0.2\n9.9,0.2,0.1\n" * 10 + "0.1,9.8,0.3\n0.2,9.7,0.2\n" * 10
+        told = self.fit(folder, "position,start,end\nx-up,0,20\ny-up,20,40\n", rows=rows)
+        assert "no position says anything of sensitivity.x.z: add the position level (+z up)" in told
 
     def test_an_unknown_procedure(self, folder: Path) -> None:
         assert "'six-face'" in self.fit(folder, SEGMENTS, procedure="six-faces")

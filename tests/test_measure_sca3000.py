@@ -99,7 +99,7 @@ def test_a_twin_file_with_too_few_channels_is_refused(tmp_path: Path) -> None:
     )
     refused = tiltcal("probe", "--sensor", "sca3000-d01", "--address", "sim:twin=flat.yaml", cwd=tmp_path)
     assert refused.returncode == 2
-    assert "the twin file has no offset of z, which a sca3000-d01 reads" in refused.stderr
+    assert "the twin file has no z, which a sca3000-d01 reads" in refused.stderr
 
 
 def take_position(bench: Bench) -> None:
