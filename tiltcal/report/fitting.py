@@ -9,9 +9,7 @@ from typing import Any
 from tiltcal.files.calibration import Calibration
 from tiltcal.report.digits import Aligned, at_place, column, measured, plain, signed
 from tiltcal.report.record import in_words, items, number, numbers, section, text
-
-UNLIKELY = 0.01
-"""A probability below which the stated noise and jig are not believed; the suspects are named by the same."""
+from tiltcal.report.summary import INCREDIBLE
 
 
 @dataclass(frozen=True)
@@ -137,7 +135,7 @@ def _judged(chi_square: float, dof: float, p: float | None) -> str:
     found = f"χ² is {plain(chi_square, 4)} with {dof:g} degrees of freedom"
     if p is None:
         return f"{found}."
-    if p < UNLIKELY:
+    if p < INCREDIBLE:
         return (
             f"{found}; so much or more has a probability of {plain(p, 2)}. The positions do not agree with the noise "
             "and the jig as they were stated: the bench was worse than that, or a position is wrong. The uncertainties "
