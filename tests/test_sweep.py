@@ -8,11 +8,11 @@ from math import cos, radians, sin
 import numpy as np
 import pytest
 
-from tiltcal.calibration.calibrate import Measurement, Nominal, Subject, calibrate
+from tiltcal.calibration.calibrate import Measurement, Nominal, Subject, calibrate_jointly
 from tiltcal.calibration.sweep import choose_order, swept, with_order
 from tiltcal.core.statistics import Summary
 from tiltcal.errors import EstimateError
-from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.calibration import Calibration, SensorIdentity
 from tiltcal.files.procedure import Procedure, find_procedure
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
@@ -23,6 +23,10 @@ NOISE = 0.06
 def measurement(name: str, temperature: float | None, x: float, y: float, heading: float | None = None) -> Measurement:
     summaries = {c: Summary(value, 0.6, 100, NOISE, 0.0, 9.0) for c, value in (("x", x), ("y", y))}
     return Measurement(name, (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, temperature, summaries, heading=heading)
+
+
+def calibrated(procedure: Procedure, measured: list[Measurement], jig: float) -> Calibration:
+    return calibrate_jointly([Subject(SENSOR, measured, NOMINAL)], procedure, jig=jig)[0]
 
 
 def sweep(drift: tuple[float, ...], seed: int, loop: float = 0.0) -> tuple[Procedure, list[Measurement]]:
@@ -56,7 +60,7 @@ def test_the_order_is_the_parts_own(drift: tuple[float, ...], order: int) -> Non
 
 def test_the_chosen_coefficients_are_the_parts() -> None:
     procedure, measured = sweep((0.2, 0.004), seed=3)
-    found = calibrate(SENSOR, with_order(procedure, 2), measured, nominal=NOMINAL, jig=0.0)
+    found = calibrated(with_order(procedure, 2), measured, jig=0.0)
     thermal = found.coefficients.thermal
     assert thermal is not None
     u = found.uncertainty["temperature"]["offset"]["x"]
@@ -67,7 +71,7 @@ def test_hysteresis_is_reported() -> None:
     procedure, measured = sweep((0.2,), 1, loop=2.0)
     subject = Subject(SENSOR, measured, NOMINAL)
     choice = choose_order([subject], procedure)
-    found = calibrate(SENSOR, with_order(procedure, choice.order), measured, nominal=NOMINAL, jig=0.0)
+    found = calibrated(with_order(procedure, choice.order), measured, jig=0.0)
     loop = swept(found, measured, choice).fit["hysteresis"]["x"]
     assert abs(loop["difference"]) == pytest.approx(2.0, abs=0.4)
     assert sorted(name.split("-")[0] for name in loop["between"]) in (["back", "up"], ["down", "up"])
@@ -100,5 +104,5 @@ def test_reversal_cancels_the_lean_of_the_table(lean: float) -> None:
         g_x, g_y = tilt * cos(toward - heading), tilt * sin(toward - heading)
         x, y = 1026.0 + 819.0 * g_x + rng.normal(0, NOISE), 1019.0 + 819.0 * g_y + rng.normal(0, NOISE)
         measured.append(measurement(position.name, None, x, y, position.heading))
-    found = calibrate(SENSOR, find_procedure("reversal"), measured, nominal=NOMINAL, jig=0.001)
+    found = calibrated(find_procedure("reversal"), measured, jig=0.001)
     assert found.coefficients.offset == pytest.approx([1026.0, 1019.0], abs=0.15)

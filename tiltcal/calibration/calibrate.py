@@ -94,28 +94,6 @@ class Subject:
     orientation: Sequence[Sequence[float]] = STRAIGHT
 
 
-def calibrate(
-    sensor: SensorIdentity,
-    procedure: Procedure,
-    measurements: Sequence[Measurement],
-    *,
-    nominal: Nominal | None = None,
-    jig: float | None = None,
-    thermometer: float | None = None,
-    settings: Mapping[str, Any] | None = None,
-    provenance: Mapping[str, Any] | None = None,
-) -> Calibration:
-    """Calibrate one sensor from its positions; the arguments are those of :func:`calibrate_jointly`."""
-    return calibrate_jointly(
-        [Subject(sensor, measurements, nominal)],
-        procedure,
-        jig=jig,
-        thermometer=thermometer,
-        settings=settings,
-        provenance=provenance,
-    )[0]
-
-
 def calibrate_jointly(
     subjects: Sequence[Subject],
     procedure: Procedure,

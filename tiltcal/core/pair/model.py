@@ -26,9 +26,6 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
-POSITION_PHASES = {"a1": 0.0, "a2": 180.0, "a3": 90.0, "a4": 270.0}
-"""Where the four accelerometers of the source sit on the disk, degrees."""
-
 
 @dataclass(frozen=True)
 class Pair:
