@@ -22,7 +22,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from tiltcal.bench.tape import Tape
+from tiltcal.bench.event_log import EventLog
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
@@ -115,7 +115,7 @@ def measured(address: str, live: Callable[[], Link], enough: Callable[[Any], boo
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "capture.jsonl"
         clock = SystemClock(time.time_ns())
-        tape = Tape(clock, writer=JournalWriter.create(path, {}))
+        tape = EventLog(clock, writer=JournalWriter.create(path, {}))
         link = tape.link(live, "r", 0)
         sensor = model.driver(link, clock)
         wall, processor = time.monotonic(), time.process_time()
@@ -141,12 +141,12 @@ def capture_serial(baudrate: int, seconds: float) -> dict[str, Any]:
     ) as talker:
         end = time.monotonic() + seconds
         sensor, share, size = measured(address, lambda: link, lambda _: time.monotonic() > end)
-        reception = dict(sensor.reception())
+        link_statistics = dict(sensor.link_statistics())
         talker.kill()
     link.close()
     os.close(master)
     os.close(slave)
-    return {"baudrate": baudrate, **reception, "core": round(share, 3), "journal_bytes": size}
+    return {"baudrate": baudrate, **link_statistics, "core": round(share, 3), "journal_bytes": size}
 
 
 def capture_edges(rate: int, seconds: float) -> dict[str, Any]:
@@ -162,10 +162,10 @@ def capture_edges(rate: int, seconds: float) -> dict[str, Any]:
         gpiod.request_lines = original
     # The last period has no next one to end it.
     periods = stand_in.total // 4 - 1
-    sensor, share, size = measured(address, lambda: link, lambda sensor: sensor.reception()["periods"] >= periods)
+    sensor, share, size = measured(address, lambda: link, lambda sensor: sensor.link_statistics()["periods"] >= periods)
     return {
         "edges_per_second": rate,
-        **sensor.reception(),
+        **sensor.link_statistics(),
         "dropped": stand_in.dropped,
         "core": round(share, 3),
         "journal_bytes": size,

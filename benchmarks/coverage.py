@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
+from support.simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
 
-from tiltcal.core.angles import Doubt, UncertainCompensation
-from tiltcal.core.compensate import Compensation
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, UncertaintyInputs
+from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.frames import gravity_from_tilt
 
@@ -135,8 +135,8 @@ def _tilt_inside(rng: Generator, plan: Plan, found: Estimate, truth: Part) -> ND
     gravity = np.array([gravity_from_tilt({"x": x, "y": y})])
     dt = np.array([rng.uniform(plan.temperature.min(), plan.temperature.max())])
     readings = truth.reading(gravity, dt) + plan.noise * rng.standard_normal((1, 3))
-    doubt = Doubt(found.names, found.covariance, found.budget.factors, np.full(3, plan.noise))
-    result = UncertainCompensation(Compensation(found.coefficients), found.coefficients, doubt)(readings, dt)
+    doubt = UncertaintyInputs(found.names, found.covariance, found.budget.factors, np.full(3, plan.noise))
+    result = CompensationWithUncertainty(Compensation(found.coefficients), found.coefficients, doubt)(readings, dt)
     return np.asarray(np.abs(result.compensated.tilt[0, :2] - [x, y]) <= result.expanded[0, :2])
 
 

@@ -29,12 +29,12 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
+from support.simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
 
 from tiltcal.core.estimation.design import Observation
+from tiltcal.core.estimation.equations import system_of
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.linear import linear
-from tiltcal.core.estimation.system import system_of
 
 Array = NDArray[np.float64]
 

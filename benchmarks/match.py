@@ -23,8 +23,8 @@ from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
 from tiltcal.logs.csv_log import CsvLog
-from tiltcal.logs.matching import demodulate_log
-from tiltcal.logs.stretch import Stretch
+from tiltcal.logs.pair_block import PairBlock
+from tiltcal.logs.pair_matching import demodulate_log
 
 PAIR = Pair("a1", "a2", "a4")
 CHANNELS = ("a1", "a2", "a3", "a4")
@@ -78,7 +78,7 @@ def online_seconds(path: Path) -> float:
     """Of the estimators alone: a live stream brings its numbers itself."""
     online, spent = Online(PAIR, CHANNELS), 0.0
 
-    def push(stretch: Stretch) -> None:
+    def push(stretch: PairBlock) -> None:
         nonlocal spent
         spent += seconds(lambda: online.push(stretch.theta, stretch.readings))
 

@@ -20,10 +20,10 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import Demodulator
+from tiltcal.core.pair.encoder import AngleTracker
 from tiltcal.core.pair.matching import solve
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
-from tiltcal.core.pair.stage import Stage
 
 PAIR = Pair("a1", "a2", "a4")
 SCALE = np.array([3.383, 3.415, 3.390])
@@ -109,7 +109,7 @@ def estimate(case: Case, seed: int) -> tuple[float, float, float, float]:
         found = online.recursive
         return found.p, found.q, found.u_p, found.u_q
     demodulator = Demodulator(PAIR.channels)
-    demodulator.add(Stage().follow(theta), readings)
+    demodulator.add(AngleTracker().follow(theta), readings)
     solved = solve(demodulator.result(), PAIR)
     return solved.p, solved.q, solved.u_p, solved.u_q
 

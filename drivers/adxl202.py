@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.bus.edges import RECORD, Edge, unpack_edges
 from tiltcal.drivers.converter import SCHEMES as CONVERTERS
 from tiltcal.drivers.device import Model, Reading, in_words
-from tiltcal.drivers.lines import UNUSABLE, Lines, shown
+from tiltcal.drivers.lines import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.nmea import content, missing
 from tiltcal.drivers.pulses import Cycle, PulseTrains
 from tiltcal.errors import BusError, DeviceFault
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Truth
 
 ZERO = 0.5
@@ -111,7 +111,7 @@ class Adxl202Sentences:
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
-        self._lines = Lines(link)
+        self._lines = LineBuffer(link)
         self._number: int | None = None
         self._damaged_since = 0
         self._used = self._damaged = self._lost = self._restarts = 0
@@ -122,7 +122,7 @@ class Adxl202Sentences:
         Returns
         -------
         mapping of str to str
-            Duty cycles, the period, the temperature where it is sent, and the reception.
+            Duty cycles, the period, the temperature where it is sent, and the link_statistics.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class Adxl202Sentences:
         said["period"] = f"{sentence.periods[0]:g} ticks"
         if sentence.temperature is not None:
             said["temperature"] = f"{sentence.temperature:.1f} °C"
-        return said | {"reception": in_words(self.reception())}
+        return said | {"link_statistics": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """The next undamaged sentence: the duty cycles of x and y, and the temperature where it is sent, °C.
@@ -153,7 +153,7 @@ class Adxl202Sentences:
         self._lines.discard()
         self._number = None
 
-    def reception(self) -> Mapping[str, int]:
+    def link_statistics(self) -> Mapping[str, int]:
         """Sentences that were used, damaged, lost on the way (gaps in the sequence), and restarts of the sequence."""
         return {
             "sentences": self._used,
@@ -218,7 +218,7 @@ class Adxl202Edges:
         Returns
         -------
         mapping of str to str
-            Duty cycles, the period, and the reception.
+            Duty cycles, the period, and the link_statistics.
 
         Raises
         ------
@@ -230,7 +230,7 @@ class Adxl202Edges:
         self.discard()
         cycle = self._next()
         said = {channel: f"{duty:.6f} duty" for channel, duty in zip("xy", cycle.duty, strict=True)}
-        return said | {"period": f"{cycle.period / 1e6:.6g} ms", "reception": in_words(self.reception())}
+        return said | {"period": f"{cycle.period / 1e6:.6g} ms", "link_statistics": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """The next period: the duty cycles of x and y.
@@ -250,7 +250,7 @@ class Adxl202Edges:
         self._ready.clear()
         self._link.exchange(b"", 0)
 
-    def reception(self) -> Mapping[str, int]:
+    def link_statistics(self) -> Mapping[str, int]:
         """Periods that were used, edges lost (gaps in their numbers), and periods with a pulse missing."""
         return {"periods": self._used, "lost edges": self._trains.lost, "torn periods": self._trains.torn}
 
@@ -275,7 +275,7 @@ class Adxl202Edges:
 
 
 @dataclass(frozen=True, slots=True)
-class Variant:
+class Adxl202Variant:
     """What distinguishes the parts.
 
     Attributes
@@ -297,19 +297,19 @@ OFFSET_SPREAD = 0.5
 """Standard deviation of the offset over parts, g; ours: the notes say only that it varies from part to part."""
 
 
-def _sentences_twin(truth: Truth, fixture: Held, clock: Clock) -> Link:
+def _sentences_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.adxl202 import sentences_twin
 
     return sentences_twin(truth, fixture, clock)
 
 
-def _edges_twin(truth: Truth, fixture: Held, clock: Clock) -> Link:
+def _edges_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.adxl202 import EdgesTwin
 
     return EdgesTwin(truth, fixture, clock)
 
 
-def _default_truth(variant: Variant, seed: int) -> Truth:
+def _default_truth(variant: Adxl202Variant, seed: int) -> Truth:
     from tiltcal.drivers.twin.adxl202 import draw_truth
 
     return draw_truth(variant, seed)
@@ -337,7 +337,7 @@ def _tailored(model: Model, address: Address) -> Model:
     )
 
 
-def _model(name: str, title: str, variant: Variant) -> Model:
+def _model(name: str, title: str, variant: Adxl202Variant) -> Model:
     model = Model(
         name=name,
         title=title,
@@ -374,9 +374,9 @@ def _model(name: str, title: str, variant: Variant) -> Model:
         default_truth=partial(_default_truth, variant),
         options=("wiring",),
     )
-    return replace(model, tailor=partial(_tailored, model))
+    return replace(model, configure=partial(_tailored, model))
 
 
-ADXL202 = _model("adxl202", "Analog Devices ADXL202 accelerometer, ±2 g, duty cycle", Variant(0.125, 500e-6))
-ADXL202E = _model("adxl202e", "Analog Devices ADXL202E accelerometer, ±2 g, duty cycle", Variant(0.125, 200e-6))
-ADXL210 = _model("adxl210", "Analog Devices ADXL210 accelerometer, ±10 g, duty cycle", Variant(0.04, 500e-6))
+ADXL202 = _model("adxl202", "Analog Devices ADXL202 accelerometer, ±2 g, duty cycle", Adxl202Variant(0.125, 500e-6))
+ADXL202E = _model("adxl202e", "Analog Devices ADXL202E accelerometer, ±2 g, duty cycle", Adxl202Variant(0.125, 200e-6))
+ADXL210 = _model("adxl210", "Analog Devices ADXL210 accelerometer, ±10 g, duty cycle", Adxl202Variant(0.04, 500e-6))

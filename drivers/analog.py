@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Truth
 
 CHANNELS = ("x", "y")
@@ -55,7 +55,7 @@ its range comes near."""
 
 
 @dataclass(frozen=True)
-class Part:
+class AnalogPart:
     """What distinguishes one analog sensor.
 
     Attributes
@@ -95,7 +95,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Wired:
+class WiredAnalog:
     """How a sensor is wired to a converter.
 
     Attributes
@@ -116,12 +116,12 @@ class AnalogSensor:
 
     Parameters
     ----------
-    part : Part
-    wired : Wired
+    part : AnalogPart
+    wired : WiredAnalog
     converter : Converter
     """
 
-    def __init__(self, part: Part, wired: Wired, converter: Converter) -> None:
+    def __init__(self, part: AnalogPart, wired: WiredAnalog, converter: Converter) -> None:
         self._part = part
         self._wired = wired
         self._converter = converter
@@ -176,33 +176,33 @@ class AnalogSensor:
         return values, supply
 
 
-def _wire(part: Part, address: Address) -> Wired:
+def _wire(part: AnalogPart, address: Address) -> WiredAnalog:
     """The wiring as an address tells it."""
     front_end = find_front_end(address)
     numbers = {channel: take_input(address, channel, front_end, place) for place, channel in enumerate(CHANNELS)}
     supply = take_supply(address, front_end, *part.supply)
     require_apart(address, {**numbers, "supply": supply.number})
-    return Wired(front_end, tuple(numbers.values()), supply)
+    return WiredAnalog(front_end, tuple(numbers.values()), supply)
 
 
-def _driver(part: Part, wired: Wired, link: Link, clock: Clock) -> AnalogSensor:
+def _driver(part: AnalogPart, wired: WiredAnalog, link: Link, clock: Clock) -> AnalogSensor:
     return AnalogSensor(part, wired, wired.front_end.driver(link, clock))
 
 
-def _twin(wired: Wired, truth: Truth, fixture: Held, clock: Clock) -> Link:
+def _twin(wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.analog import SensorWiring
 
     wiring = SensorWiring(truth, fixture, clock, wired.numbers, wired.supply)
     return wired.front_end.twin(wiring, clock)
 
 
-def _default_truth(part: Part, seed: int) -> Truth:
+def _default_truth(part: AnalogPart, seed: int) -> Truth:
     from tiltcal.drivers.twin.analog import draw_truth
 
     return draw_truth(part, seed)
 
 
-def _model(part: Part, address: Address) -> Model:
+def _model(part: AnalogPart, address: Address) -> Model:
     """The model of a part as it is wired at an address."""
     wired = _wire(part, address)
     front_end = wired.front_end
@@ -237,12 +237,12 @@ def _model(part: Part, address: Address) -> Model:
         default_truth=partial(_default_truth, part),
         spi=front_end.spi,
         options=(*CHANNELS, "supply", "vdd", *front_end.options, *chooses),
-        tailor=partial(_model, part),
+        configure=partial(_model, part),
     )
 
 
 def _sca100t(digital: Model, share_per_g: float) -> Model:
-    part = Part(
+    part = AnalogPart(
         title=digital.title.replace("SPI", "analog outputs behind a converter"),
         digital=digital,
         share_per_g=share_per_g,
@@ -258,7 +258,7 @@ def _sca100t(digital: Model, share_per_g: float) -> Model:
 
 
 def _adxl202(digital: Model) -> Model:
-    part = Part(
+    part = AnalogPart(
         title=f"{digital.title} through an RC filter behind a converter",
         digital=digital,
         # What is left of pulses behind the filter is their duty cycle, as a share of the supply.

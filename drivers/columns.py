@@ -24,14 +24,14 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.device import Model, Reading, in_words
-from tiltcal.drivers.lines import UNUSABLE, Lines, shown
+from tiltcal.drivers.lines import UNUSABLE, LineBuffer, shown
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Truth
 
 AXES = ("x", "y", "z")
@@ -63,7 +63,7 @@ _NUMBER = re.compile(rb"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,3})?"
 
 
 @dataclass(frozen=True)
-class Columns:
+class ColumnLayout:
     """What the numbers of a line are.
 
     Attributes
@@ -99,21 +99,21 @@ class Columns:
         return Reading(tuple(numbers[channel] for channel in self.channels), numbers.get(TEMPERATURE))
 
 
-class ColumnsDriver:
+class ColumnsSensor:
     """The driver of a device that prints numbers.
 
     Parameters
     ----------
-    columns : Columns
+    columns : ColumnLayout
     link : Link
         Serial.
     clock : Clock
         Unused: the lines pace the driver.
     """
 
-    def __init__(self, columns: Columns, link: Link, clock: Clock) -> None:
+    def __init__(self, columns: ColumnLayout, link: Link, clock: Clock) -> None:
         self._columns = columns
-        self._lines = Lines(link)
+        self._lines = LineBuffer(link)
         self._used = self._damaged = 0
 
     def probe(self) -> Mapping[str, str]:
@@ -122,7 +122,7 @@ class ColumnsDriver:
         Returns
         -------
         mapping of str to str
-            The numbers by their names, and the reception.
+            The numbers by their names, and the link_statistics.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class ColumnsDriver:
         said = {name: f"{value:g}" for name, value in zip(self._columns.channels, reading.values, strict=True)}
         if reading.temperature is not None:
             said[TEMPERATURE] = f"{reading.temperature:.1f} °C"
-        return said | {"reception": in_words(self.reception())}
+        return said | {"link_statistics": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """The next line of numbers.
@@ -164,12 +164,12 @@ class ColumnsDriver:
         """Forget what queued up."""
         self._lines.discard()
 
-    def reception(self) -> Mapping[str, int]:
+    def link_statistics(self) -> Mapping[str, int]:
         """Lines that were used, and lines that were not the numbers that the address names."""
         return {"lines": self._used, "damaged": self._damaged}
 
 
-def columns_of(address: Address, default: str | None = None) -> Columns:
+def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
     """What the address says of a line.
 
     Parameters
@@ -192,7 +192,7 @@ def columns_of(address: Address, default: str | None = None) -> Columns:
     separator = address.text("separator", "any")
     if separator not in SEPARATORS:
         address.refuse(f"option separator={separator} is none of {', '.join(SEPARATORS)}")
-    columns = Columns(names, SEPARATORS[separator])
+    columns = ColumnLayout(names, SEPARATORS[separator])
     if not columns.channels:
         address.refuse("columns names no reading: x, y, z, or another name that is neither time nor temperature")
     return columns
@@ -233,29 +233,29 @@ def _tailored(model: Model, address: Address) -> Model:
         scaled=scaled,
         rails=(low, high),
         thermometer=TEMPERATURE in columns.names,
-        driver=partial(ColumnsDriver, columns),
+        driver=partial(ColumnsSensor, columns),
         twin=partial(_twin, columns),
         default_truth=partial(_default_truth, columns, offset, sensitivity),
     )
 
 
-def _twin(columns: Columns, truth: Truth, fixture: Held, clock: Clock) -> Link:
+def _twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.columns import columns_twin
 
     return columns_twin(columns, truth, fixture, clock)
 
 
-def _default_truth(columns: Columns, offset: float, sensitivity: float, seed: int) -> Truth:
+def _default_truth(columns: ColumnLayout, offset: float, sensitivity: float, seed: int) -> Truth:
     from tiltcal.drivers.twin.columns import draw_truth
 
     return draw_truth(columns.channels, offset, sensitivity, seed)
 
 
-def _driver(link: Link, clock: Clock) -> ColumnsDriver:
-    return ColumnsDriver(_ANY, link, clock)
+def _driver(link: Link, clock: Clock) -> ColumnsSensor:
+    return ColumnsSensor(_ANY, link, clock)
 
 
-_ANY = Columns((*AXES[:2], TEMPERATURE), SEPARATORS["any"])
+_ANY = ColumnLayout((*AXES[:2], TEMPERATURE), SEPARATORS["any"])
 
 _MODEL = Model(
     name="serial-columns",
@@ -285,4 +285,4 @@ _MODEL = Model(
     options=("columns", "separator", "unit", "offset", "sensitivity", "low", "high"),
 )
 
-SERIAL_COLUMNS = replace(_MODEL, tailor=partial(_tailored, _MODEL))
+SERIAL_COLUMNS = replace(_MODEL, configure=partial(_tailored, _MODEL))

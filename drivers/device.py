@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Truth
 
 
@@ -171,8 +171,8 @@ class Model:
     scaled : bool
         Whether the nominal offset and sensitivity are known. Where they are not, a wrong position and a movement too
         small for the noise cannot be told.
-    tailor : callable or None
-        ``tailor(address)`` returns this model with the facts that such options settle; None where there are none.
+    configure : callable or None
+        ``configure(address)`` returns this model with the facts that such options settle; None where there are none.
     """
 
     name: str
@@ -190,7 +190,7 @@ class Model:
     interval: float
     thermometer: bool
     driver: Callable[[Link, Clock], Sensor]
-    twin: Callable[[Truth, Held, Clock], Link]
+    twin: Callable[[Truth, HeldPose, Clock], Link]
     not_modelled: tuple[str, ...] = field(default=())
     default_truth: Callable[[int], Truth] | None = None
     spi: SpiPort | None = None
@@ -198,7 +198,7 @@ class Model:
     thermometer_step: float = 0.0
     population: Population | None = None
     scaled: bool = True
-    tailor: Callable[[Address], Model] | None = None
+    configure: Callable[[Address], Model] | None = None
 
     @property
     def thermometer_rounding(self) -> float:
@@ -218,7 +218,7 @@ class Model:
         UsageError
             An option of the address is missing or wrong.
         """
-        return self if self.tailor is None else self.tailor(address)
+        return self if self.configure is None else self.configure(address)
 
 
 class SelfTestResult(Protocol):
@@ -246,10 +246,10 @@ class SelfTesting(Protocol):
 
 
 @runtime_checkable
-class Talking(Protocol):
+class StreamingSensor(Protocol):
     """A driver whose sensor talks by itself, over a line that may lose or damage what it says."""
 
-    def reception(self) -> Mapping[str, int]:
+    def link_statistics(self) -> Mapping[str, int]:
         """What became of what the sensor said since the driver began.
 
         Returns
@@ -260,6 +260,6 @@ class Talking(Protocol):
         ...
 
 
-def in_words(reception: Mapping[str, int]) -> str:
-    """A reception for people: ``120 sentences, 3 damaged, 1 lost``."""
-    return ", ".join(f"{number} {what}" for what, number in reception.items())
+def in_words(link_statistics: Mapping[str, int]) -> str:
+    """A link_statistics for people: ``120 sentences, 3 damaged, 1 lost``."""
+    return ", ".join(f"{number} {what}" for what, number in link_statistics.items())

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Truth
 
 REQUEST = bytes.fromhex("55AA02FD")
@@ -92,7 +92,7 @@ class DfrobotSca100t:
         Returns
         -------
         mapping of str to str
-            Both words, the temperature, and the reception.
+            Both words, the temperature, and the link_statistics.
 
         Raises
         ------
@@ -105,7 +105,7 @@ class DfrobotSca100t:
         said = {channel: f"{value:.0f} count" for channel, value in zip("xy", reading.values, strict=True)}
         return said | {
             "temperature": f"{reading.temperature:.1f} °C (not trimmed)",
-            "reception": in_words(self.reception()),
+            "link_statistics": in_words(self.link_statistics()),
         }
 
     def read(self) -> Reading:
@@ -137,7 +137,7 @@ class DfrobotSca100t:
     def discard(self) -> None:
         """Nothing queues up: the module answers when it is asked."""
 
-    def reception(self) -> Mapping[str, int]:
+    def link_statistics(self) -> Mapping[str, int]:
         """Answers that were used, and damaged ones, which were asked for again."""
         return {"answers": self._used, "damaged": self._damaged}
 
@@ -152,7 +152,7 @@ def _sane(reading: Reading) -> Reading:
     return reading
 
 
-def _twin(truth: Truth, fixture: Held, clock: Clock) -> Link:
+def _twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.dfrobot import DfrobotTwin
 
     return DfrobotTwin(truth, fixture, clock)
@@ -180,4 +180,4 @@ _MODEL = replace(
     spi=None,
 )
 
-DFROBOT_SCA100T = replace(_MODEL, tailor=partial(_tailored, _MODEL))
+DFROBOT_SCA100T = replace(_MODEL, configure=partial(_tailored, _MODEL))

@@ -14,14 +14,23 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.columns import ANYWHERE, RAIL, SEPARATORS, UNKNOWN, UNSTATED, Columns, ColumnsDriver, columns_of
+from tiltcal.drivers.columns import (
+    ANYWHERE,
+    RAIL,
+    SEPARATORS,
+    UNKNOWN,
+    UNSTATED,
+    ColumnLayout,
+    ColumnsSensor,
+    columns_of,
+)
 from tiltcal.drivers.device import Model
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Truth
 
 PRINTED = "time,theta,a1,a2,a3,a4"
@@ -35,12 +44,12 @@ def _tailored(model: Model, address: Address) -> Model:
         model,
         channels=columns.channels,
         unit=address.text("unit", "mA" if address.simulated else UNSTATED),
-        driver=partial(ColumnsDriver, columns),
+        driver=partial(ColumnsSensor, columns),
         twin=partial(_twin, columns),
     )
 
 
-def _twin(columns: Columns, truth: Truth, fixture: Held, clock: Clock) -> Link:
+def _twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.stage import stage_twin
 
     return stage_twin(columns, truth, clock)
@@ -52,7 +61,7 @@ def _default_truth(seed: int) -> Truth:
     return draw_truth(seed)
 
 
-_PRINTED = Columns(tuple(PRINTED.split(",")), SEPARATORS["any"])
+_PRINTED = ColumnLayout(tuple(PRINTED.split(",")), SEPARATORS["any"])
 
 _MODEL = Model(
     name="gradiometer",
@@ -71,7 +80,7 @@ _MODEL = Model(
     # The device talks by itself: a read waits for what comes next.
     interval=0.0,
     thermometer=False,
-    driver=partial(ColumnsDriver, _PRINTED),
+    driver=partial(ColumnsSensor, _PRINTED),
     twin=partial(_twin, _PRINTED),
     not_modelled=(
         "a stage that starts, stops or changes its speed: it turns steadily from the beginning of the session",
@@ -86,4 +95,4 @@ _MODEL = Model(
     scaled=False,
 )
 
-GRADIOMETER = replace(_MODEL, tailor=partial(_tailored, _MODEL))
+GRADIOMETER = replace(_MODEL, configure=partial(_tailored, _MODEL))

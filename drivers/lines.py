@@ -23,7 +23,7 @@ UNUSABLE = 50
 _LINE_END = re.compile(rb"[\r\n]+")
 
 
-class Lines:
+class LineBuffer:
     """Cuts what a device says into lines.
 
     The first piece after the start, or after :meth:`discard`, may be the tail of a line whose head nobody heard.

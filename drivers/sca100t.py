@@ -24,7 +24,7 @@ from tiltcal.errors import BusError, DeviceFault, UsageError
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Truth
 
 MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
@@ -255,7 +255,7 @@ def _check_data_line(answers: bytes) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Variant:
+class Sca100tVariant:
     """What distinguishes the two parts, as delivered; each limit is the largest error of either sign.
 
     Attributes
@@ -290,11 +290,11 @@ POPULATION_DRIFT = (0.0522, -0.0039, 0.0001, -0.0000006)
 POPULATION_GAIN = (0.0408, 0.0022, -0.00011)
 """Mean change of the sensitivity over temperature of the population, %, likewise."""
 
-_D01 = Variant(counts_per_g=1638.0, range=0.5, offset_limit=0.11, nonlinearity=0.11)
-_D02 = Variant(counts_per_g=819.0, range=1.0, offset_limit=0.23, nonlinearity=0.57)
+_D01 = Sca100tVariant(counts_per_g=1638.0, range=0.5, offset_limit=0.11, nonlinearity=0.11)
+_D02 = Sca100tVariant(counts_per_g=819.0, range=1.0, offset_limit=0.23, nonlinearity=0.57)
 
 
-def _population(variant: Variant) -> Population:
+def _population(variant: Sca100tVariant) -> Population:
     """The datasheet's curves in this variant's counts."""
     counts = variant.counts_per_g
     return Population(
@@ -306,19 +306,19 @@ def _population(variant: Variant) -> Population:
     )
 
 
-def _twin(truth: Truth, fixture: Held, clock: Clock) -> Link:
+def _twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.sca100t import Sca100tTwin
 
     return Sca100tTwin(truth, fixture, clock)
 
 
-def _default_truth(variant: Variant, seed: int) -> Truth:
+def _default_truth(variant: Sca100tVariant, seed: int) -> Truth:
     from tiltcal.drivers.twin.sca100t import draw_truth
 
     return draw_truth(variant, seed)
 
 
-def _model(name: str, title: str, variant: Variant) -> Model:
+def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
     # A limit of either sign with nothing known inside it is a rectangular distribution (GUM 4.3.7): limit / sqrt(3).
     return Model(
         name=name,

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Truth
 
 REVID, STATUS, MODE = 0x00, 0x02, 0x14
@@ -54,7 +54,7 @@ COMMAND_SHIFT = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class Sca3000Part:
     """What distinguishes the parts of the family, and how one of them is wired.
 
     Attributes
@@ -80,10 +80,10 @@ class Sca3000:
     ----------
     link : Link
         SPI or I2C; its letter says which.
-    part : Part
+    part : Sca3000Part
     """
 
-    def __init__(self, link: Link, part: Part) -> None:
+    def __init__(self, link: Link, part: Sca3000Part) -> None:
         self._link = link
         self._part = part
 
@@ -228,7 +228,7 @@ class Entry:
     name, title : str
     addresses : tuple of str
     schemes : tuple of str
-    part : Part
+    part : Sca3000Part
         As far as it is known.
     any_range : bool
         Whether the address must say ``counts_per_g``.
@@ -238,22 +238,22 @@ class Entry:
     title: str
     addresses: tuple[str, ...]
     schemes: tuple[str, ...]
-    part: Part
+    part: Sca3000Part
     any_range: bool = False
 
 
-def _driver(part: Part, link: Link, clock: Clock) -> Sca3000:
+def _driver(part: Sca3000Part, link: Link, clock: Clock) -> Sca3000:
     return Sca3000(link, part)
 
 
-def _twin(part: Part, scheme: str, truth: Truth, fixture: Held, clock: Clock) -> Link:
+def _twin(part: Sca3000Part, scheme: str, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.sca3000 import Sca3000I2cTwin, Sca3000SpiTwin
 
     kind = Sca3000I2cTwin if scheme == "i2c" else Sca3000SpiTwin
     return kind(truth, fixture, clock, part)
 
 
-def _default_truth(part: Part, seed: int) -> Truth:
+def _default_truth(part: Sca3000Part, seed: int) -> Truth:
     from tiltcal.drivers.twin.sca3000 import draw_truth
 
     return draw_truth(part, seed)
@@ -265,7 +265,7 @@ def _tailored(entry: Entry, address: Address) -> Model:
     required = entry.any_range and not address.simulated
     # ±1 g must stay clear of the overflow codes, and one count must be less than 1 g.
     counts = address.number("counts_per_g", None if required else known.counts_per_g, low=1.0, high=OVERFLOW[1])
-    part = Part(
+    part = Sca3000Part(
         counts_per_g=counts,
         rate=address.number("rate", known.rate, low=1.0, high=10_000.0),
         thermometer=bool(_choice(address, "thermometer", {"no": 0, "yes": 1}, known.thermometer)),
@@ -284,7 +284,7 @@ def _choice(address: Address, name: str, meanings: Mapping[str, int], default: i
     return meanings[word]
 
 
-def _model(entry: Entry, part: Part) -> Model:
+def _model(entry: Entry, part: Sca3000Part) -> Model:
     return Model(
         name=entry.name,
         title=entry.title,
@@ -319,7 +319,7 @@ def _model(entry: Entry, part: Part) -> Model:
         if "spi" in entry.schemes
         else None,
         options=("counts_per_g", "rate", "thermometer", *(("pointer",) if "i2c" in entry.schemes else ())),
-        tailor=partial(_tailored, entry),
+        configure=partial(_tailored, entry),
     )
 
 
@@ -327,20 +327,20 @@ ADDRESSES = {"spi": "spi:///dev/spidev0.0", "i2c": "i2c:///dev/i2c-1?address=0x1
 """Examples; the I2C address is the user's to give."""
 
 
-def _named(variant: str, extent: str, part: Part, schemes: tuple[str, ...] = ("spi",)) -> Model:
+def _named(variant: str, extent: str, part: Sca3000Part, schemes: tuple[str, ...] = ("spi",)) -> Model:
     title = f"VTI (Murata) SCA3000-{variant} three-axis accelerometer, {extent}"
     addresses = tuple(ADDRESSES[scheme] for scheme in schemes)
     return _model(Entry(f"sca3000-{variant.lower()}", title, addresses, schemes, part), part)
 
 
 # The D01 has a bit that switches its I2C off, so it has I2C as well.
-D01 = _named("D01", "±2 g, SPI or I2C", Part(1333.0, 250.0, thermometer=True), ("spi", "i2c"))
-E02 = _named("E02", "1000 count/g, SPI", Part(1000.0, 125.0, thermometer=False))
-E04 = _named("E04", "500 count/g, SPI", Part(500.0, 100.0, thermometer=False))
-E05 = _named("E05", "160 count/g, SPI", Part(160.0, 200.0, thermometer=False))
+D01 = _named("D01", "±2 g, SPI or I2C", Sca3000Part(1333.0, 250.0, thermometer=True), ("spi", "i2c"))
+E02 = _named("E02", "1000 count/g, SPI", Sca3000Part(1000.0, 125.0, thermometer=False))
+E04 = _named("E04", "500 count/g, SPI", Sca3000Part(500.0, 100.0, thermometer=False))
+E05 = _named("E05", "160 count/g, SPI", Sca3000Part(160.0, 200.0, thermometer=False))
 
 # The sensitivity is a virtual part's alone: a real one's must be given.
-_ANY = Part(1333.0, SLOWEST_RATE, thermometer=False)
+_ANY = Sca3000Part(1333.0, SLOWEST_RATE, thermometer=False)
 I2C = _model(
     Entry(
         "sca3000-i2c",

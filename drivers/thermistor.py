@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Truth
 
 ZERO_CELSIUS = 273.15
@@ -134,7 +134,7 @@ class Divider:
 
 
 @dataclass(frozen=True)
-class Wired:
+class WiredThermistor:
     """How a thermistor is wired to a converter.
 
     Attributes
@@ -157,11 +157,11 @@ class Thermistor:
 
     Parameters
     ----------
-    wired : Wired
+    wired : WiredThermistor
     converter : Converter
     """
 
-    def __init__(self, wired: Wired, converter: Converter) -> None:
+    def __init__(self, wired: WiredThermistor, converter: Converter) -> None:
         self._wired = wired
         self._converter = converter
 
@@ -225,7 +225,7 @@ def _curve(address: Address) -> Curve:
     return Curve.from_beta(beta, r0, address.number("t0", 25.0, low=-100.0, high=300.0))
 
 
-def _wire(address: Address) -> Wired:
+def _wire(address: Address) -> WiredThermistor:
     """The wiring as an address tells it."""
     front_end = find_front_end(address)
     tied = address.text("to", "ground")
@@ -235,14 +235,14 @@ def _wire(address: Address) -> Wired:
     number = take_input(address, "channel", front_end, 3)
     supply = take_supply(address, front_end, *SUPPLY)
     require_apart(address, {"channel": number, "supply": supply.number})
-    return Wired(front_end, number, Divider(_curve(address), fixed, tied == "ground"), supply)
+    return WiredThermistor(front_end, number, Divider(_curve(address), fixed, tied == "ground"), supply)
 
 
-def _driver(wired: Wired, link: Link, clock: Clock) -> Thermistor:
+def _driver(wired: WiredThermistor, link: Link, clock: Clock) -> Thermistor:
     return Thermistor(wired, wired.front_end.driver(link, clock))
 
 
-def _twin(wired: Wired, truth: Truth, fixture: Held, clock: Clock) -> Link:
+def _twin(wired: WiredThermistor, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.analog import ThermistorWiring
 
     wiring = ThermistorWiring(truth, fixture, clock, wired.number, wired.divider.share, wired.supply)
@@ -296,7 +296,7 @@ def _model(address: Address) -> Model:
             *front_end.options,
             *chooses,
         ),
-        tailor=_model,
+        configure=_model,
     )
 
 

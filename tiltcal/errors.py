@@ -79,7 +79,7 @@ class DeviceFault(HardwareError):
     """The device answers, and says or shows that it is faulty."""
 
 
-class BayError(HardwareError):
+class SensorError(HardwareError):
     """One device of a bench failed.
 
     Parameters

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.adxl202 import SENSITIVITY_LIMIT, ZERO, Variant
+from tiltcal.drivers.adxl202 import SENSITIVITY_LIMIT, ZERO, Adxl202Variant
 from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges
 from tiltcal.drivers.nmea import checksum
 from tiltcal.drivers.twin.noise import normal, uniform
-from tiltcal.drivers.twin.talker import Talker, answer_in_line
+from tiltcal.drivers.twin.streaming import StreamingTwin, answer_in_line
 from tiltcal.drivers.twin.truth import Truth
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.twin.fixture import Held, Vector
+    from tiltcal.drivers.twin.fixture import HeldPose, Vector
 
 LEVEL: Vector = (0.0, 0.0, 1.0)
 
@@ -32,11 +32,11 @@ class Pulses:
     Parameters
     ----------
     truth : Truth
-    fixture : Held
+    fixture : HeldPose
     clock : Clock
     """
 
-    def __init__(self, truth: Truth, fixture: Held, clock: Clock) -> None:
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         self._truth = truth
         self._fixture = fixture
         self._clock = clock
@@ -63,13 +63,13 @@ class Pulses:
         return min(max(reading, 0.0), 1.0)
 
 
-def sentences_twin(truth: Truth, fixture: Held, clock: Clock) -> Talker:
+def sentences_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTwin:
     """A microcontroller that times both pulses and sends a hundred sentences a second.
 
     Parameters
     ----------
     truth : Truth
-    fixture : Held
+    fixture : HeldPose
         Holds the sensor; its frame is the sensor's.
     clock : Clock
         Session time.
@@ -83,7 +83,7 @@ def sentences_twin(truth: Truth, fixture: Held, clock: Clock) -> Talker:
         inside = f"PTCDC,{number},{x},{y},{ticks},{ticks},{temperature:.2f}".encode()
         return b"$%s*%02X\r\n" % (inside, checksum(inside))
 
-    return Talker(truth, clock, sentence, period=PERIOD, baudrate=BAUDRATE)
+    return StreamingTwin(truth, clock, sentence, period=PERIOD, baudrate=BAUDRATE)
 
 
 class EdgesTwin:
@@ -95,14 +95,14 @@ class EdgesTwin:
     Parameters
     ----------
     truth : Truth
-    fixture : Held
+    fixture : HeldPose
     clock : Clock
         Goes on to the end of that period.
     """
 
     letter = "e"
 
-    def __init__(self, truth: Truth, fixture: Held, clock: Clock) -> None:
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         self._truth = truth
         self._clock = clock
         self._pulses = Pulses(truth, fixture, clock)
@@ -133,12 +133,12 @@ class EdgesTwin:
         return [Edge(time, line, rising, 4 * cycle + place) for place, (time, line, rising) in enumerate(sorted(found))]
 
 
-def draw_truth(variant: Variant, seed: int) -> Truth:
+def draw_truth(variant: Adxl202Variant, seed: int) -> Truth:
     """A plausible part.
 
     Parameters
     ----------
-    variant : Variant
+    variant : Adxl202Variant
     seed : int
         The same seed is the same part.
 

@@ -12,10 +12,10 @@ from tiltcal.drivers.twin.noise import normal, uniform
 from tiltcal.errors import BusError, UsageError
 
 if TYPE_CHECKING:
-    from tiltcal.drivers.analog import Part
+    from tiltcal.drivers.analog import AnalogPart
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.converter import Supply
-    from tiltcal.drivers.twin.fixture import Held, Vector
+    from tiltcal.drivers.twin.fixture import HeldPose, Vector
     from tiltcal.drivers.twin.truth import Fault, Truth
 
 LEVEL: Vector = (0.0, 0.0, 1.0)
@@ -84,7 +84,7 @@ class SensorWiring(Wiring):
     ----------
     truth : Truth
         In V referred to a supply of 5 V.
-    fixture : Held
+    fixture : HeldPose
         Holds the sensor; its frame is the sensor's.
     clock : Clock
     numbers : sequence of int
@@ -95,7 +95,7 @@ class SensorWiring(Wiring):
     def __init__(
         self,
         truth: Truth,
-        fixture: Held,
+        fixture: HeldPose,
         clock: Clock,
         numbers: Sequence[int],
         supply: Supply,
@@ -130,7 +130,7 @@ class ThermistorWiring(Wiring):
     ----------
     truth : Truth
         Of it only seed, supply, the thermometer's error and faults matter.
-    fixture : Held
+    fixture : HeldPose
         The chamber that it is in.
     clock : Clock
     number : int
@@ -143,7 +143,7 @@ class ThermistorWiring(Wiring):
     def __init__(
         self,
         truth: Truth,
-        fixture: Held,
+        fixture: HeldPose,
         clock: Clock,
         number: int,
         divided: Callable[[float], float],
@@ -164,12 +164,12 @@ class ThermistorWiring(Wiring):
         return self._divided(temperature + self._truth.thermometer_error)
 
 
-def draw_truth(part: Part, seed: int) -> Truth:
+def draw_truth(part: AnalogPart, seed: int) -> Truth:
     """A plausible part: what its digital port would show, in V referred to a supply of 5 V, and not rounded.
 
     Parameters
     ----------
-    part : Part
+    part : AnalogPart
     seed : int
         The same seed is the same part.
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.columns import TEMPERATURE, Columns
+from tiltcal.drivers.columns import TEMPERATURE, ColumnLayout
 from tiltcal.drivers.twin.noise import normal, uniform
-from tiltcal.drivers.twin.talker import Talker
+from tiltcal.drivers.twin.streaming import StreamingTwin
 from tiltcal.drivers.twin.truth import Truth
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.twin.fixture import Held, Vector
+    from tiltcal.drivers.twin.fixture import HeldPose, Vector
 
 LEVEL: Vector = (0.0, 0.0, 1.0)
 
@@ -22,14 +22,14 @@ PERIOD = 0.010
 BAUDRATE = 115_200
 
 
-def columns_twin(columns: Columns, truth: Truth, fixture: Held, clock: Clock) -> Talker:
+def columns_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTwin:
     """A device that prints the columns of an address; one that is skipped there reads 0.
 
     Parameters
     ----------
-    columns : Columns
+    columns : ColumnLayout
     truth : Truth
-    fixture : Held
+    fixture : HeldPose
         Holds the sensor; its frame is the sensor's.
     clock : Clock
         Session time.
@@ -50,7 +50,7 @@ def columns_twin(columns: Columns, truth: Truth, fixture: Held, clock: Clock) ->
     def line(place: int) -> bytes:
         return between.join(f"{number(name, place):.9g}".encode() for name in columns.names) + b"\r\n"
 
-    return Talker(truth, clock, line, period=PERIOD, baudrate=BAUDRATE)
+    return StreamingTwin(truth, clock, line, period=PERIOD, baudrate=BAUDRATE)
 
 
 def draw_truth(channels: tuple[str, ...], offset: float, sensitivity: float, seed: int) -> Truth:

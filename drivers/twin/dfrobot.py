@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.dfrobot import HEADER, REQUEST, checksum
 from tiltcal.drivers.sca100t import RDAX, RDAY, RWTR, decode_word
 from tiltcal.drivers.twin.sca100t import RELOAD_NS, Sca100tTwin
-from tiltcal.drivers.twin.talker import answer_in_line
+from tiltcal.drivers.twin.streaming import answer_in_line
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.twin.fixture import Held
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Truth
 
 BYTE_SECONDS = 10 / 9600
@@ -23,7 +23,7 @@ class DfrobotTwin:
     Parameters
     ----------
     truth : Truth
-    fixture : Held
+    fixture : HeldPose
         Holds the module; its frame is the sensor's.
     clock : Clock
         Goes on by the bytes of request and answer.
@@ -31,7 +31,7 @@ class DfrobotTwin:
 
     letter = "r"
 
-    def __init__(self, truth: Truth, fixture: Held, clock: Clock) -> None:
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         self._truth = truth
         self._clock = clock
         self._sensor = Sca100tTwin(truth, fixture, clock)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 Vector = tuple[float, float, float]
 
 
-class Held(Protocol):
+class HeldPose(Protocol):
     """What a twin feels of where it is held."""
 
     @property
@@ -84,7 +84,7 @@ class Fixture:
         self._asked = gravity
         self.gravity = _rotated(gravity, errors)
 
-    def turned(self, seen: Callable[[Vector], Vector]) -> Seat:
+    def turned(self, seen: Callable[[Vector], Vector]) -> Pose:
         """The fixture as a sensor sees it that does not sit straight on it.
 
         Parameters
@@ -92,7 +92,7 @@ class Fixture:
         seen : callable
             Takes a vector of the fixture's frame into the sensor's.
         """
-        return Seat(self, seen)
+        return Pose(self, seen)
 
     def temperature(self) -> float:
         """Temperature of the chamber now, °C."""
@@ -102,7 +102,7 @@ class Fixture:
         return self._target + (self._start_temperature - self._target) * exp(-elapsed / self._time_constant)
 
 
-class Seat:
+class Pose:
     """A sensor's place on a fixture: gravity in its own frame, the chamber's temperature.
 
     Parameters

@@ -99,7 +99,7 @@ class Disk:
 
 
 @dataclass(frozen=True)
-class Sample:
+class DiskSample:
     """One row: seconds, stage angle in degrees (0 to 360) as the encoder tells it, and the four readings."""
 
     time: float
@@ -124,7 +124,7 @@ class Gradiometer:
         self._flicker = disk.noise * sqrt(disk.corner * log(2.0))
         self._held: dict[tuple[str, int], tuple[int, float]] = {}
 
-    def sample(self, number: int) -> Sample:
+    def sample(self, number: int) -> DiskSample:
         """The sample of a number, counted from 0."""
         disk = self._disk
         time = number / disk.rate
@@ -136,9 +136,9 @@ class Gradiometer:
         theta = 360.0 * turned
         if disk.encoder_noise:
             theta += disk.encoder_noise * normal(self._seed, "encoder", number)
-        return Sample(time, theta % 360.0, readings)
+        return DiskSample(time, theta % 360.0, readings)
 
-    def samples(self, count: int, start: int = 0) -> Iterator[Sample]:
+    def samples(self, count: int, start: int = 0) -> Iterator[DiskSample]:
         """A stream of samples."""
         for number in range(start, start + count):
             yield self.sample(number)

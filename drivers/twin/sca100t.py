@@ -22,7 +22,7 @@ from tiltcal.drivers.sca100t import (
     STX,
     STY,
     ZERO,
-    Variant,
+    Sca100tVariant,
 )
 from tiltcal.drivers.twin.noise import normal, uniform
 from tiltcal.drivers.twin.truth import Polynomial, Truth
@@ -30,7 +30,7 @@ from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.twin.fixture import Held, Vector
+    from tiltcal.drivers.twin.fixture import HeldPose, Vector
     from tiltcal.drivers.twin.truth import Fault
 
 LEVEL: Vector = (0.0, 0.0, 1.0)
@@ -54,7 +54,7 @@ class Sca100tTwin:
     Parameters
     ----------
     truth : Truth
-    fixture : Held
+    fixture : HeldPose
         Holds the sensor; its frame is the sensor's.
     clock : Clock
         Session time; each frame lets it advance by its bits at 500 kHz.
@@ -62,7 +62,7 @@ class Sca100tTwin:
 
     letter = "s"
 
-    def __init__(self, truth: Truth, fixture: Held, clock: Clock) -> None:
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         self._truth = truth
         self._fixture = fixture
         self._clock = clock
@@ -203,12 +203,12 @@ REFERENCE = 25.0
 """Where a drawn part's errors as delivered are meant, °C."""
 
 
-def draw_truth(variant: Variant, seed: int) -> Truth:
+def draw_truth(variant: Sca100tVariant, seed: int) -> Truth:
     """A plausible part: every error drawn evenly within the datasheet's tolerance.
 
     Parameters
     ----------
-    variant : Variant
+    variant : Sca100tVariant
     seed : int
         The same seed is the same part.
 

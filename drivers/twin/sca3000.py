@@ -15,7 +15,7 @@ from tiltcal.drivers.sca3000 import (
     TEMP_MSB,
     X_LSB,
     Z_MSB,
-    Part,
+    Sca3000Part,
 )
 from tiltcal.drivers.twin.noise import normal, uniform
 from tiltcal.drivers.twin.truth import Truth
@@ -23,7 +23,7 @@ from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.twin.fixture import Held, Vector
+    from tiltcal.drivers.twin.fixture import HeldPose, Vector
     from tiltcal.drivers.twin.truth import Fault
 
 LEVEL: Vector = (0.0, 0.0, 1.0)
@@ -46,14 +46,14 @@ class Registers:
     Parameters
     ----------
     truth : Truth
-    fixture : Held
+    fixture : HeldPose
         Holds the sensor; its frame is the sensor's.
     clock : Clock
         Session time.
-    part : Part
+    part : Sca3000Part
     """
 
-    def __init__(self, truth: Truth, fixture: Held, clock: Clock, part: Part) -> None:
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock, part: Sca3000Part) -> None:
         self._truth = truth
         self._fixture = fixture
         self._clock = clock
@@ -124,7 +124,7 @@ class Sca3000SpiTwin:
 
     letter = "s"
 
-    def __init__(self, truth: Truth, fixture: Held, clock: Clock, part: Part) -> None:
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock, part: Sca3000Part) -> None:
         self._registers = Registers(truth, fixture, clock, part)
         self._clock = clock
         self._seed = truth.seed
@@ -156,7 +156,7 @@ class Sca3000I2cTwin:
 
     letter = "i"
 
-    def __init__(self, truth: Truth, fixture: Held, clock: Clock, part: Part) -> None:
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock, part: Sca3000Part) -> None:
         self._registers = Registers(truth, fixture, clock, part)
         self._clock = clock
         self._shift = part.pointer_shift
@@ -180,12 +180,12 @@ REFERENCE = 25.0
 """Where a drawn part's errors are meant, °C."""
 
 
-def draw_truth(part: Part, seed: int) -> Truth:
+def draw_truth(part: Sca3000Part, seed: int) -> Truth:
     """A plausible part: every error drawn evenly within limits that are ours, for no source names the part's.
 
     Parameters
     ----------
-    part : Part
+    part : Sca3000Part
     seed : int
         The same seed is the same part.
 

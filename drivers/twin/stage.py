@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from tiltcal.drivers.twin.gradiometer import CHANNELS, Accelerometer, Disk, Gradiometer
 from tiltcal.drivers.twin.noise import uniform
-from tiltcal.drivers.twin.talker import Talker
+from tiltcal.drivers.twin.streaming import StreamingTwin
 from tiltcal.drivers.twin.truth import Truth
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.columns import Columns
+    from tiltcal.drivers.columns import ColumnLayout
 
 TIME, THETA = "time", "theta"
 
@@ -41,12 +41,12 @@ class StageTruth(Truth):
         return cls((TIME, THETA, *CHANNELS), {}, {}, seed=seed, disk=disk)
 
 
-def stage_twin(columns: Columns, truth: Truth, clock: Clock) -> Talker:
+def stage_twin(columns: ColumnLayout, truth: Truth, clock: Clock) -> StreamingTwin:
     """A stage that prints the columns of an address; one that is skipped there, or that it has not, reads 0.
 
     Parameters
     ----------
-    columns : Columns
+    columns : ColumnLayout
     truth : StageTruth
         While its fault ``stuck`` lasts, the line of its beginning is printed again and again.
     clock : Clock
@@ -63,7 +63,7 @@ def stage_twin(columns: Columns, truth: Truth, clock: Clock) -> Talker:
         printed = {TIME: number / disk.rate, THETA: sample.theta, **dict(zip(CHANNELS, sample.readings, strict=True))}
         return between.join(f"{printed.get(name, 0.0):.9g}".encode() for name in columns.names) + b"\r\n"
 
-    return Talker(truth, clock, line, period=1.0 / disk.rate, baudrate=BAUDRATE)
+    return StreamingTwin(truth, clock, line, period=1.0 / disk.rate, baudrate=BAUDRATE)
 
 
 def draw_truth(seed: int) -> StageTruth:

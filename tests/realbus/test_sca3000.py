@@ -11,14 +11,13 @@ import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from statistics import fmean, stdev
 
 import pytest
+from support import ROOT
+from support.emulated.bench import DEVICE, I2C_BUS, Bench, Message, PartFacts, Sca3000, run_on_i2c, run_on_spi
 
-from realbus.bench import DEVICE, I2C_BUS, Bench, Message, PartFacts, Sca3000, run_on_i2c, run_on_spi
-
-READ = [sys.executable, str(Path(__file__).parent / "read_sensor.py")]
+READ = [sys.executable, str(ROOT / "tests" / "support" / "emulated" / "read_sensor.py")]
 CHIP = 0x1D
 
 Run = Callable[[list[str], PartFacts], AbstractContextManager[Bench]]

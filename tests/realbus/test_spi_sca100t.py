@@ -5,14 +5,18 @@ from __future__ import annotations
 import errno
 import sys
 from itertools import pairwise
-from pathlib import Path
 from statistics import fmean, median, stdev
 
 import pytest
+from support import ROOT
+from support.emulated.bench import DEVICE, Message, Part, run_on_spi
 
-from realbus.bench import DEVICE, Message, Part, run_on_spi
-
-PROGRAM = [sys.executable, str(Path(__file__).parent / "read_sensor.py"), "sca100t-d02", f"spi://{DEVICE}"]
+PROGRAM = [
+    sys.executable,
+    str(ROOT / "tests" / "support" / "emulated" / "read_sensor.py"),
+    "sca100t-d02",
+    f"spi://{DEVICE}",
+]
 
 pytest.importorskip("spidev", reason="the spidev package is not installed")
 

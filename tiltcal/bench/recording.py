@@ -14,9 +14,9 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import BinaryIO
 
-from tiltcal.bench.plan import stamp
-from tiltcal.bench.rack import Bay, Listener, Rack, column_name
-from tiltcal.bench.tape import Tape
+from tiltcal.bench.event_log import EventLog
+from tiltcal.bench.sensor_set import ConnectedSensor, Listener, SensorSet, column_name
+from tiltcal.bench.session_plan import stamp
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Reading
 from tiltcal.errors import HardwareError, UsageError
@@ -26,7 +26,7 @@ SECURE_NS = 1_000_000_000
 
 
 @dataclass
-class Tally:
+class RecordingTally:
     """What a recording holds so far.
 
     Attributes
@@ -43,7 +43,7 @@ class Tally:
     why: str = ""
 
 
-class CsvLog:
+class CsvRecorder:
     """A log that only grows.
 
     Parameters
@@ -76,7 +76,7 @@ class CsvLog:
         os.close(self._descriptor)
 
 
-def header(bays: Sequence[Bay], *, thermometer: bool) -> list[str]:
+def header(bays: Sequence[ConnectedSensor], *, thermometer: bool) -> list[str]:
     """Column names: ``x``, ``y``, ``temperature`` of a single sensor; of several each begins with the serial number."""
     names = ["time"]
     for bay in bays:
@@ -85,17 +85,19 @@ def header(bays: Sequence[Bay], *, thermometer: bool) -> list[str]:
     return names + (["temperature"] if thermometer else [])
 
 
-def sample_rows(stream: BinaryIO, bays: Sequence[Bay], started: datetime, tape: Tape, thermometer: bool) -> Listener:
+def sample_rows(
+    stream: BinaryIO, bays: Sequence[ConnectedSensor], started: datetime, tape: EventLog, thermometer: bool
+) -> Listener:
     """What writes a session's samples as the rows of a log; a sensor that was given up leaves its cells empty.
 
     Parameters
     ----------
     stream : BinaryIO
         Has the header at once.
-    bays : sequence of Bay
+    bays : sequence of ConnectedSensor
     started : datetime
         UTC, when the session began.
-    tape : Tape
+    tape : EventLog
         Says when a sample was taken.
     thermometer : bool
         Whether the bench has one of its own.
@@ -113,21 +115,21 @@ def sample_rows(stream: BinaryIO, bays: Sequence[Bay], started: datetime, tape: 
 
 
 def record(
-    rack: Rack,
-    log: CsvLog,
+    rack: SensorSet,
+    log: CsvRecorder,
     clock: Clock,
     started: datetime,
     *,
     thermometer: bool,
     interval: float,
     rows: int | None,
-) -> Iterator[Tally]:
+) -> Iterator[RecordingTally]:
     """Take samples at a steady pace and append them to a log.
 
     Parameters
     ----------
-    rack : Rack
-    log : CsvLog
+    rack : SensorSet
+    log : CsvRecorder
     clock : Clock
     started : datetime
         UTC, when ``clock`` stood at zero.
@@ -140,10 +142,10 @@ def record(
 
     Yields
     ------
-    Tally
+    RecordingTally
         After each row.
     """
-    tally = Tally()
+    tally = RecordingTally()
     # A sensor that talks faster than rows are taken would be read later and later.
     slower = interval > 1.5 * min(model.interval for model in rack.models)
     rack.discard()
@@ -152,7 +154,7 @@ def record(
         if slower:
             with suppress(HardwareError):
                 rack.discard()
-        readings, why = rack.try_each()
+        readings, why = rack.read_available()
         now_ns = clock.now_ns()
         log.write(_cells(rack.bays, readings, started + timedelta(microseconds=now_ns / 1000), thermometer))
         tally.rows += 1
@@ -166,7 +168,9 @@ def record(
         clock.sleep(max(0, due_ns - clock.now_ns()) / 1e9)
 
 
-def _cells(bays: Sequence[Bay], readings: Sequence[Reading | None], moment: datetime, thermometer: bool) -> list[str]:
+def _cells(
+    bays: Sequence[ConnectedSensor], readings: Sequence[Reading | None], moment: datetime, thermometer: bool
+) -> list[str]:
     cells = [stamp(moment)]
     common = None
     for bay, reading in zip(bays, readings, strict=True):

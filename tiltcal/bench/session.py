@@ -10,20 +10,26 @@ from datetime import timedelta
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
-from tiltcal.bench.conclusion import Ending, Walked, pair_calibration, tilt_calibrations, tilt_provenance
-from tiltcal.bench.desk import Desk
-from tiltcal.bench.hookup import hook_up
+from tiltcal.bench.channel_map import map_channels
+from tiltcal.bench.connection import connected, open_device
+from tiltcal.bench.event_log import EventLog, RecordedClock
 from tiltcal.bench.operators.operator import Operator
-from tiltcal.bench.plan import Place, Plan
-from tiltcal.bench.rack import Rack
+from tiltcal.bench.position_runner import PositionRunner
+from tiltcal.bench.recorded_operator import RecordedOperator
 from tiltcal.bench.recording import sample_rows
-from tiltcal.bench.rotation import RotationRunner, Turned
-from tiltcal.bench.runner import Runner
-from tiltcal.bench.tape import Tape, TapedClock
+from tiltcal.bench.rotation_runner import RotationResult, RotationRunner
+from tiltcal.bench.sensor_set import SensorSet
+from tiltcal.bench.session_calibration import (
+    MeasuredPositions,
+    SessionEnd,
+    pair_calibration,
+    tilt_calibrations,
+    tilt_provenance,
+)
+from tiltcal.bench.session_plan import DeviceSetup, SessionPlan
 from tiltcal.bench.virtual import VirtualBench
-from tiltcal.bench.wiring import open_place, wired
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
-from tiltcal.drivers.device import Model, Talking
+from tiltcal.drivers.device import Model, StreamingSensor
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import Calibration, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter
@@ -35,7 +41,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Result:
+class SessionResult:
     """What a session gave.
 
     Attributes
@@ -44,13 +50,13 @@ class Result:
         The calibration files, by where they go.
     lost : dict of str to str
         Why sensors were given up, by serial number.
-    receptions : dict of str to mapping of str to int
+    link_statistics_by_serial : dict of str to mapping of str to int
         By serial number: what became of what a sensor said that talks by itself.
     """
 
     texts: dict[Path, str]
     lost: dict[str, str]
-    receptions: dict[str, Mapping[str, int]]
+    link_statistics_by_serial: dict[str, Mapping[str, int]]
 
 
 class Session:
@@ -58,7 +64,7 @@ class Session:
 
     Parameters
     ----------
-    plan : Plan
+    plan : SessionPlan
     path : Path
         The journal.
     journal : Journal, optional
@@ -70,7 +76,7 @@ class Session:
         Whether the journal has its end, so that there is nothing to resume.
     """
 
-    def __init__(self, plan: Plan, path: Path, journal: Journal | None = None) -> None:
+    def __init__(self, plan: SessionPlan, path: Path, journal: Journal | None = None) -> None:
         self.plan = plan
         self.path = path
         self.finished = False
@@ -102,11 +108,11 @@ class Session:
         for path in (*self.outputs, self.path):
             check_writable(path)
         for place in self.plan.devices:
-            with closing(open_place(place, self._virtual)) as link:
+            with closing(open_device(place, self._virtual)) as link:
                 place.fitted.driver(link, self._clock).probe()
         self._clock.seek(0)
 
-    def measure(self, operator: Operator) -> Result:
+    def measure(self, operator: Operator) -> SessionResult:
         """Carry the session out, or go on with it, and write the calibration files.
 
         Raises
@@ -124,7 +130,7 @@ class Session:
             raise HardwareError("no calibration file for " + "; ".join(result.lost.values()))
         return result
 
-    def replay(self, operator: Operator, samples: BinaryIO | None = None) -> Result:
+    def replay(self, operator: Operator, samples: BinaryIO | None = None) -> SessionResult:
         """Run a captured session again without hardware.
 
         Parameters
@@ -141,7 +147,7 @@ class Session:
         self._samples = samples
         return self._concluded(operator, None)
 
-    def walk(self, operator: Operator, conclude: Callable[[Walked], T]) -> tuple[T, Ending]:
+    def walk(self, operator: Operator, conclude: Callable[[MeasuredPositions], T]) -> tuple[T, SessionEnd]:
         """Take the positions, or go on with them, and draw a conclusion from them that is no calibration file.
 
         Parameters
@@ -154,7 +160,7 @@ class Session:
         -------
         conclusion
             What ``conclude`` returned.
-        ending : Ending
+        ending : SessionEnd
         """
         return self._walk(operator, self._live_writer(), lambda walked, runner: conclude(walked))
 
@@ -164,12 +170,12 @@ class Session:
             return JournalWriter.create(self.path, self.plan.header())
         return JournalWriter.resume(self._journal) if self._journal.end is None else None
 
-    def _concluded(self, operator: Operator, writer: JournalWriter | None) -> Result:
+    def _concluded(self, operator: Operator, writer: JournalWriter | None) -> SessionResult:
         """Carry the procedure out and make the calibration files' texts."""
         if self.plan.procedure.rotation is not None:
             return self._matched(operator, writer, self.plan.procedure.rotation)
 
-        def conclude(walked: Walked, runner: Runner) -> dict[Place, Calibration]:
+        def conclude(walked: MeasuredPositions, runner: PositionRunner) -> dict[DeviceSetup, Calibration]:
             found = tilt_calibrations(self.plan, walked)
             kept = {place: found[place.serial] for place in self.plan.places if place.serial in found}
             runner.confirm_write(lambda: operator.write([self._output(place) for place in kept]))
@@ -180,45 +186,50 @@ class Session:
             self._output(place): dump_calibration(replace(one, provenance=tilt_provenance(self.plan, place, ending)))
             for place, one in calibrations.items()
         }
-        return Result(texts, ending.lost, ending.receptions)
+        return SessionResult(texts, ending.lost, ending.link_statistics_by_serial)
 
-    def _matched(self, operator: Operator, writer: JournalWriter | None, rotation: Rotation) -> Result:
+    def _matched(self, operator: Operator, writer: JournalWriter | None, rotation: Rotation) -> SessionResult:
         """Let the stage turn, and make the text of the pair file."""
         plan = self.plan
-        hookup = hook_up(rotation, [(place.serial, place.fitted) for place in plan.places])
+        hookup = map_channels(rotation, [(place.serial, place.fitted) for place in plan.places])
         (output,) = self.outputs
 
-        def turn(rack: Rack, tape: Tape, clock: TapedClock) -> Turned:
-            desk = Desk(tape)
+        def turn(rack: SensorSet, tape: EventLog, clock: RecordedClock) -> RotationResult:
+            desk = RecordedOperator(tape)
             turned = RotationRunner(rotation, hookup, rack, operator, desk, tape, clock).run(plan.procedure.title)
             desk.ask("write", lambda: operator.write([output]))
             return turned
 
         turned, ending = self._on_tape(writer, turn)
         text = dump_pair(pair_calibration(plan, hookup, turned, ending))
-        return Result({output: text}, ending.lost, ending.receptions)
+        return SessionResult({output: text}, ending.lost, ending.link_statistics_by_serial)
 
     def _walk(
-        self, operator: Operator, writer: JournalWriter | None, conclude: Callable[[Walked, Runner], T]
-    ) -> tuple[T, Ending]:
+        self,
+        operator: Operator,
+        writer: JournalWriter | None,
+        conclude: Callable[[MeasuredPositions, PositionRunner], T],
+    ) -> tuple[T, SessionEnd]:
         """Take every position of the procedure, and draw a conclusion before the journal ends."""
         plan = self.plan
         fixture = self._virtual.fixture if plan.virtual and writer is not None else None
 
-        def walk(rack: Rack, tape: Tape, clock: TapedClock) -> T:
-            runner = Runner(plan.procedure, rack, operator, tape, clock, plan.settings, fixture)
+        def walk(rack: SensorSet, tape: EventLog, clock: RecordedClock) -> T:
+            runner = PositionRunner(plan.procedure, rack, operator, tape, clock, plan.settings, fixture)
             taken = runner.run()
-            return conclude(Walked(rack.bays, tuple(taken)), runner)
+            return conclude(MeasuredPositions(rack.bays, tuple(taken)), runner)
 
         return self._on_tape(writer, walk)
 
-    def _on_tape(self, writer: JournalWriter | None, work: Callable[[Rack, Tape, TapedClock], T]) -> tuple[T, Ending]:
+    def _on_tape(
+        self, writer: JournalWriter | None, work: Callable[[SensorSet, EventLog, RecordedClock], T]
+    ) -> tuple[T, SessionEnd]:
         """Do something with the rack whose every byte and answer is on the tape, and end the tape."""
-        tape = Tape(self._clock, self._journal, writer)
-        clock = TapedClock(tape, self._clock)
+        tape = EventLog(self._clock, self._journal, writer)
+        clock = RecordedClock(tape, self._clock)
         plan = self.plan
         try:
-            with wired(plan.places, plan.thermometer, tape, clock, self._virtual) as rack:
+            with connected(plan.places, plan.thermometer, tape, clock, self._virtual) as rack:
                 if self._samples is not None:
                     rack.tell(sample_rows(self._samples, rack.bays, plan.started, tape, plan.thermometer is not None))
                 conclusion = work(rack, tape, clock)
@@ -228,8 +239,10 @@ class Session:
         finally:
             if writer is not None:
                 writer.close()
-        receptions = {bay.serial: bay.sensor.reception() for bay in rack.bays if isinstance(bay.sensor, Talking)}
-        return conclusion, Ending(ended, sha256, rack.lost, receptions)
+        link_statistics_by_serial = {
+            bay.serial: bay.sensor.link_statistics() for bay in rack.bays if isinstance(bay.sensor, StreamingSensor)
+        }
+        return conclusion, SessionEnd(ended, sha256, rack.lost, link_statistics_by_serial)
 
-    def _output(self, place: Place) -> Path:
+    def _output(self, place: DeviceSetup) -> Path:
         return Path(os.path.normpath(self.path.parent / place.output))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
-from tiltcal.bench.rack import Sample
+from tiltcal.bench.sensor_set import Sample
 from tiltcal.core.statistics import drift
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Model

@@ -8,16 +8,16 @@ from math import acos, degrees, hypot, inf, isnan
 
 import numpy as np
 
-from tiltcal.bench.rack import Bay
-from tiltcal.bench.runner import Taken
-from tiltcal.core.compensate import Compensation
+from tiltcal.bench.position_runner import PositionResult
+from tiltcal.bench.sensor_set import ConnectedSensor
+from tiltcal.core.compensation import Compensation
 from tiltcal.core.frames import Vector, tilt_from_gravity
 from tiltcal.core.model import Coefficients
 from tiltcal.files.calibration import Calibration
 
 
 @dataclass(frozen=True)
-class Check:
+class VerifiedPosition:
     """One position as set, and as the calibration reads it.
 
     Attributes
@@ -46,14 +46,14 @@ class Check:
         return inf if any(isnan(error) for error in errors) else max(errors)
 
 
-def checks(calibration: Calibration, bay: Bay, taken: Sequence[Taken]) -> list[Check]:
+def checks(calibration: Calibration, bay: ConnectedSensor, taken: Sequence[PositionResult]) -> list[VerifiedPosition]:
     """Every position of a sensor, as its calibration reads it.
 
     Parameters
     ----------
     calibration : Calibration
-    bay : Bay
-    taken : sequence of Taken
+    bay : ConnectedSensor
+    taken : sequence of PositionResult
     """
     coefficients = calibration.coefficients
     # What is judged is the sensor's own frame, in which positions are set; the mounting is the application's.
@@ -69,7 +69,7 @@ def checks(calibration: Calibration, bay: Bay, taken: Sequence[Taken]) -> list[C
         gravity = bay.orientation.seen(one.position.gravity)
         expected = _tilt(gravity)
         found.append(
-            Check(
+            VerifiedPosition(
                 one.position.name,
                 {axis: expected[axis] for axis in compensation.axes},
                 dict(zip(compensation.axes, result.tilt[0].tolist(), strict=True)),

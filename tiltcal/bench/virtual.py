@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from math import radians
 
-from tiltcal.bench.plan import Place
+from tiltcal.bench.session_plan import DeviceSetup
 from tiltcal.core.frames import Vector
 from tiltcal.core.model import Mounting
 from tiltcal.drivers.bus.address import Address, parse_address
@@ -25,11 +25,11 @@ class VirtualBench:
     ----------
     clock : Clock
         Session time.
-    places : sequence of Place
+    places : sequence of DeviceSetup
         The devices; ``sim:`` addresses take ``twin=FILE`` and ``seed=N``.
     """
 
-    def __init__(self, clock: Clock, places: Sequence[Place]) -> None:
+    def __init__(self, clock: Clock, places: Sequence[DeviceSetup]) -> None:
         self._clock = clock
         self._first = next((place for place in places if parse_address(place.address).simulated), None)
 
@@ -47,13 +47,13 @@ class VirtualBench:
             time_constant=truth.time_constant,
         )
 
-    def twin(self, place: Place) -> Link:
+    def twin(self, place: DeviceSetup) -> Link:
         """The virtual sensor behind a ``sim:`` address."""
         truth = truth_of(parse_address(place.address), place.fitted)
         return place.fitted.twin(truth, self.fixture.turned(_seat(place, truth)), self._clock)
 
 
-def _seat(place: Place, truth: Truth) -> Callable[[Vector], Vector]:
+def _seat(place: DeviceSetup, truth: Truth) -> Callable[[Vector], Vector]:
     """What takes a vector of the fixture's frame into the sensor's."""
     if truth.mounting == (0.0, 0.0, 0.0):
         return place.orientation.seen

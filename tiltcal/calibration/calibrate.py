@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.findings import derived_record, fit_record, rounded, uncertainty_record
-from tiltcal.core.estimation.design import STRAIGHT, Design, Observation, Prior, Sensor
+from tiltcal.calibration.results import derived_record, fit_record, rounded, uncertainty_record
+from tiltcal.core.estimation.design import STRAIGHT, Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.model import AXES, Array, Limits
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.statistics import Summary
+from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import Calibration, SensorIdentity
@@ -35,7 +35,7 @@ class Measurement:
         As set, degrees; None where the position is given by its direction.
     temperature : float or None
         °C.
-    summaries : mapping of str to Summary
+    summaries : mapping of str to SampleSummary
         Per channel of the sensor.
     when : mapping of str to Any
         How the position is found again: its time, or its rows of a log.
@@ -47,7 +47,7 @@ class Measurement:
     gravity: tuple[float, float, float]
     tilt: Mapping[str, float] | None
     temperature: float | None
-    summaries: Mapping[str, Summary]
+    summaries: Mapping[str, SampleSummary]
     when: Mapping[str, Any] = field(default_factory=dict)
     heading: float | None = None
 
@@ -75,7 +75,7 @@ class Nominal:
 
 
 @dataclass(frozen=True)
-class Subject:
+class MeasuredSensor:
     """One sensor of a fixture with what was measured of it.
 
     Attributes
@@ -95,7 +95,7 @@ class Subject:
 
 
 def calibrate_jointly(
-    subjects: Sequence[Subject],
+    subjects: Sequence[MeasuredSensor],
     procedure: Procedure,
     *,
     jig: float | None = None,
@@ -107,7 +107,7 @@ def calibrate_jointly(
 
     Parameters
     ----------
-    subjects : sequence of Subject
+    subjects : sequence of MeasuredSensor
     procedure : Procedure
         Says which coefficients to determine.
     jig : float, optional
@@ -131,7 +131,7 @@ def calibrate_jointly(
     designs = [design_of(subject, procedure, jig, thermometer) for subject in subjects]
     found = estimate_jointly(
         [
-            Sensor(design, observations_of(subject.measurements, design.channels), subject.orientation)
+            SensorObservations(design, observations_of(subject.measurements, design.channels), subject.orientation)
             for subject, design in zip(subjects, designs, strict=True)
         ]
     )
@@ -153,7 +153,7 @@ def calibrate_jointly(
     return calibrations
 
 
-def design_of(subject: Subject, procedure: Procedure, jig: float | None, thermometer: float | None) -> Design:
+def design_of(subject: MeasuredSensor, procedure: Procedure, jig: float | None, thermometer: float | None) -> Design:
     """What a procedure determines of a sensor, and how well the bench sets what it sets.
 
     Raises

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.calibrate import Measurement, Subject
+from tiltcal.calibration.calibrate import MeasuredSensor, Measurement
 from tiltcal.core.estimation.ellipsoid import UNKNOWNS, count_distinct, fit_ellipsoid, misfits
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.rounding import significant
-from tiltcal.core.statistics import Summary
+from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import Calibration
 from tiltcal.files.procedure import Procedure
@@ -34,12 +34,12 @@ def require_no_jig(procedure: Procedure, jig: float | None) -> None:
         raise UsageError("free positions trust no jig: leave --jig out, or name a procedure whose positions are set")
 
 
-def directed(subjects: Sequence[Subject]) -> list[Subject]:
+def directed(subjects: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
     """The sensors of a fixture with every position where the readings say that it was, for the estimator to refine.
 
     Parameters
     ----------
-    subjects : sequence of Subject
+    subjects : sequence of MeasuredSensor
         One of three channels among them: the ellipsoid of its readings gives the directions for all.
 
     Raises
@@ -54,12 +54,12 @@ def directed(subjects: Sequence[Subject]) -> list[Subject]:
     return [replace(one, measurements=_turned(one, seen)) for one in subjects]
 
 
-def directions(positions: Sequence[Mapping[str, Summary]]) -> Array:
+def directions(positions: Sequence[Mapping[str, SampleSummary]]) -> Array:
     """A first guess at where gravity pointed in each position.
 
     Parameters
     ----------
-    positions : sequence of mapping of str to Summary
+    positions : sequence of mapping of str to SampleSummary
         What x, y and z read in each.
 
     Returns
@@ -101,7 +101,7 @@ def with_verdict(calibration: Calibration, measurements: Sequence[Measurement]) 
     return replace(calibration, derived={**calibration.derived, "mounting": UNDETERMINED}, fit=fit)
 
 
-def _turned(subject: Subject, directions: Array) -> list[Measurement]:
+def _turned(subject: MeasuredSensor, directions: Array) -> list[Measurement]:
     """A sensor's positions in directions of the fixture's frame."""
     own = directions @ np.array(subject.orientation).T
     return [

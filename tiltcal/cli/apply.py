@@ -15,7 +15,7 @@ from tiltcal.errors import InputError, TiltcalError, UsageError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tiltcal.cli.apply_logs import Task
+    from tiltcal.cli.apply_tasks import ApplyTask
 
 _EXAMPLE = """\b
 Examples:
@@ -99,17 +99,17 @@ def command(
     Where CALIBRATION is of accelerometer pairs (from `tiltcal match`), the columns are the matched sum of each pair
     and, with both pairs, the gradient signal and its components at twice the turning, over the turn before.
     """
-    from tiltcal.cli.apply_logs import Task, apply_to_log, tasks_of
-    from tiltcal.logs.kernels import Wish, applied
+    from tiltcal.cli.apply_tasks import ApplyTask, apply_to_log, tasks_of
+    from tiltcal.logs.prepared import ApplyOptions, prepare
 
     if reading_noise is not None and not uncertainty:
         raise UsageError("--reading-noise is for --uncertainty, which is not there")
-    wish = Wish(calibration, first_order, uncertainty, reading_noise)
+    wish = ApplyOptions(calibration, first_order, uncertainty, reading_noise)
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
         tasks = tasks_of(wish, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
-        applied(wish, _say)  # what is wrong with the calibration is wrong once
+        prepare(wish, _say)  # what is wrong with the calibration is wrong once
         return _each(tasks, scheduler, as_json)
-    summary = apply_to_log(Task(wish, logs[0], output, columns, skip_bad_rows), _say)
+    summary = apply_to_log(ApplyTask(wish, logs[0], output, columns, skip_bad_rows), _say)
     if as_json:
         click.echo(json.dumps(summary.as_data()), err=output == STANDARD)
     else:
@@ -117,9 +117,9 @@ def command(
     return 0
 
 
-def _each(tasks: Sequence[Task], scheduler: str | None, as_json: bool) -> int:
+def _each(tasks: Sequence[ApplyTask], scheduler: str | None, as_json: bool) -> int:
     """Do several logs, tell of each when it is done, and fail at the end where one could not be."""
-    from tiltcal.cli.apply_logs import done_here, done_on
+    from tiltcal.cli.apply_tasks import done_here, done_on
 
     told = {}
     for task, outcome in done_here(tasks) if scheduler is None else done_on(scheduler, tasks):

@@ -119,9 +119,9 @@ def _of_journal_beside(path: Path, provenance: Mapping[str, Any]) -> list[str]:
 def _against_journal(path: Path, journal: Path) -> list[str]:
     """Replay the journal that lies beside a calibration file."""
     from tiltcal.bench.operators.sim import SimOperator
-    from tiltcal.bench.plan import Plan
     from tiltcal.bench.session import Session
+    from tiltcal.bench.session_plan import SessionPlan
 
     captured = read_journal(journal)
-    texts = Session(Plan.from_journal(captured), journal, captured).replay(SimOperator(lambda line: None)).texts
+    texts = Session(SessionPlan.from_journal(captured), journal, captured).replay(SimOperator(lambda line: None)).texts
     return [] if path.read_text(encoding="utf-8") in texts.values() else [f"{journal} does not give this file"]

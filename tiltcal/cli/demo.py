@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.plan import plan_session, single
 from tiltcal.bench.session import Session
+from tiltcal.bench.session_plan import plan_session, single
 from tiltcal.cli.report import write_report
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import Address, parse_address
@@ -79,7 +79,7 @@ def command(folder: Path, seed: int) -> None:
 
 def _record(path: Path, address: Address, model: Model) -> None:
     """Write the log that the calibration is applied to, with its true tilt beside the readings."""
-    from tiltcal.bench.walk import walk
+    from tiltcal.bench.virtual_log import walk
 
     lines = ["time,x,y,temperature,true_tilt_x,true_tilt_y"]
     for row in walk(address, model, rows=ROWS, reach=REACH, temperatures=TEMPERATURES):

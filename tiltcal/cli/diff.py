@@ -20,7 +20,7 @@ def command(before: Path, after: Path, as_json: bool) -> None:
     Every coefficient's change, and the change over its standard uncertainty. The verdict allows for the number of
     coefficients that are compared: of two calibrations of an unchanged sensor it calls 5 % different.
     """
-    from tiltcal.core.change import judge
+    from tiltcal.core.comparison import judge
 
     old, new = read_calibration(before), read_calibration(after)
     require_same_sensor(old, new)

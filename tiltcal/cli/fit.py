@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tiltcal.files.calibration import Calibration, SensorIdentity
     from tiltcal.files.procedure import Procedure
     from tiltcal.files.segments import Segment
-    from tiltcal.logs.source import Source
+    from tiltcal.logs.fit_input import FitInput
 
 UNKNOWN_MODEL = "recorded"
 
@@ -110,21 +110,21 @@ def command(
     With PROCEDURE free nobody has to know the positions: a three-axis sensor is held still in a dozen or more
     attitudes, whatever they are, and gravity is 1 g in each. How the sensor is mounted stays undetermined.
     """
-    from tiltcal.calibration.calibrate import Nominal, Subject
-    from tiltcal.calibration.mount import base_of, mount
-    from tiltcal.calibration.outlook import require_tilt
-    from tiltcal.calibration.sweep import calibrate_in_order
+    from tiltcal.calibration.calibrate import MeasuredSensor, Nominal
+    from tiltcal.calibration.mounting import base_of, mount
+    from tiltcal.calibration.prediction import require_tilt
+    from tiltcal.calibration.temperature_order import calibrate
     from tiltcal.calibration.unit_gravity import require_no_jig, with_verdict
     from tiltcal.files.calibration import write_calibration
     from tiltcal.files.procedure import find_procedure
     from tiltcal.logs import remarks
-    from tiltcal.logs.source import Source, free_positions, set_positions
+    from tiltcal.logs.fit_input import FitInput, free_positions, set_positions
     from tiltcal.report.summary import mounting_summary, summary
 
     steps = find_procedure(procedure, tilt)
     steps.require_positions()
     free = steps.determines.free
-    source = Source(log, segments, table, columns, window)
+    source = FitInput(log, segments, table, columns, window)
     _refuse_contradictions(source, free)
     require_no_jig(steps, jig)
     if (window is not None or segments_out is not None) and not (free and source.finds):
@@ -151,8 +151,8 @@ def command(
     else:
         nominal = None if model is None or model.unit != identity.unit else Nominal.of(model)
         warmth = thermometer if model is None or thermometer is not None else model.thermometer_rounding
-        subject = Subject(identity, positions.measurements, nominal)
-        (calibration,) = calibrate_in_order([subject], steps, jig=jig, thermometer=warmth, provenance=provenance)
+        subject = MeasuredSensor(identity, positions.measurements, nominal)
+        (calibration,) = calibrate([subject], steps, jig=jig, thermometer=warmth, provenance=provenance)
     if free:
         calibration = with_verdict(calibration, positions.measurements)
     if table and mounted is None:
@@ -169,7 +169,7 @@ def command(
     click.echo(f"wrote {output}", err=True)
 
 
-def _refuse_contradictions(source: Source, free: bool) -> None:
+def _refuse_contradictions(source: FitInput, free: bool) -> None:
     if source.table and source.segments is not None:
         raise UsageError("a --table has its positions already: leave --segments out")
     if source.table and source.columns:

@@ -35,7 +35,7 @@ def require_csv(*names: str) -> None:
             raise UsageError(f"{name}: logs are CSV for now; convert it to CSV first")
 
 
-class Pipe:
+class PipeReader:
     """What arrives from a pipe, a device or a terminal; Ctrl-C ends the wait for it.
 
     The engine that parses rows has its own word on signals, and lets a read go on after one.
@@ -97,7 +97,7 @@ def log_source(log: str) -> Iterator[tuple[BinaryIO, str, int | None]]:
 
 
 def _read_as_it_comes(stream: BinaryIO) -> BinaryIO:
-    return cast("BinaryIO", Pipe(stream)) if has_no_end(stream) else stream
+    return cast("BinaryIO", PipeReader(stream)) if has_no_end(stream) else stream
 
 
 @contextmanager

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from tiltcal.core.pair.matching import Matching
     from tiltcal.core.pair.model import Pair
     from tiltcal.files.pair import PairCalibration
-    from tiltcal.logs.matching import Demodulated
-    from tiltcal.logs.pair_witness import SpectralWitness, Watch
-    from tiltcal.report.pair import Drawing
+    from tiltcal.logs.pair_matching import Demodulated
+    from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
+    from tiltcal.report.pair_figures import PairDrawing
 
 _EXAMPLES = """\b
 Examples:
@@ -86,8 +86,8 @@ def command(
     """
     from tiltcal.files.pair import write_pair
     from tiltcal.files.whole import check_writable
-    from tiltcal.logs.pair_witness import SpectralWitness, Watch
-    from tiltcal.report.pair import draw_matching, summary
+    from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
+    from tiltcal.report.pair_figures import draw_matching, summary
 
     if loops and not online:
         raise UsageError("--loops says which of the --online estimators is meant; give --online too")
@@ -96,8 +96,8 @@ def command(
     for path in filter(None, (output, figure)):
         check_writable(path)
     say = partial(click.echo, err=True)
-    watch = Watch(wanted, channels, say) if online else None
-    spectra = SpectralWitness(channels) if figure else None
+    watch = PairObserver(wanted, channels, say) if online else None
+    spectra = SpectrumObserver(channels) if figure else None
     with _source(log, online) as (stream, name, size), _told_why(name, stream):
         found, digest = _read(stream, name, size, channels, phase, skip_bad_rows, (watch, spectra), say)
         matchings = [_matched(found, pair, watch, loops) for pair in wanted]
@@ -143,16 +143,16 @@ def _read(
     channels: Sequence[str],
     phase: str | None,
     skip_bad_rows: bool,
-    looks: tuple[Watch | None, SpectralWitness | None],
+    looks: tuple[PairObserver | None, SpectrumObserver | None],
     say: Callable[[str], None],
 ) -> tuple[Demodulated, str]:
     """The log, demodulated, and the checksum of what was read of it."""
     from tiltcal.cli.log_files import progress_bar
-    from tiltcal.logs.digest import Digested, sha256_of
+    from tiltcal.logs.digest import HashingReader, sha256_of
     from tiltcal.logs.formats import is_csv, log_of
-    from tiltcal.logs.matching import demodulate_log
+    from tiltcal.logs.pair_matching import demodulate_log
 
-    digested = Digested(stream)
+    digested = HashingReader(stream)
     witness = [look for look in looks if look is not None]
     with progress_bar("match", size) as progress:
         rows = log_of(cast("BinaryIO", digested), name, skip_bad_rows=skip_bad_rows)
@@ -162,7 +162,7 @@ def _read(
     return found, digested.sha256 if is_csv(name) else sha256_of(Path(name))
 
 
-def _matched(found: Demodulated, pair: Pair, watch: Watch | None, loops: bool) -> Matching:
+def _matched(found: Demodulated, pair: Pair, watch: PairObserver | None, loops: bool) -> Matching:
     """A pair, matched by the whole record or by what the online estimators ended with."""
     from tiltcal.core.pair.matching import match, matching_with
 
@@ -186,11 +186,13 @@ def _calibration(
     return PairCalibration(tuple(matchings), phase, found.turns, found.frequency, online, provenance)
 
 
-def _drawing(spectra: SpectralWitness, found: Demodulated, matching: Matching, watch: Watch | None) -> Drawing:
-    from tiltcal.report.pair import Drawing
+def _drawing(
+    spectra: SpectrumObserver, found: Demodulated, matching: Matching, watch: PairObserver | None
+) -> PairDrawing:
+    from tiltcal.report.pair_figures import PairDrawing
 
     frequency, densities = spectra.densities(matching.pair, matching.p, matching.q, found)
-    return Drawing(
+    return PairDrawing(
         frequency,
         densities,
         found.frequency or found.turns / (found.rows + found.missing),

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from tiltcal.bench.hookup import hook_up
-from tiltcal.bench.plan import Plan, plan_session, single
+from tiltcal.bench.channel_map import map_channels
 from tiltcal.bench.session import Session
+from tiltcal.bench.session_plan import SessionPlan, plan_session, single
 from tiltcal.calibration.unit_gravity import require_no_jig
-from tiltcal.cli.leading import LEADERS, captured, free_journal, led, left_at_default
+from tiltcal.cli.session_options import LEADERS, captured, free_journal, led, left_at_default
 from tiltcal.drivers.device import in_words
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.bench import BenchFile, read_bench
@@ -96,7 +96,7 @@ def command(
     """
     if resume is not None and resume.exists():
         journal_before = captured(resume)
-        session = Session(Plan.from_journal(journal_before), resume, journal_before)
+        session = Session(SessionPlan.from_journal(journal_before), resume, journal_before)
         operator = session.plan.lead if left_at_default("operator") else operator
     else:
         wanted: dict[str, object] = {"PROCEDURE": procedure}
@@ -130,19 +130,19 @@ def command(
         _show_outlook(plan)
     with led(session, operator, plain=plain, again="measure") as leader:
         result = session.measure(leader)
-    for name, reception in result.receptions.items():
-        click.echo(f"{name}: {in_words(reception)}", err=True)
+    for name, link_statistics in result.link_statistics_by_serial.items():
+        click.echo(f"{name}: {in_words(link_statistics)}", err=True)
 
 
-def _show_outlook(plan: Plan) -> None:
+def _show_outlook(plan: SessionPlan) -> None:
     """Tell how well the positions will determine the coefficients; refuse those that cannot."""
-    from tiltcal.calibration.outlook import outlook
-    from tiltcal.report.outlook import outlook_text
+    from tiltcal.calibration.prediction import outlook
+    from tiltcal.report.prediction import outlook_text
 
     if plan.procedure.determines.mounting:
         return
     if plan.procedure.rotation is not None:
-        hookup = hook_up(plan.procedure.rotation, [(place.serial, place.fitted) for place in plan.places])
+        hookup = map_channels(plan.procedure.rotation, [(place.serial, place.fitted) for place in plan.places])
         for why in hookup.left_out:
             click.echo(why, err=True)
         if len(plan.places) > 1:
@@ -166,7 +166,7 @@ def _show_outlook(plan: Plan) -> None:
 
 def _base(procedure: Procedure, base: Path | None, sensors: BenchFile) -> str | None:
     """The text of the calibration that a mounting completes."""
-    from tiltcal.calibration.mount import base_of
+    from tiltcal.calibration.mounting import base_of
 
     base_of(procedure, base, [sensor.serial for sensor in sensors.sensors])
     return None if base is None else read_text(base)

@@ -16,8 +16,8 @@ from tiltcal.errors import UsageError
 if TYPE_CHECKING:
     from tiltcal.drivers.device import Model
     from tiltcal.files.calibration import Calibration
-    from tiltcal.logs.resting import Resting
-    from tiltcal.report.noise import Scale
+    from tiltcal.logs.noise_log import NoiseLog
+    from tiltcal.report.noise_summary import NoiseScale
 
 INTERRUPTED = 130
 STANDARD_GRAVITY = 9.80665
@@ -96,7 +96,7 @@ def command(
     are those of an axis near level.
     """
     from tiltcal.files.whole import check_writable
-    from tiltcal.report.noise import as_data, draw_noise, summary
+    from tiltcal.report.noise_summary import as_data, draw_noise, summary
 
     if address is None:
         _refuse_for_log(log, samples, seconds, output)
@@ -132,7 +132,7 @@ def command(
 
 
 @dataclass(frozen=True)
-class Facts:
+class NoiseFacts:
     """What is known of the sensor beside its readings.
 
     Attributes
@@ -151,17 +151,17 @@ class Facts:
     sensitivity: dict[str, float]
     source: str
 
-    def scale(self, resting: Resting) -> Scale:
+    def scale(self, resting: NoiseLog) -> NoiseScale:
         """The scale of a log's channels."""
-        from tiltcal.report.noise import Scale
+        from tiltcal.report.noise_summary import NoiseScale
 
         per_g = {
             channel: abs(self.sensitivity.get(channel, self.sensitivity.get("*", 0.0))) for channel in resting.channels
         }
-        return Scale(self.unit or "unit", {c: s for c, s in per_g.items() if s}, self.source)
+        return NoiseScale(self.unit or "unit", {c: s for c, s in per_g.items() if s}, self.source)
 
 
-def _facts(sensor: str | None, address: str | None, calibration: Path | None, unit: str | None) -> Facts:
+def _facts(sensor: str | None, address: str | None, calibration: Path | None, unit: str | None) -> NoiseFacts:
     from tiltcal.drivers import find_model
     from tiltcal.drivers.bus.address import parse_address
     from tiltcal.files.calibration import read_calibration
@@ -181,12 +181,12 @@ def _facts(sensor: str | None, address: str | None, calibration: Path | None, un
             for row, channel in enumerate(matrix.channels)
             if channel in matrix.axes
         }
-        return Facts(channels, own_unit, own, f"calibration of {known.sensor.serial}")
+        return NoiseFacts(channels, own_unit, own, f"calibration of {known.sensor.serial}")
     if model is not None and model.scaled:
-        return Facts(channels, own_unit, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}")
+        return NoiseFacts(channels, own_unit, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}")
     if own_unit in (*ACCELERATION, "g"):
-        return Facts(channels, own_unit, {"*": 1.0 if own_unit == "g" else STANDARD_GRAVITY}, f"unit {own_unit}")
-    return Facts(channels, own_unit, {}, "")
+        return NoiseFacts(channels, own_unit, {"*": 1.0 if own_unit == "g" else STANDARD_GRAVITY}, f"unit {own_unit}")
+    return NoiseFacts(channels, own_unit, {}, "")
 
 
 def _refuse_contradiction(model: Model | None, known: Calibration | None, unit: str | None) -> None:
@@ -267,8 +267,8 @@ def _recorded(
     output: Path | None,
 ) -> bool:
     """Record the sensor; whether it was interrupted."""
-    from tiltcal.bench.plan import single
-    from tiltcal.cli.capture import capture
+    from tiltcal.bench.session_plan import single
+    from tiltcal.cli.recording import capture
 
     captured = capture(single(sensor, "", address), rate, samples, seconds, path)
     kept = f" in {output}" if output is not None else ""
@@ -280,17 +280,17 @@ def _characterised(
     log: str,
     columns: str,
     rate: float | None,
-    facts: Facts,
+    facts: NoiseFacts,
     sizes: tuple[int, ...],
     skip_bad_rows: bool,
     called: str | None = None,
-) -> Resting:
+) -> NoiseLog:
     from tiltcal.cli.log_files import log_source, progress_bar, require_csv
     from tiltcal.core.model import AXES
     from tiltcal.logs.columns import parse_columns
     from tiltcal.logs.csv_log import CsvLog
-    from tiltcal.logs.paced import PacedLog
-    from tiltcal.logs.resting import characterise_log
+    from tiltcal.logs.noise_log import characterise_log
+    from tiltcal.logs.uniform_sampling import UniformLog
 
     require_csv(log)
     named = parse_columns(columns, AXES)
@@ -301,5 +301,5 @@ def _characterised(
         there = tuple(axis for axis in AXES if axis in rows.names)
         # With neither, x is looked for, and the message that it is not there says how to name it.
         channels = asked or facts.channels or there or AXES[:1]
-        paced = PacedLog(rows, channels, named, rate, file=name)
+        paced = UniformLog(rows, channels, named, rate, file=name)
         return characterise_log(paced, channels, sizes, file=name, progress=progress)

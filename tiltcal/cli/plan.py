@@ -6,7 +6,7 @@ import json
 
 import click
 
-from tiltcal.bench.hookup import hook_up
+from tiltcal.bench.channel_map import map_channels
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model
@@ -41,9 +41,9 @@ def command(
 
     A procedure that cannot determine what it asks for is refused (exit code 2), with the position to add.
     """
-    from tiltcal.calibration.outlook import mounting_outlook, outlook
+    from tiltcal.calibration.prediction import mounting_outlook, outlook
     from tiltcal.calibration.unit_gravity import require_no_jig
-    from tiltcal.report.outlook import outlook_text
+    from tiltcal.report.prediction import outlook_text
 
     model = find_model(sensor)
     if address is not None:
@@ -95,7 +95,7 @@ def _tell_mounting(expected: dict[str, float], jig: float | None, as_json: bool)
 
 def _tell_rotation(rotation: Rotation, model: Model, as_json: bool) -> None:
     """Which pairs a device has, and why no more can be said."""
-    hookup = hook_up(rotation, [("", model)])
+    hookup = map_channels(rotation, [("", model)])
     if as_json:
         pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in hookup.pairs]
         left_out = list(hookup.left_out)

@@ -6,7 +6,7 @@ import json
 
 import click
 
-from tiltcal.bench.plan import Place
+from tiltcal.bench.session_plan import DeviceSetup
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
@@ -35,7 +35,7 @@ def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
     where = parse_address(address)
     model = find_model(sensor).at(where)
     clock: Clock = VirtualClock() if where.simulated else SystemClock(time.time_ns())
-    place = Place(sensor, "", address)
+    place = DeviceSetup(sensor, "", address)
     link = VirtualBench(clock, [place]).twin(place) if where.simulated else open_link(where, model)
     try:
         driver = model.driver(link, clock)

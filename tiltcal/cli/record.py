@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from tiltcal.bench.plan import single
-from tiltcal.cli.capture import capture
+from tiltcal.bench.session_plan import single
+from tiltcal.cli.recording import capture
 from tiltcal.errors import UsageError
 from tiltcal.files.bench import read_bench
 

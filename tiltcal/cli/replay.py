@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.plan import Plan
 from tiltcal.bench.session import Session
-from tiltcal.cli.leading import captured
+from tiltcal.bench.session_plan import SessionPlan
+from tiltcal.cli.session_options import captured
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.whole import check_writable, whole_file, write_whole
 
@@ -45,7 +45,7 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
             file=journal,
             line=len(before.events) + 2,
         )
-    session = Session(Plan.from_journal(before), journal, before)
+    session = Session(SessionPlan.from_journal(before), journal, before)
     if output is not None:
         for path in _targets(output, session.outputs):
             check_writable(path)

@@ -11,12 +11,12 @@ import click
 from tiltcal.errors import EstimateError, InputError, UsageError
 
 if TYPE_CHECKING:
-    from tiltcal.core.compensate import Compensation
+    from tiltcal.core.compensation import Compensation
     from tiltcal.files.calibration import Calibration
     from tiltcal.files.pair import PairCalibration
-    from tiltcal.report.identity import Source
-    from tiltcal.report.log_section import Log
+    from tiltcal.report.log_section import ReportedLog
     from tiltcal.report.pair_page import Spectrum
+    from tiltcal.report.provenance import FileFacts
 
 _EXAMPLES = """\b
 Examples:
@@ -100,8 +100,8 @@ def _certificate(
     calibrations: Sequence[Calibration], names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows: bool
 ) -> str:
     from tiltcal.calibration.rails import with_rails
-    from tiltcal.core.compensate import Compensation
-    from tiltcal.report.certificate import certificate
+    from tiltcal.core.compensation import Compensation
+    from tiltcal.report.tilt_page import certificate
 
     last = calibrations[-1]
     try:
@@ -114,18 +114,20 @@ def _certificate(
     return certificate(last, _source(names[-1]), earlier, found)
 
 
-def _look_over(log: str, compensation: Compensation, channels: Sequence[str], columns: str, skip_bad_rows: bool) -> Log:
+def _look_over(
+    log: str, compensation: Compensation, channels: Sequence[str], columns: str, skip_bad_rows: bool
+) -> ReportedLog:
     """A log, compensated already or on the way."""
     from tiltcal.cli.log_files import log_source, progress_bar
     from tiltcal.logs.columns import TIME, locate_columns, parse_columns
     from tiltcal.logs.csv_log import CsvLog
-    from tiltcal.logs.digest import Digested
+    from tiltcal.logs.digest import HashingReader
     from tiltcal.logs.overview import is_compensated, look_over, look_over_compensated
-    from tiltcal.report.log_section import Log
+    from tiltcal.report.log_section import ReportedLog
 
     named = parse_columns(columns, channels)
     with log_source(log) as (stream, name, size), progress_bar("report", size) as progress:
-        digested = Digested(stream)
+        digested = HashingReader(stream)
         rows = CsvLog(cast("BinaryIO", digested), name=name, skip_bad_rows=skip_bad_rows)
         clock = named.get(TIME, TIME)
         time = rows.names.index(clock) if clock in rows.names else None
@@ -135,10 +137,10 @@ def _look_over(log: str, compensation: Compensation, channels: Sequence[str], co
         else:
             located = locate_columns(rows.names, channels, named, file=name)
             overview = look_over(rows, compensation, channels, located, time=time, progress=progress)
-    return Log(Path(name).name, digested.sha256, overview, compensated, time is not None)
+    return ReportedLog(Path(name).name, digested.sha256, overview, compensated, time is not None)
 
 
-def _pair_page(calibration: PairCalibration, source: Source, logs: Sequence[str], skip_bad_rows: bool) -> str:
+def _pair_page(calibration: PairCalibration, source: FileFacts, logs: Sequence[str], skip_bad_rows: bool) -> str:
     from tiltcal.report.pair_page import pair_page
 
     spectra = [_spectrum(log, number, calibration, skip_bad_rows) for number, log in enumerate(logs, start=1)]
@@ -149,13 +151,13 @@ def _spectrum(log: str, number: int, calibration: PairCalibration, skip_bad_rows
     """The spectra of the first pair in a log."""
     from tiltcal.cli.log_files import log_source, progress_bar
     from tiltcal.logs.csv_log import CsvLog
-    from tiltcal.logs.matching import demodulate_log
-    from tiltcal.logs.pair_witness import SpectralWitness
-    from tiltcal.report.pair import Drawing
+    from tiltcal.logs.pair_matching import demodulate_log
+    from tiltcal.logs.pair_observers import SpectrumObserver
+    from tiltcal.report.pair_figures import PairDrawing
     from tiltcal.report.pair_page import spectrum
 
     matching = calibration.matchings[0]
-    witness = SpectralWitness(matching.pair.channels)
+    witness = SpectrumObserver(matching.pair.channels)
     with log_source(log) as (stream, name, size), progress_bar("report", size) as progress:
         rows = CsvLog(stream, name=name, skip_bad_rows=skip_bad_rows)
         try:
@@ -166,12 +168,14 @@ def _spectrum(log: str, number: int, calibration: PairCalibration, skip_bad_rows
         except EstimateError as refusal:
             raise EstimateError(f"{name}: {refusal}") from refusal
     turning = found.frequency or found.turns / (found.rows + found.missing)
-    return spectrum(Path(name).name, number, Drawing(frequency, densities, turning, "Hz" if found.rate else "1/row"))
+    return spectrum(
+        Path(name).name, number, PairDrawing(frequency, densities, turning, "Hz" if found.rate else "1/row")
+    )
 
 
-def _source(name: str) -> Source:
+def _source(name: str) -> FileFacts:
     from hashlib import sha256
 
-    from tiltcal.report.identity import Source
+    from tiltcal.report.provenance import FileFacts
 
-    return Source(Path(name).name, sha256(Path(name).read_bytes()).hexdigest())
+    return FileFacts(Path(name).name, sha256(Path(name).read_bytes()).hexdigest())

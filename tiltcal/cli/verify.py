@@ -9,11 +9,11 @@ from typing import Any
 
 import click
 
-from tiltcal.bench.conclusion import Walked
-from tiltcal.bench.plan import Plan, plan_session, single
 from tiltcal.bench.session import Session
-from tiltcal.bench.verification import Check, checks
-from tiltcal.cli.leading import LEADERS, captured, free_journal, led, left_at_default
+from tiltcal.bench.session_calibration import MeasuredPositions
+from tiltcal.bench.session_plan import SessionPlan, plan_session, single
+from tiltcal.bench.verification import VerifiedPosition, checks
+from tiltcal.cli.session_options import LEADERS, captured, free_journal, led, left_at_default
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import Calibration, read_calibration
 from tiltcal.files.procedure import find_procedure
@@ -70,7 +70,7 @@ def command(
     judged = read_calibration(calibration)
     if resume is not None:
         before = captured(resume)
-        session = Session(Plan.from_journal(before), resume, before)
+        session = Session(SessionPlan.from_journal(before), resume, before)
         operator = session.plan.lead if left_at_default("operator") else operator
     elif address is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
@@ -83,7 +83,7 @@ def command(
         steps.require_positions()
         session = Session(plan_session(steps, bench, [None], path, lead=operator, samples=samples, settle=settle), path)
 
-    def conclude(walked: Walked) -> list[Check]:
+    def conclude(walked: MeasuredPositions) -> list[VerifiedPosition]:
         return checks(judged, walked.bays[0], walked.taken)
 
     with led(session, operator, plain=plain, again=f"verify {calibration}") as leader:
@@ -97,7 +97,7 @@ def command(
     return 0 if passed else JUDGED_FAILING
 
 
-def _tell(calibration: Calibration, found: list[Check], limit: float) -> None:
+def _tell(calibration: Calibration, found: list[VerifiedPosition], limit: float) -> None:
     click.echo(f"{calibration.sensor.model} {calibration.sensor.serial}, limit {limit:g}°")
     for check in found:
         angles = "  ".join(
@@ -109,7 +109,7 @@ def _tell(calibration: Calibration, found: list[Check], limit: float) -> None:
     click.echo(f"{'passed' if worst.error <= limit else 'FAILED'}: worst {worst.error:.3f}° at {worst.position}")
 
 
-def _as_data(calibration: Calibration, found: list[Check], limit: float) -> dict[str, Any]:
+def _as_data(calibration: Calibration, found: list[VerifiedPosition], limit: float) -> dict[str, Any]:
     worst = max(found, key=lambda check: check.error)
     return {
         "sensor": calibration.sensor.serial,

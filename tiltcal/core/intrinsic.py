@@ -26,7 +26,7 @@ from tiltcal.errors import EstimateError
 
 
 @dataclass(frozen=True)
-class Quantity:
+class IntrinsicQuantity:
     """A number with its standard uncertainty, in the same unit.
 
     Attributes
@@ -44,27 +44,27 @@ class Intrinsic:
 
     Attributes
     ----------
-    offset : dict of str to Quantity
+    offset : dict of str to IntrinsicQuantity
         Per channel, unit.
-    sensitivity : dict of str to Quantity
+    sensitivity : dict of str to IntrinsicQuantity
         Per channel, along its own sensitive direction, unit/g.
-    angle : dict of str to Quantity
+    angle : dict of str to IntrinsicQuantity
         Between the sensitive directions of two channels, ``xy``, ``xz``, ``yz``, degrees.
-    mounting : dict of str to Quantity
+    mounting : dict of str to IntrinsicQuantity
         Roll, pitch and yaw of R, degrees. Empty where the positions were free and R means nothing, and where there is
         no such rotation.
     gimbal_lock : bool
         At a pitch of ±90°, where only roll and yaw together are determined.
-    not_separated : str
+    left_handed : str
         Why there is no rotation, such as channels that form a left-handed frame; empty where there is one.
     """
 
-    offset: dict[str, Quantity]
-    sensitivity: dict[str, Quantity]
-    angle: dict[str, Quantity]
-    mounting: dict[str, Quantity]
+    offset: dict[str, IntrinsicQuantity]
+    sensitivity: dict[str, IntrinsicQuantity]
+    angle: dict[str, IntrinsicQuantity]
+    mounting: dict[str, IntrinsicQuantity]
     gimbal_lock: bool
-    not_separated: str = ""
+    left_handed: str = ""
 
 
 def intrinsic(
@@ -98,7 +98,7 @@ def intrinsic(
 
     vector = vector_of(coefficients, names)
     values, u = numbers(vector), propagated(numbers, vector, covariance)
-    found = [Quantity(float(value), float(doubt)) for value, doubt in zip(values, u, strict=True)]
+    found = [IntrinsicQuantity(float(value), float(doubt)) for value, doubt in zip(values, u, strict=True)]
     pairs = [first + second for first, second in combinations(channels, 2)]
     own = Intrinsic(
         offset=dict(zip(channels, found[:3], strict=True)),
@@ -112,11 +112,13 @@ def intrinsic(
     try:
         mounting, gimbal_lock = _mounting(coefficients, names, covariance)
     except EstimateError as error:
-        return replace(own, not_separated=str(error))
+        return replace(own, left_handed=str(error))
     return replace(own, mounting=mounting, gimbal_lock=gimbal_lock)
 
 
-def _mounting(coefficients: Coefficients, names: Sequence[str], covariance: Array) -> tuple[dict[str, Quantity], bool]:
+def _mounting(
+    coefficients: Coefficients, names: Sequence[str], covariance: Array
+) -> tuple[dict[str, IntrinsicQuantity], bool]:
     """Roll, pitch and yaw of R, degrees, and whether they are locked."""
     _, rotation = separated(_matrix(coefficients))
     angles = mounting_angles(rotation)
@@ -129,7 +131,7 @@ def _mounting(coefficients: Coefficients, names: Sequence[str], covariance: Arra
 
     doubt = propagated(roll_pitch_yaw, vector_of(coefficients, names), covariance).tolist()
     found = {
-        name: Quantity(degrees(angle), u)
+        name: IntrinsicQuantity(degrees(angle), u)
         for name, angle, u in zip(("roll", "pitch", "yaw"), turned, doubt, strict=True)
     }
     return found, angles.gimbal_lock

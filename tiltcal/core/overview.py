@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.compensate import FAIL, REASONS, SUSPECT
+from tiltcal.core.compensation import FAIL, REASONS, SUSPECT
 from tiltcal.core.model import Array
 
 STRETCHES = 600
@@ -31,7 +31,7 @@ def count_flags(flags: Counter[int], reasons: Counter[int], flag: NDArray[np.uin
                 reasons[bit] += count
 
 
-class Overview:
+class ColumnStatistics:
     """Angles and flags of a log, summed up row after row.
 
     The rows are parted into stretches of one length; when there are twice as many as are needed, neighbours are joined.

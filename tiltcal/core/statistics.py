@@ -14,7 +14,7 @@ BLOCKS = 10
 
 
 @dataclass(frozen=True)
-class Summary:
+class SampleSummary:
     """What a run of samples of one channel says.
 
     Attributes
@@ -44,7 +44,7 @@ class Summary:
         return sqrt(max(self.u**2 - self.quantisation**2, 0.0))
 
 
-def summarise(samples: Sequence[float], resolution: float = 0.0) -> Summary:
+def summarise(samples: Sequence[float], resolution: float = 0.0) -> SampleSummary:
     """Mean, standard deviation and the mean's standard uncertainty.
 
     The uncertainty is what the scatter of ten block means says, because samples of a real record are correlated and
@@ -64,7 +64,7 @@ def summarise(samples: Sequence[float], resolution: float = 0.0) -> Summary:
     std = sqrt(fsum((sample - mean) ** 2 for sample in samples) / (n - 1)) if n > 1 else 0.0
     noise, dof = _type_a(samples, std)
     step = rounding_left(std, resolution)
-    return Summary(mean, std, n, sqrt(noise**2 + step**2), step, dof)
+    return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof)
 
 
 def rounding_left(std: float, resolution: float) -> float:

@@ -13,7 +13,7 @@ from math import radians
 from pathlib import Path
 from typing import Any
 
-from tiltcal.core.change import Change, changes
+from tiltcal.core.comparison import CoefficientChange, changes
 from tiltcal.core.model import AXES, Coefficients, Limits
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import (
@@ -241,7 +241,7 @@ def _comments(unit: str) -> dict[str, str]:
     }
 
 
-def changes_between(before: Calibration, after: Calibration) -> list[Change]:
+def changes_between(before: Calibration, after: Calibration) -> list[CoefficientChange]:
     """Every coefficient that two calibrations of one sensor have, at the later one's reference temperature."""
     thermal = after.coefficients.thermal
     reference = None if thermal is None else thermal.reference

@@ -17,8 +17,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.model import Pair
-from tiltcal.core.pair.stage import FEWEST_TURNS
 from tiltcal.errors import UsageError
 from tiltcal.files.node import Node
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.angles import Doubt
+from tiltcal.core.angle_terms import TURN
+from tiltcal.core.angle_uncertainty import UncertaintyInputs
 from tiltcal.core.budget import coverage_factor
-from tiltcal.core.change import Known, known, values
-from tiltcal.core.features import TURN
+from tiltcal.core.comparison import KnownCoefficient, known, values
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.errors import EstimateError
@@ -34,24 +34,24 @@ _ROUNDED = 0.01  # an eigenvalue of the correlations that is below zero by more 
 
 
 @dataclass(frozen=True)
-class Stated:
+class StatedUncertainty:
     """What a calibration file says of its uncertainty, for the kernel.
 
     Attributes
     ----------
-    doubt : Doubt
+    doubt : UncertaintyInputs
     remarks : tuple of str
         What had to be taken for granted.
     """
 
-    doubt: Doubt
+    doubt: UncertaintyInputs
     remarks: tuple[str, ...]
 
 
 def read_uncertainty(node: Node, coefficients: Coefficients) -> dict[str, Any]:
     """The section as plain data, checked; any part of it may be absent."""
     channels, axes = coefficients.channels, coefficients.axes
-    section = node.mapping(optional=(*SHAPED, "reading", "coverage_factor", "covariance"))
+    section = node.mapping(optional=(*SHAPED, "single_reading", "coverage_factor", "covariance"))
     uncertainty: dict[str, Any] = {}
     for name, value in section.items():
         match name:
@@ -66,7 +66,7 @@ def read_uncertainty(node: Node, coefficients: Coefficients) -> dict[str, Any]:
                 uncertainty[name] = _read_thermal(value, channels)
             case "mounting":
                 uncertainty[name] = _not_negative(value, ANGLES)
-            case "reading":
+            case "single_reading":
                 uncertainty[name] = _not_negative(value, (*channels, TEMPERATURE))
             case "coverage_factor":
                 uncertainty[name] = {key: factor.number(above=0.0) for key, factor in value.entries().items()}
@@ -77,7 +77,7 @@ def read_uncertainty(node: Node, coefficients: Coefficients) -> dict[str, Any]:
 
 def stated_uncertainty(
     uncertainty: Mapping[str, Any], coefficients: Coefficients, *, reading_noise: float | None = None
-) -> Stated:
+) -> StatedUncertainty:
     """What the angles of a calibration are uncertain by.
 
     Parameters
@@ -90,7 +90,7 @@ def stated_uncertainty(
 
     Returns
     -------
-    Stated
+    StatedUncertainty
         Without a covariance the coefficients count as uncorrelated; what is not stated counts as exact. The remarks
         tell both.
 
@@ -119,7 +119,7 @@ def stated_uncertainty(
             names, covariance = _with_turn(names, covariance, coefficients.mounting, angles)
         else:
             remarks.append("no uncertainty is stated of the mounting: exact, so far as anyone says")
-    reading = dict(uncertainty.get("reading", {}))
+    reading = dict(uncertainty.get("single_reading", {}))
     if reading_noise is not None:
         reading |= dict.fromkeys(coefficients.channels, reading_noise)
     elif not any(channel in reading for channel in coefficients.channels):
@@ -129,8 +129,8 @@ def stated_uncertainty(
     _require_covariance(covariance)
     told, usual = uncertainty.get("coverage_factor", {}), float(coverage_factor(np.array([inf]))[0])
     scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
-    return Stated(
-        Doubt(
+    return StatedUncertainty(
+        UncertaintyInputs(
             names,
             covariance * np.outer(scale, scale),
             np.array([told.get(name, usual) for name in names]),
@@ -143,9 +143,9 @@ def stated_uncertainty(
 
 def known_coefficients(
     uncertainty: Mapping[str, Any], coefficients: Coefficients, reference: float | None
-) -> dict[str, Known]:
+) -> dict[str, KnownCoefficient]:
     """How well the coefficients are known at a reference temperature, °C, or at their own; empty where nobody says."""
-    exact = {name: Known(0.0) for name, u in named_uncertainties(uncertainty) if u == 0.0}
+    exact = {name: KnownCoefficient(0.0) for name, u in named_uncertainties(uncertainty) if u == 0.0}
     try:
         doubt = stated_uncertainty(uncertainty, coefficients).doubt
     except EstimateError:

@@ -17,7 +17,7 @@ from tiltcal.core.model import Array
 if TYPE_CHECKING:
     import polars as pl
 
-    from tiltcal.core.compensate import Bits
+    from tiltcal.core.compensation import Bits
 
 MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 

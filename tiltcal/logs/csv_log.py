@@ -2,7 +2,7 @@
 
 The first line names the columns, every other line is a row (:mod:`tiltcal.logs.csv_rows` says what that is). Where the
 first line holds numbers alone it is a row, and the columns are called by number; fields may be parted by blanks
-(:mod:`tiltcal.logs.bare_table`). Empty lines at the very end of the file are nothing.
+(:mod:`tiltcal.logs.whitespace_separated`). Empty lines at the very end of the file are nothing.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from typing import BinaryIO
 
 from tiltcal.errors import InputError
-from tiltcal.logs.bare_table import BlankSeparated, blank_separated_names, numbered_columns
-from tiltcal.logs.csv_rows import Rows, parse_rows
+from tiltcal.logs.csv_rows import CsvBlock, parse_rows
+from tiltcal.logs.whitespace_separated import WhitespaceSeparated, blank_separated_names, numbered_columns
 
 _BLOCK = 4 << 20
 _LONGEST_ROW = 16 << 20
@@ -58,7 +58,7 @@ class CsvLog:
     header_line = 1
 
     def __init__(self, stream: BinaryIO, *, name: str, skip_bad_rows: bool = False, block: int = _BLOCK) -> None:
-        self._stream: BinaryIO | BlankSeparated = stream
+        self._stream: BinaryIO | WhitespaceSeparated = stream
         self._name = name
         self._skip_bad_rows = skip_bad_rows
         self._block = block
@@ -80,7 +80,7 @@ class CsvLog:
         if names is not None:
             self._begin_behind_blanks(stream)
 
-    def rows(self, columns: Sequence[int], time: int | None = None, texts: Sequence[int] = ()) -> Iterator[Rows]:
+    def rows(self, columns: Sequence[int], time: int | None = None, texts: Sequence[int] = ()) -> Iterator[CsvBlock]:
         """The rows, block after block.
 
         Parameters
@@ -94,7 +94,7 @@ class CsvLog:
 
         Yields
         ------
-        Rows
+        CsvBlock
 
         Raises
         ------
@@ -182,7 +182,7 @@ class CsvLog:
         self._line = 1
         self._pending = first.removeprefix(_UTF8_BOM) + self._pending
         if len(self.names) > 1 and b"," not in first:
-            self._stream, self._pending = BlankSeparated(self._pending, stream), b""
+            self._stream, self._pending = WhitespaceSeparated(self._pending, stream), b""
 
     def _second_line(self, first: str) -> str:
         """The line below a header that may be parted by blanks; it stays to be read."""
@@ -196,7 +196,7 @@ class CsvLog:
     def _begin_behind_blanks(self, stream: BinaryIO) -> None:
         """Take all lines below the header for rows that are parted by blanks."""
         self.header = ",".join(self.names).encode()
-        self._stream, self._pending = BlankSeparated(self._pending, stream), b""
+        self._stream, self._pending = WhitespaceSeparated(self._pending, stream), b""
 
     def _refuse_endless(self, pending: bytes, before: bytes = b"") -> None:
         """Stop at what is no log, before it fills the memory; ``before`` are the lines in front of it."""

@@ -39,7 +39,7 @@ _UNUSED = "\x1f\x1e\x1d\x1c\x01\x02\x03\x04\x05\x06\x0e\x0f\x10\x11\x12\x13\x14\
 
 
 @dataclass(frozen=True)
-class Rows:
+class CsvBlock:
     """Some rows of a log, in order.
 
     Attributes
@@ -81,7 +81,7 @@ def parse_rows(
     time: int | None = None,
     texts: Sequence[int] = (),
     unended: bool = False,
-) -> Rows:
+) -> CsvBlock:
     """Parse rows.
 
     Parameters
@@ -101,7 +101,7 @@ def parse_rows(
 
     Returns
     -------
-    Rows
+    CsvBlock
         Nothing is raised: what breaks a rule is in ``faults``.
     """
     data, encoding = _as_utf8(data)
@@ -128,7 +128,7 @@ def parse_rows(
         column[list(faults)] = np.nan
     if words and faults:
         words = _with_bad_rows(words, series, faults)
-    return Rows(series, values, faults, starts, line_count, encoding, rest.encode(encoding), words)
+    return CsvBlock(series, values, faults, starts, line_count, encoding, rest.encode(encoding), words)
 
 
 def _as_utf8(data: bytes) -> tuple[bytes, str]:

@@ -7,21 +7,21 @@ from pathlib import Path
 from typing import BinaryIO, Protocol
 
 
-class Readable(Protocol):
+class ByteReader(Protocol):
     """What a log is read from."""
 
     def read(self, size: int = -1, /) -> bytes: ...
 
 
-class Digested:
+class HashingReader:
     """Hands a stream's bytes on and keeps their SHA-256.
 
     Parameters
     ----------
-    stream : Readable
+    stream : ByteReader
     """
 
-    def __init__(self, stream: Readable | BinaryIO) -> None:
+    def __init__(self, stream: ByteReader | BinaryIO) -> None:
         self._stream = stream
         self._digest = sha256()
 

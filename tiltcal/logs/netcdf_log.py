@@ -26,7 +26,7 @@ _SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600
 
 
 @dataclass(frozen=True)
-class SlicedRows:
+class SlicedBlock:
     """Some rows of a log that stays where it is.
 
     Attributes
@@ -117,7 +117,7 @@ class NetcdfLog:
             **{key: variable.encoding[key] for key in ("coordinates",) if key in variable.encoding},
         }
 
-    def rows(self, columns: Sequence[int], time: int | None = None) -> Iterator[SlicedRows]:
+    def rows(self, columns: Sequence[int], time: int | None = None) -> Iterator[SlicedBlock]:
         """The rows, block after block.
 
         Parameters
@@ -129,7 +129,7 @@ class NetcdfLog:
 
         Yields
         ------
-        SlicedRows
+        SlicedBlock
 
         Raises
         ------
@@ -148,7 +148,7 @@ class NetcdfLog:
             if time is not None:
                 values[time] = values[time] * self._seconds(self.names[time])
             self.bytes_read = self._size * rows.stop // total
-            yield SlicedRows(rows, values)
+            yield SlicedBlock(rows, values)
         self._data.close()
 
     def _seconds(self, name: str) -> float:

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from tiltcal.core.compensate import MISSING, NOT_A_NUMBER, Compensation
+from tiltcal.core.compensation import MISSING, NOT_A_NUMBER, Compensation
 from tiltcal.core.model import Array
-from tiltcal.core.overview import Overview
+from tiltcal.core.overview import ColumnStatistics
 from tiltcal.logs.columns import TEMPERATURE
 from tiltcal.logs.csv_log import CsvLog
-from tiltcal.logs.csv_rows import Rows
+from tiltcal.logs.csv_rows import CsvBlock
 
 FLAG, REASON = "flag", "reason"
 
@@ -32,7 +32,7 @@ def look_over(
     *,
     time: int | None = None,
     progress: Callable[[int], None] | None = None,
-) -> Overview:
+) -> ColumnStatistics:
     """Compensate a raw log, and keep what a report shows of it.
 
     Parameters
@@ -53,7 +53,7 @@ def look_over(
     InputError
         See :class:`CsvLog`.
     """
-    overview = Overview(compensation.angles)
+    overview = ColumnStatistics(compensation.angles)
     for rows, clock in _timed(log, columns.values(), time, overview):
         readings = np.stack([rows.values[columns[channel]] for channel in channels]).T
         readings[list(rows.faults)] = np.nan
@@ -67,7 +67,7 @@ def look_over(
 
 def look_over_compensated(
     log: CsvLog, compensation: Compensation, *, time: int | None = None, progress: Callable[[int], None] | None = None
-) -> Overview:
+) -> ColumnStatistics:
     """Keep what a report shows of a log that was compensated before; see :func:`is_compensated`.
 
     Raises
@@ -75,7 +75,7 @@ def look_over_compensated(
     InputError
         See :class:`CsvLog`.
     """
-    overview = Overview(compensation.angles)
+    overview = ColumnStatistics(compensation.angles)
     where = {name: log.names.index(name) for name in (*overview.angles, FLAG, REASON)}
     for rows, clock in _timed(log, where.values(), time, overview):
         angles = np.stack([rows.values[where[angle]] for angle in overview.angles], axis=1)
@@ -92,7 +92,9 @@ def _small(column: Array, absent: int) -> np.ndarray[tuple[int], np.dtype[np.uin
     return np.where(fits, column, absent).astype(np.uint8)
 
 
-def _timed(log: CsvLog, columns: Iterable[int], time: int | None, overview: Overview) -> Iterator[tuple[Rows, Array]]:
+def _timed(
+    log: CsvLog, columns: Iterable[int], time: int | None, overview: ColumnStatistics
+) -> Iterator[tuple[CsvBlock, Array]]:
     """The log's rows with their time, or their number from 0 where the log has none."""
     wanted = {*columns, *(() if time is None else (time,))}
     for rows in log.rows(sorted(wanted), time):

@@ -16,7 +16,7 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
-from tiltcal.logs.door import FrameRows
+from tiltcal.logs.log import FrameBlock
 from tiltcal.logs.times import seconds
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class ParquetLog:
         """Type by column."""
         return self._schema
 
-    def rows(self, columns: Sequence[int], time: int | None = None) -> Iterator[FrameRows]:
+    def rows(self, columns: Sequence[int], time: int | None = None) -> Iterator[FrameBlock]:
         """The rows, block after block.
 
         Parameters
@@ -88,7 +88,7 @@ class ParquetLog:
 
         Yields
         ------
-        FrameRows
+        FrameBlock
 
         Raises
         ------
@@ -103,7 +103,7 @@ class ParquetLog:
             for frame in self._scan.collect_batches(chunk_size=_ROWS, maintain_order=True):
                 done += len(frame)
                 self.bytes_read = self._size * done // self._rows
-                yield FrameRows(
+                yield FrameBlock(
                     frame,
                     {index: (_moments if index == time else _numbers)(frame.to_series(index)) for index in columns},
                 )

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.core.pair.stage import Stage
-from tiltcal.logs.stretch import Stretch
+from tiltcal.core.pair.encoder import AngleTracker
+from tiltcal.logs.pair_block import PairBlock
 
 _TURN = 0.25
 """Turns over which a value must stay the same to be stuck."""
@@ -43,14 +43,14 @@ class StuckValues:
     def __init__(self, channels: Sequence[str], say: Callable[[str], None]) -> None:
         self._channels = tuple(channels)
         self._say = say
-        self._held: Stretch | None = None
+        self._held: PairBlock | None = None
         # Of the row before: its values, its angle, and how far the stage has turned since each value came up.
         self._values = np.full(len(self._channels), np.nan)
         self._theta = np.nan
         self._turned = np.zeros(len(self._channels))
         self._stuck = np.zeros(len(self._channels), dtype=bool)
 
-    def cleaned(self, stretches: Iterable[Stretch]) -> Iterator[Stretch]:
+    def cleaned(self, stretches: Iterable[PairBlock]) -> Iterator[PairBlock]:
         """The stretches, with NaN where a value is stuck; rows may move to a later stretch, in order."""
         for stretch in stretches:
             if len(stretch.theta):
@@ -58,7 +58,7 @@ class StuckValues:
         if self._held is not None:
             yield self._held
 
-    def _judged(self, stretch: Stretch) -> Iterator[Stretch]:
+    def _judged(self, stretch: PairBlock) -> Iterator[PairBlock]:
         readings = stretch.readings
         same = np.empty(readings.shape, dtype=bool)
         same[0] = readings[0] == self._values
@@ -89,7 +89,7 @@ class StuckValues:
         told = np.isfinite(known)
         if not told.any():
             return np.zeros(len(theta))
-        turns = Stage().follow(known[told])
+        turns = AngleTracker().follow(known[told])
         latest = np.maximum(np.cumsum(told) - 1, 0)
         return np.asarray((turns[latest] - turns[0])[1:])
 

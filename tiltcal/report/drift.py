@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tiltcal.core.change import judge
+from tiltcal.core.comparison import judge
 from tiltcal.files.calibration import Calibration, changes_between
 from tiltcal.files.uncertainty import named_uncertainties
-from tiltcal.report.digits import Aligned, column, measured, plain
-from tiltcal.report.identity import period
-from tiltcal.report.terms import symbol, unit_of, words
+from tiltcal.report.labels import symbol, unit_of, words
+from tiltcal.report.number_format import AlignedNumber, column, measured, plain
+from tiltcal.report.provenance import period
 
 
 @dataclass(frozen=True)
@@ -19,16 +19,16 @@ class ChangeRow:
 
     words: str
     symbol: tuple[str, str]
-    before: Aligned
-    after: Aligned
-    change: Aligned
-    ratio: Aligned
+    before: AlignedNumber
+    after: AlignedNumber
+    change: AlignedNumber
+    ratio: AlignedNumber
     unit: str
     changed: bool
 
 
 @dataclass(frozen=True)
-class Drift:
+class ChangeSection:
     """What changed since an earlier calibration.
 
     Attributes
@@ -44,7 +44,7 @@ class Drift:
     rows: Sequence[ChangeRow]
 
 
-def drift(before: Calibration, name: str, after: Calibration) -> Drift:
+def drift(before: Calibration, name: str, after: Calibration) -> ChangeSection:
     """Every coefficient that both files have, the earlier ones at the later one's reference temperature."""
     earlier, later = (dict(named_uncertainties(one.uncertainty)) for one in (before, after))
     found = changes_between(before, after)
@@ -59,7 +59,7 @@ def drift(before: Calibration, name: str, after: Calibration) -> Drift:
         for one, told in zip(found, zip(old, new, moved, ratios, strict=True), strict=True)
     ]
     when = period(before.provenance)
-    return Drift(f"{name}, {when}" if when else name, _sentence(str(verdict)), rows)
+    return ChangeSection(f"{name}, {when}" if when else name, _sentence(str(verdict)), rows)
 
 
 def _told(value: float, u: float | None) -> str:

@@ -34,7 +34,7 @@ _STYLE: dict[Any, Any] = {
 
 
 @dataclass(frozen=True)
-class Picture:
+class SvgFigure:
     """A figure inside a page.
 
     Attributes
@@ -65,7 +65,7 @@ def save(figure: Figure, stream: BinaryIO) -> None:
 
 def picture(
     name: str, height: float, plot: Callable[[Figure], None], *, title: str, description: str, caption: str
-) -> Picture:
+) -> SvgFigure:
     """Draw a figure for the page.
 
     Parameters
@@ -88,7 +88,7 @@ def picture(
         figure = Figure(figsize=(WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.08))
         plot(figure)
         save(figure, drawn)
-    return Picture(inline(drawn.getvalue().decode(), name, title, description), caption)
+    return SvgFigure(inline(drawn.getvalue().decode(), name, title, description), caption)
 
 
 def inline(svg: str, name: str, title: str, description: str) -> str:

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.compensate import FLAGS, REASONS
+from tiltcal.core.compensation import FLAGS, REASONS
 from tiltcal.core.model import Array
-from tiltcal.core.overview import Overview
-from tiltcal.report.digits import Aligned, at_place, column, grouped
-from tiltcal.report.figure import BLUE, GREY, RED, Picture, picture
+from tiltcal.core.overview import ColumnStatistics
+from tiltcal.report.figure import BLUE, GREY, RED, SvgFigure, picture
+from tiltcal.report.number_format import AlignedNumber, at_place, column, grouped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,14 +39,14 @@ GAP = 5.0
 
 
 @dataclass(frozen=True)
-class Log:
+class ReportedLog:
     """A log as it lies on the disk, and what it comes to.
 
     Attributes
     ----------
     name : str
     sha256 : str
-    overview : Overview
+    overview : ColumnStatistics
     compensated : bool
         Whether the log brought its tilt along; otherwise the calibration of the page was applied to it.
     timed : bool
@@ -55,7 +55,7 @@ class Log:
 
     name: str
     sha256: str
-    overview: Overview
+    overview: ColumnStatistics
     compensated: bool
     timed: bool
 
@@ -75,9 +75,9 @@ class AngleRow:
     """One angle over the log, degrees."""
 
     name: str
-    least: Aligned
-    mean: Aligned
-    most: Aligned
+    least: AlignedNumber
+    mean: AlignedNumber
+    most: AlignedNumber
 
 
 @dataclass(frozen=True)
@@ -91,10 +91,10 @@ class LogSection:
     flags: Sequence[Share]
     reasons: Sequence[Share]
     angles: Sequence[AngleRow]
-    figure: Picture
+    figure: SvgFigure
 
 
-def log_section(log: Log, number: int) -> LogSection:
+def log_section(log: ReportedLog, number: int) -> LogSection:
     """The section of a log; ``number`` counts them in the page."""
     overview = log.overview
     return LogSection(
@@ -123,7 +123,7 @@ def _percent(count: int, rows: int) -> str:
     return "100.000"
 
 
-def _angle_rows(overview: Overview) -> list[AngleRow]:
+def _angle_rows(overview: ColumnStatistics) -> list[AngleRow]:
     columns = []
     for values in (overview.low, overview.high):
         reach = [column_of[np.isfinite(column_of)] for column_of in values.T]
@@ -140,7 +140,7 @@ def words_of(angle: str) -> str:
     return f"tilt of {angle.removeprefix('tilt_')}" if angle.startswith("tilt_") else angle
 
 
-def _figure(log: Log, number: int) -> Picture:
+def _figure(log: ReportedLog, number: int) -> SvgFigure:
     overview = log.overview
     said = "; ".join(f"{row.name} from {text(row.least)}° to {text(row.most)}°" for row in _angle_rows(overview))
     return picture(
@@ -154,12 +154,12 @@ def _figure(log: Log, number: int) -> Picture:
     )
 
 
-def text(number: Aligned) -> str:
+def text(number: AlignedNumber) -> str:
     """An aligned number as one text."""
     return number.whole + number.rest
 
 
-def _plot(figure: Figure, log: Log) -> None:
+def _plot(figure: Figure, log: ReportedLog) -> None:
     overview = log.overview
     count = len(overview.angles)
     panels = figure.subplots(
@@ -184,7 +184,7 @@ def _plot(figure: Figure, log: Log) -> None:
     panels[-1, 1].set_axis_off()
 
 
-def _histogram(panel: Axes, overview: Overview, k: int) -> None:
+def _histogram(panel: Axes, overview: ColumnStatistics, k: int) -> None:
     edges, counts = overview.histogram(BINS)[k]
     if len(counts):
         panel.stairs(counts, edges, orientation="horizontal", fill=True, color=GREY)
@@ -192,7 +192,7 @@ def _histogram(panel: Axes, overview: Overview, k: int) -> None:
     panel.set_xlim(left=0.0)
 
 
-def _flag_strip(panel: Axes, time: Array, overview: Overview) -> None:
+def _flag_strip(panel: Axes, time: Array, overview: ColumnStatistics) -> None:
     """Where rows are flagged, a strip below the angles."""
     suspect, bad = overview.flagged.T
     for share, colour, height in ((suspect, GREY, 0.45), (bad, RED, 1.0)):
@@ -204,7 +204,7 @@ def _flag_strip(panel: Axes, time: Array, overview: Overview) -> None:
         panel.spines[side].set_visible(False)
 
 
-def _clock(log: Log) -> tuple[Array, str]:
+def _clock(log: ReportedLog) -> tuple[Array, str]:
     """The time of every stretch from the first one on, and what the axis says."""
     time = log.overview.time
     if not log.timed:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.files.pair import PairCalibration
-from tiltcal.report.digits import Aligned, column, grouped, measured, plain
-from tiltcal.report.figure import Picture, picture
-from tiltcal.report.identity import Fact, Source, notice, provenance_facts
+from tiltcal.report.figure import SvgFigure, picture
+from tiltcal.report.number_format import AlignedNumber, column, grouped, measured, plain
 from tiltcal.report.page import render
-from tiltcal.report.pair import HEADINGS, Drawing, draw_spectra, suppressed
+from tiltcal.report.pair_figures import HEADINGS, PairDrawing, draw_spectra, suppressed
+from tiltcal.report.provenance import Fact, FileFacts, notice, provenance_facts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,10 +31,10 @@ class Spectrum:
     """The spectra of a log, drawn."""
 
     name: str
-    figure: Picture
+    figure: SvgFigure
 
 
-def spectrum(name: str, number: int, drawing: Drawing) -> Spectrum:
+def spectrum(name: str, number: int, drawing: PairDrawing) -> Spectrum:
     """The spectra of a log, drawn with so many points that their peaks and troughs are there.
 
     Parameters
@@ -43,7 +43,7 @@ def spectrum(name: str, number: int, drawing: Drawing) -> Spectrum:
         Of the log.
     number : int
         Counts the logs of the page.
-    drawing : Drawing
+    drawing : PairDrawing
     """
     shown = _outstanding(drawing.frequency, list(drawing.densities.values()))
     densities = {said: one[shown] for said, one in drawing.densities.items()}
@@ -83,7 +83,7 @@ class ComponentRow:
     """One channel, or the sum: sin and cos at every stage."""
 
     name: str
-    cells: Sequence[Aligned]
+    cells: Sequence[AlignedNumber]
 
 
 @dataclass(frozen=True)
@@ -91,13 +91,13 @@ class PairSection:
     """One pair as the page shows it."""
 
     heading: str
-    p: Aligned
-    q: Aligned
+    p: AlignedNumber
+    q: AlignedNumber
     suppression: str
     rows: Sequence[ComponentRow]
 
 
-def pair_page(calibration: PairCalibration, source: Source, spectra: Sequence[Spectrum] = ()) -> str:
+def pair_page(calibration: PairCalibration, source: FileFacts, spectra: Sequence[Spectrum] = ()) -> str:
     """One HTML page that needs nothing but itself; the same input gives the same page.
 
     Raises
@@ -116,7 +116,7 @@ def pair_page(calibration: PairCalibration, source: Source, spectra: Sequence[Sp
     )
 
 
-def _facts(calibration: PairCalibration, source: Source) -> list[Fact]:
+def _facts(calibration: PairCalibration, source: FileFacts) -> list[Fact]:
     frequency = calibration.frequency
     said = [
         Fact("Turns of the stage", plain(calibration.turns, 6)),

@@ -7,7 +7,7 @@ from operator import mul
 from typing import TYPE_CHECKING
 
 from tiltcal.files.calibration import Calibration
-from tiltcal.report.figure import CHANNELS, GREY, INK, RED, Picture, picture
+from tiltcal.report.figure import CHANNELS, GREY, INK, RED, SvgFigure, picture
 from tiltcal.report.record import number, numbers, section, text
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ COVERAGE = 1.96
 """Times the standard uncertainty of a mean, to either side of its residual."""
 
 
-def residual_figure(calibration: Calibration) -> Picture | None:
+def residual_figure(calibration: Calibration) -> SvgFigure | None:
     """Measured less modelled for every position, a panel per channel; None where the file does not say."""
     residuals = section(calibration.fit, "residuals")
     positions = [name for name in residuals if numbers(residuals, name)]
@@ -49,7 +49,7 @@ def _plot(figure: Figure, calibration: Calibration, positions: list[str]) -> Non
     first = panels[0]
     first.set_yticks(range(len(positions)), positions)
     first.set_ylim(len(positions) - 0.4, -0.6)
-    suspects = section(calibration.fit, "worse_than_stated")
+    suspects = section(calibration.fit, "suspect_positions")
     for label, name in zip(first.get_yticklabels(), positions, strict=True):
         if name in suspects:
             label.set_color(RED)

@@ -74,13 +74,13 @@ def _doubts(fit: Mapping[str, Any]) -> Iterator[str]:
     """What speaks against the fit, or against what was stated of the bench."""
     if fit.get("p_value", 1.0) < INCREDIBLE:
         yield "  that much is not credible: noise, jig or thermometer are worse than stated, and so is the uncertainty"
-    suspects = fit.get("worse_than_stated", {})
+    suspects = fit.get("suspect_positions", {})
     if suspects:
         told = [f"{position} ({one['off_degrees']:g}°)" for position, one in suspects.items()]
         more = f" and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
         yield f"  further off than the jig should be, the worst first: {', '.join(told[:SHOWN])}{more}"
-    if "jig_that_shows_degrees" in fit:
-        yield f"  the positions scatter as with a jig of {fit['jig_that_shows_degrees']:g}°"
+    if "jig_estimated_degrees" in fit:
+        yield f"  the positions scatter as with a jig of {fit['jig_estimated_degrees']:g}°"
     yield from (f"  {note}" for note in fit.get("notes", ()))
 
 

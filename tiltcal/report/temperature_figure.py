@@ -10,9 +10,9 @@ import numpy as np
 from tiltcal.core.model import Array, Thermal, polynomial
 from tiltcal.files.calibration import Calibration
 from tiltcal.files.uncertainty import named_uncertainties
-from tiltcal.report.figure import CHANNELS, GREY, Picture, picture
+from tiltcal.report.coefficients_section import coverage_factors
+from tiltcal.report.figure import CHANNELS, GREY, SvgFigure, picture
 from tiltcal.report.record import number, section, text
-from tiltcal.report.result import coverage_factors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 POINTS = 81
 
 
-def temperature_figure(calibration: Calibration) -> Picture | None:
+def temperature_figure(calibration: Calibration) -> SvgFigure | None:
     """Offset over temperature per channel, and the sensitivity's drift where there is one; None without either."""
     thermal = calibration.coefficients.thermal
     if thermal is None:

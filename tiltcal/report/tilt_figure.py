@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiltcal.core.angles import Doubt, UncertainCompensation
-from tiltcal.core.compensate import Compensation
-from tiltcal.core.features import TURN
+from tiltcal.core.angle_terms import TURN
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, UncertaintyInputs
+from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Limits
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import Calibration
 from tiltcal.files.uncertainty import stated_uncertainty
-from tiltcal.report.figure import CHANNELS, GREY, INK, Picture, picture
+from tiltcal.report.figure import CHANNELS, GREY, INK, SvgFigure, picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,7 +49,7 @@ class Curves:
     reading: Array
 
 
-def tilt_figure(calibration: Calibration) -> Picture | None:
+def tilt_figure(calibration: Calibration) -> SvgFigure | None:
     """Error of the tilt of each axis, the other level; None where the file states no uncertainty."""
     try:
         curves = _curves(calibration)
@@ -98,7 +98,9 @@ def _curves(calibration: Calibration) -> dict[str, Curves]:
     """By axis; raises EstimateError where the file does not say how uncertain the coefficients are."""
     coefficients, nominal = _unmounted(calibration.coefficients), _nominal(calibration)
     compensation = Compensation(coefficients)
-    kernels = [UncertainCompensation(compensation, coefficients, _doubt(calibration, noise)) for noise in (0.0, None)]
+    kernels = [
+        CompensationWithUncertainty(compensation, coefficients, _doubt(calibration, noise)) for noise in (0.0, None)
+    ]
     found = {}
     for axis, tilt in _reaches(calibration, compensation.axes).items():
         readings = coefficients.predict(_attitudes(axis, tilt))
@@ -110,7 +112,7 @@ def _curves(calibration: Calibration) -> dict[str, Curves]:
     return found
 
 
-def _doubt(calibration: Calibration, noise: float | None) -> Doubt:
+def _doubt(calibration: Calibration, noise: float | None) -> UncertaintyInputs:
     """What the tilt in the sensor's own frame is uncertain by."""
     coefficients = _unmounted(calibration.coefficients)
     doubt = stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).doubt

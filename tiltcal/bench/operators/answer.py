@@ -8,7 +8,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Answer:
+class OperatorAnswer:
     """What the operator said.
 
     Attributes
@@ -38,7 +38,7 @@ class Answer:
         }
 
     @classmethod
-    def from_record(cls, record: Mapping[str, Any]) -> Answer:
+    def from_record(cls, record: Mapping[str, Any]) -> OperatorAnswer:
         """The inverse of :meth:`record`."""
         gravity = record.get("gravity")
         return cls(

@@ -8,7 +8,7 @@ import sys
 from types import TracebackType
 from typing import Protocol, TextIO
 
-from tiltcal.bench.operators.lines import SpokenLines
+from tiltcal.bench.operators.line_reader import LineReader
 from tiltcal.errors import Stopped
 
 ENTER = "\n"
@@ -46,7 +46,7 @@ class LineKeys:
     """
 
     def __init__(self, stream: TextIO) -> None:
-        self._lines = SpokenLines(stream)
+        self._lines = LineReader(stream)
 
     def choice(self, timeout: float | None) -> str | None:
         return self.line()[:1].lower() or ENTER

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from tiltcal.bench.operators.answer import Answer
-from tiltcal.bench.operators.stage import StageOperator
+from tiltcal.bench.operators.answer import OperatorAnswer
+from tiltcal.bench.operators.sim_stage import SimStageOperator
 from tiltcal.drivers.device import Reading
 from tiltcal.files.procedure import Position
 
@@ -17,7 +17,7 @@ Live = Callable[[], Mapping[str, Reading]]
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredPosition:
     """What one sensor gave in one position.
 
     Attributes
@@ -41,14 +41,14 @@ class Measured:
     temperature: float | None
 
 
-class Operator(StageOperator, Protocol):
+class Operator(SimStageOperator, Protocol):
     """Asked and told by the runner; only its answers enter the journal."""
 
     def begin(self, title: str, positions: int) -> None:
         """The session starts, or goes on."""
         ...
 
-    def position(self, position: Position, number: int, live: Live) -> Answer:
+    def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
         """Bring the sensors to a position: ``ready``, ``redo``, ``back`` or ``quit``."""
         ...
 
@@ -56,11 +56,11 @@ class Operator(StageOperator, Protocol):
         """Shown while the session waits or samples."""
         ...
 
-    def review(self, position: Position, measured: list[Measured]) -> Answer:
+    def review(self, position: Position, measured: list[MeasuredPosition]) -> OperatorAnswer:
         """Judge a measured position: ``accept``, ``redo``, ``back`` or ``quit``."""
         ...
 
-    def accepted(self, position: Position, measured: list[Measured]) -> None:
+    def accepted(self, position: Position, measured: list[MeasuredPosition]) -> None:
         """The position counts."""
         ...
 
@@ -72,7 +72,7 @@ class Operator(StageOperator, Protocol):
         """A sensor is given up; the others go on."""
         ...
 
-    def write(self, files: list[Path]) -> Answer:
+    def write(self, files: list[Path]) -> OperatorAnswer:
         """May the calibration files be written: ``yes`` or ``no``."""
         ...
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from tiltcal.bench.operators.answer import Answer
-from tiltcal.bench.operators.operator import Live, Measured
-from tiltcal.bench.operators.stage import Turn, said
+from tiltcal.bench.operators.answer import OperatorAnswer
+from tiltcal.bench.operators.operator import Live, MeasuredPosition
+from tiltcal.bench.operators.sim_stage import StageTurn, said
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers.device import Reading
@@ -33,17 +33,17 @@ class SimOperator:
         self._positions = positions
         self._say(f"{title}: {positions} positions" if positions else title)
 
-    def position(self, position: Position, number: int, live: Live) -> Answer:
+    def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
         self._number = number
-        return Answer("ready")
+        return OperatorAnswer("ready")
 
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
         pass
 
-    def review(self, position: Position, measured: list[Measured]) -> Answer:
-        return Answer("accept")
+    def review(self, position: Position, measured: list[MeasuredPosition]) -> OperatorAnswer:
+        return OperatorAnswer("accept")
 
-    def accepted(self, position: Position, measured: list[Measured]) -> None:
+    def accepted(self, position: Position, measured: list[MeasuredPosition]) -> None:
         for one in measured:
             values = "  ".join(f"{channel} {mean:.6g} ± {one.std[channel]:.2g}" for channel, mean in one.mean.items())
             whose = f"{one.serial}  " if len(measured) > 1 else ""
@@ -56,20 +56,20 @@ class SimOperator:
     def lost(self, serial: str, why: str) -> None:
         self._say(f"  {serial} is given up, the others go on: {why}")
 
-    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> Answer:
+    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
         self._say(f"{len(pairs)} pairs, up to {turns} turns of the virtual stage")
-        return Answer("ready")
+        return OperatorAnswer("ready")
 
-    def attend(self) -> Answer | None:
+    def poll(self) -> OperatorAnswer | None:
         return None
 
-    def turned(self, turn: Turn) -> None:
+    def turned(self, turn: StageTurn) -> None:
         self._say(f"  {turn}")
 
     def held(self, why: str) -> None:
         self._say(f"  held: {why}")
 
-    def goes_on(self) -> None:
+    def resumed(self) -> None:
         self._say("  goes on")
 
     def turning_refused(self, why: str) -> None:
@@ -80,8 +80,8 @@ class SimOperator:
         for one in matchings:
             self._say(f"  {said(one.pair.name, one)} after {turns:.1f} turns")
 
-    def write(self, files: list[Path]) -> Answer:
-        return Answer("yes")
+    def write(self, files: list[Path]) -> OperatorAnswer:
+        return OperatorAnswer("yes")
 
     def done(self, files: list[Path], journal: Path) -> None:
         for path in files:

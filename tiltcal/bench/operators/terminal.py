@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from tiltcal.bench.operators.answer import Answer
+from tiltcal.bench.operators.answer import OperatorAnswer
 from tiltcal.bench.operators.keys import ENTER, Keys
-from tiltcal.bench.operators.operator import Live, Measured
-from tiltcal.bench.operators.stage import Turn, said
+from tiltcal.bench.operators.operator import Live, MeasuredPosition
+from tiltcal.bench.operators.sim_stage import StageTurn, said
 from tiltcal.core.frames import gravity_from_tilt, normalised
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import Pair
@@ -54,7 +54,7 @@ class TerminalOperator:
         self._positions = positions
         self._console.print(f"\n[bold]{title}[/bold]" + (f"  {positions} positions" if positions else ""))
 
-    def position(self, position: Position, number: int, live: Live) -> Answer:
+    def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
         """Show the operator what to set, and a live reading, until a key is pressed."""
         self._console.print(f"\n[bold cyan]{number}/{self._positions or '?'}  {position.name}[/bold cyan]")
         self._console.print(f"  {position.prompt}", markup=False)
@@ -67,11 +67,11 @@ class TerminalOperator:
         while True:
             key = self._wait(live)
             if key == ENTER:
-                return Answer("ready", tilt, gravity, temperature)
+                return OperatorAnswer("ready", tilt, gravity, temperature)
             if key == "q":
                 raise Stopped("stopped by the operator")
             if key in ("b", "r"):
-                return Answer("back" if key == "b" else "redo")
+                return OperatorAnswer("back" if key == "b" else "redo")
             if key == "t":
                 temperature = self._number("temperature in °C", -100.0, 200.0)
             elif key == "a" and position.tilt is not None:
@@ -84,7 +84,7 @@ class TerminalOperator:
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
         self._show(readings, why)
 
-    def review(self, position: Position, measured: list[Measured]) -> Answer:
+    def review(self, position: Position, measured: list[MeasuredPosition]) -> OperatorAnswer:
         """Show expected, measured and noise, and ask whether it counts."""
         self._clear()
         table = Table(box=None, pad_edge=False, padding=(0, 2), header_style="dim")
@@ -107,13 +107,13 @@ class TerminalOperator:
         while True:
             key = self._keys.choice(None)
             if key == ENTER:
-                return Answer("accept")
+                return OperatorAnswer("accept")
             if key == "q":
                 raise Stopped("stopped by the operator")
             if key in ("r", "b"):
-                return Answer("redo" if key == "r" else "back")
+                return OperatorAnswer("redo" if key == "r" else "back")
 
-    def accepted(self, position: Position, measured: list[Measured]) -> None:
+    def accepted(self, position: Position, measured: list[MeasuredPosition]) -> None:
         self._console.print(f"  [green]accepted[/green] {position.name}")
 
     def refused(self, position: Position, why: str) -> None:
@@ -123,7 +123,7 @@ class TerminalOperator:
     def lost(self, serial: str, why: str) -> None:
         self._console.print(Text(f"  {serial} is given up, the others go on: {why}", style="bold red"))
 
-    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> Answer:
+    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
         """Ask to let the stage turn."""
         for pair in pairs:
             self._console.print(f"  {pair.first} and {pair.second}, orthogonal {pair.orthogonal}", markup=False)
@@ -133,17 +133,17 @@ class TerminalOperator:
             key = self._keys.choice(None)
             if key == ENTER:
                 self._hint("s stop and use what is there", "q stop and keep the journal")
-                return Answer("ready")
+                return OperatorAnswer("ready")
             if key == "q":
                 raise Stopped("stopped by the operator")
 
-    def attend(self) -> Answer | None:
+    def poll(self) -> OperatorAnswer | None:
         key = self._keys.pressed("sq")
         if key == "q":
             raise Stopped("stopped by the operator")
-        return Answer("stop") if key == "s" else None
+        return OperatorAnswer("stop") if key == "s" else None
 
-    def turned(self, turn: Turn) -> None:
+    def turned(self, turn: StageTurn) -> None:
         if self._live:
             self._line(str(turn))
         else:
@@ -153,7 +153,7 @@ class TerminalOperator:
         self._clear()
         self._console.print(Text(f"  held: {why}", style="yellow"))
 
-    def goes_on(self) -> None:
+    def resumed(self) -> None:
         self._console.print("  goes on")
 
     def turning_refused(self, why: str) -> None:
@@ -165,7 +165,7 @@ class TerminalOperator:
         for one in matchings:
             self._console.print(f"  [green]matched[/green] {said(one.pair.name, one)} after {turns:.1f} turns")
 
-    def write(self, files: list[Path]) -> Answer:
+    def write(self, files: list[Path]) -> OperatorAnswer:
         """Ask once more before the files are written."""
         named = ", ".join(f"{path} (replaces the one there)" if path.exists() else str(path) for path in files)
         self._console.print(f"\nAll is measured. Write {named}?")
@@ -173,7 +173,7 @@ class TerminalOperator:
         while True:
             key = self._keys.choice(None)
             if key in (ENTER, "y"):
-                return Answer("yes")
+                return OperatorAnswer("yes")
             if key in ("n", "q"):
                 raise Stopped("not written, as the operator wished")
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 
-from tiltcal.core.estimation.channel import Channel
+from tiltcal.core.estimation.channel_model import ChannelModel
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
@@ -112,9 +112,9 @@ class Design:
         return self.jig == inf
 
     @property
-    def models(self) -> tuple[Channel, ...]:
+    def models(self) -> tuple[ChannelModel, ...]:
         """The model of each channel."""
-        return tuple(Channel(name, self.axes, self.drift, self.gain, self.nonlinearity) for name in self.channels)
+        return tuple(ChannelModel(name, self.axes, self.drift, self.gain, self.nonlinearity) for name in self.channels)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -130,7 +130,7 @@ STRAIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
-class Sensor:
+class SensorObservations:
     """One sensor of a fixture.
 
     Attributes
@@ -147,7 +147,7 @@ class Sensor:
     orientation: Sequence[Sequence[float]] = STRAIGHT
 
 
-def require_sound(sensors: Sequence[Sensor]) -> None:
+def require_sound(sensors: Sequence[SensorObservations]) -> None:
     """Refuse sensors that do not belong on one fixture, and designs that contradict themselves.
 
     Raises

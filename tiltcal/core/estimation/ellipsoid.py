@@ -21,7 +21,7 @@ from math import cos, inf, radians, sqrt
 import numpy as np
 
 from tiltcal.core.budget import coverage_factor
-from tiltcal.core.estimation.free import directions_from_readings
+from tiltcal.core.estimation.unit_gravity import directions_from_readings
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 

@@ -1,7 +1,7 @@
 """The one estimator: from positions to coefficients, jointly over all sensors and channels of a fixture.
 
-One least-squares system (:mod:`tiltcal.core.estimation.system`) serves every bench; what is stated of the jig chooses
-how far its attitudes are unknowns:
+One least-squares system (:mod:`tiltcal.core.estimation.equations`) serves every bench; what is stated of the jig
+chooses how far its attitudes are unknowns:
 
 - **stated**, any angle from 0 up: each attitude is an unknown with the jig's uncertainty as its prior. At 0 it is
   ordinary weighted least squares.
@@ -21,18 +21,18 @@ import numpy as np
 
 from tiltcal.core.budget import Budget
 from tiltcal.core.estimation.attitude import rotation_vectors
-from tiltcal.core.estimation.design import Design, Observation, Prior, Sensor, require_sound
-from tiltcal.core.estimation.determined import require_determined
-from tiltcal.core.estimation.free import require_enough, require_spread, triangular_gauge
-from tiltcal.core.estimation.linear import Linear, linear
-from tiltcal.core.estimation.minimum import minimise
-from tiltcal.core.estimation.scatter import Scatter, scatter_of
+from tiltcal.core.estimation.covariance import SensitivityCoefficients, scaled_budget, scattered_budget, stated_budget
+from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations, require_sound
+from tiltcal.core.estimation.equations import System, system_of
+from tiltcal.core.estimation.gauss_newton import minimise
+from tiltcal.core.estimation.identifiability import require_determined
+from tiltcal.core.estimation.linear import LinearSolution, linear
 from tiltcal.core.estimation.second_order import attitude_lever, second_order_bias, second_order_squares
-from tiltcal.core.estimation.system import System, system_of
-from tiltcal.core.estimation.uncertainty import Levers, scaled_budget, scattered_budget, stated_budget
+from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
+from tiltcal.core.estimation.variance_components import VarianceComponents, scatter_of
 from tiltcal.core.model import Array, Coefficients, Thermal
 
-__all__ = ["Design", "Estimate", "Observation", "Prior", "Sensor", "estimate", "estimate_jointly"]
+__all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
 GAUGE = (
@@ -46,7 +46,7 @@ EXCEEDS = "the residuals are more than noise and attitudes explain: is the senso
 
 
 @dataclass(frozen=True)
-class Attitude:
+class AttitudeError:
     """How far a position was off, as the readings show it.
 
     Attributes
@@ -90,7 +90,7 @@ class Estimate:
         Probability of such a chi-square or a greater one, if what was stated is true.
     stated : bool
         True where the covariance stands on stated uncertainties, False where the residuals gave it.
-    attitudes : tuple of Attitude
+    attitudes : tuple of AttitudeError
         One a position, where the jig is stated; empty otherwise.
     scatter_jig : float or None
         Standard deviation of a set angle that the residuals show where the jig is not stated, degrees.
@@ -108,7 +108,7 @@ class Estimate:
     chi_square: float | None
     p: float | None
     stated: bool
-    attitudes: tuple[Attitude, ...] = ()
+    attitudes: tuple[AttitudeError, ...] = ()
     scatter_jig: float | None = None
     notes: tuple[str, ...] = ()
 
@@ -125,7 +125,7 @@ class Estimate:
         """What each standard uncertainty is multiplied with for an interval of 95 %."""
         return dict(zip(self.names, self.budget.factors.tolist(), strict=True))
 
-    def suspects(self, doubt: float = 0.01) -> list[Attitude]:
+    def suspects(self, doubt: float = 0.01) -> list[AttitudeError]:
         """Positions that were further off than the stated jig allows, the worst first.
 
         Parameters
@@ -154,15 +154,15 @@ def estimate(observations: Sequence[Observation], design: Design) -> Estimate:
     EstimateError
         The positions leave coefficients undetermined (they are named), or a temperature is missing.
     """
-    return estimate_jointly([Sensor(design, observations)])[0]
+    return estimate_jointly([SensorObservations(design, observations)])[0]
 
 
-def estimate_jointly(sensors: Sequence[Sensor]) -> tuple[Estimate, ...]:
+def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, ...]:
     """Determine the coefficients of all sensors of a fixture: what one feels of its attitude the others know.
 
     Parameters
     ----------
-    sensors : sequence of Sensor
+    sensors : sequence of SensorObservations
         With the same jig, table and thermometer. Positions belong together by their names.
 
     Returns
@@ -183,7 +183,7 @@ def estimate_jointly(sensors: Sequence[Sensor]) -> tuple[Estimate, ...]:
     return _unstated(sensors, system) if design.jig is None else _stated(sensors, system)
 
 
-def _stated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
+def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """All errors of the bench are unknowns, with what was stated of them."""
     z = _settled(system, _first(system))
     near = linear(system, z)
@@ -200,7 +200,7 @@ def _stated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
     return _estimates(sensors, system, found, attitudes)
 
 
-def _unstated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
+def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """Plain least squares; the residuals say the rest."""
     plain = system.unweighted()
     z = _first(plain)
@@ -224,7 +224,7 @@ def _unstated(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]
     return _estimates(sensors, system, found)
 
 
-def _scatter(plain: System, z: Array, near: Linear, levers: Levers) -> Scatter:
+def _scatter(plain: System, z: Array, near: LinearSolution, levers: SensitivityCoefficients) -> VarianceComponents:
     """What the residuals say of the jig; that a coefficient is only assumed counts as so much more noise."""
     unit = plain.sigma
     noise = levers.covariance + levers.assumed @ levers.assumed.T
@@ -234,7 +234,7 @@ def _scatter(plain: System, z: Array, near: Linear, levers: Levers) -> Scatter:
     )
 
 
-def _free(sensors: Sequence[Sensor], system: System) -> tuple[Estimate, ...]:
+def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """Directions that are only a first guess, gravity a unit vector, the gauge by an upper-triangular matrix."""
     even = replace(system.unweighted(), jig=system.jig, thermometer=system.thermometer)
     even, z = triangular_gauge(even, _first(replace(even, jig=0.0, thermometer=0.0)))
@@ -286,14 +286,14 @@ def _settled(system: System, first: Array) -> Array:
     return minimise(system.at, z, ~system.fixed)
 
 
-def _levers(system: System, plain: System, z: Array) -> Levers:
+def _levers(system: System, plain: System, z: Array) -> SensitivityCoefficients:
     """What noise, attitudes, temperatures and assumptions do to the readings near a point found without them."""
     attitude, _, _ = attitude_lever(plain, z)
     warm = replace(system, jig=0.0)
     z_warm = np.append(z, np.zeros(warm.unknowns - len(z)))
     slopes = warm.at(z_warm).jacobian[: warm.readings] * warm.sigma[:, None]
     adc = np.concatenate([block.adc for block in system.blocks])
-    return Levers(
+    return SensitivityCoefficients(
         noise=system.sigma,
         adc=adc,
         attitude=attitude,
@@ -303,7 +303,9 @@ def _levers(system: System, plain: System, z: Array) -> Levers:
     )
 
 
-def _attitudes(sensors: Sequence[Sensor], system: System, z: Array, near: Linear) -> tuple[Attitude, ...]:
+def _attitudes(
+    sensors: Sequence[SensorObservations], system: System, z: Array, near: LinearSolution
+) -> tuple[AttitudeError, ...]:
     """Each position's turn, judged against the variance that its estimate has under the stated jig."""
     from scipy.special import chdtrc
 
@@ -321,13 +323,13 @@ def _attitudes(sensors: Sequence[Sensor], system: System, z: Array, near: Linear
         count = int(np.sum(seen))
         judged.append((squares, float(chdtrc(count, squares)) if count else 1.0))
     return tuple(
-        Attitude(name, np.degrees(turn), *judged[stand])
+        AttitudeError(name, np.degrees(turn), *judged[stand])
         for name, turn, stand in zip(names, turns, system.stands, strict=True)
     )
 
 
 def _estimates(
-    sensors: Sequence[Sensor], system: System, found: _Found, attitudes: Sequence[Attitude] = ()
+    sensors: Sequence[SensorObservations], system: System, found: _Found, attitudes: Sequence[AttitudeError] = ()
 ) -> tuple[Estimate, ...]:
     """The result of each sensor."""
     from scipy.special import chdtrc
@@ -371,7 +373,7 @@ def _as_set(system: System, z: Array) -> Array:
     return perfect
 
 
-def _coefficients(sensor: Sensor, theta: Array) -> Coefficients:
+def _coefficients(sensor: SensorObservations, theta: Array) -> Coefficients:
     design = sensor.design
     table = theta.reshape(len(design.channels), -1)
     split = [model.split(row) for model, row in zip(design.models, table, strict=True)]

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiltcal.core.estimation.minimum import column_sizes, pseudo_inverse
-from tiltcal.core.estimation.system import System
+from tiltcal.core.estimation.equations import System
+from tiltcal.core.estimation.gauss_newton import column_sizes, pseudo_inverse
 from tiltcal.core.model import Array
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearSolution:
     """The system near its minimum.
 
     Attributes
@@ -31,11 +31,11 @@ class Linear:
     gain: Array
 
 
-def linear(system: System, z: Array) -> Linear:
+def linear(system: System, z: Array) -> LinearSolution:
     """The system near a point; unknowns that are held do not move."""
     jacobian = system.at(z).jacobian
     moving = ~system.fixed
     size = column_sizes(jacobian)
     gain = np.zeros(jacobian.T.shape)
     gain[moving] = pseudo_inverse((jacobian / size)[:, moving]) / size[moving, None]
-    return Linear(jacobian, gain)
+    return LinearSolution(jacobian, gain)

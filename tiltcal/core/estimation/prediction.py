@@ -13,12 +13,12 @@ from itertools import combinations
 import numpy as np
 
 from tiltcal.core.budget import Budget
-from tiltcal.core.estimation.design import Design, Observation, Sensor, require_sound
-from tiltcal.core.estimation.determined import CANDIDATES, WARMER, require_determined
-from tiltcal.core.estimation.free import require_spread, triangular_gauge
+from tiltcal.core.estimation.covariance import stated_budget
+from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
+from tiltcal.core.estimation.equations import System, system_of
+from tiltcal.core.estimation.identifiability import CANDIDATES, WARMER, require_determined
 from tiltcal.core.estimation.linear import linear
-from tiltcal.core.estimation.system import System, system_of
-from tiltcal.core.estimation.uncertainty import stated_budget
+from tiltcal.core.estimation.unit_gravity import require_spread, triangular_gauge
 from tiltcal.core.frames import Vector
 from tiltcal.core.model import AXES, Array
 
@@ -33,7 +33,7 @@ UNSTATED = 0.0
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedPosition:
     """A position of a plan.
 
     Attributes
@@ -87,7 +87,7 @@ class Prediction:
 
 def predicted_covariance(
     design: Design,
-    positions: Sequence[Planned],
+    positions: Sequence[PlannedPosition],
     noise: float | Sequence[float],
     *,
     sensitivity: float = 1.0,
@@ -101,7 +101,7 @@ def predicted_covariance(
     design : Design
         With the jig, the thermometer and the table as they are stated; a jig that is not stated counts as perfect, and
         what is predicted is then what noise alone leaves.
-    positions : sequence of Planned
+    positions : sequence of PlannedPosition
     noise : float or sequence of float
         Standard uncertainty of a position's mean reading, for all channels or for each, in the sensor's unit.
     sensitivity : float
@@ -158,7 +158,7 @@ def strong_correlations(names: Sequence[str], covariance: Array) -> tuple[tuple[
 
 def _system(
     design: Design,
-    positions: Sequence[Planned],
+    positions: Sequence[PlannedPosition],
     noise: float | Sequence[float],
     sensitivity: float,
     adc: float,
@@ -181,7 +181,7 @@ def _system(
         )
         for one in positions
     ]
-    plan = [Sensor(stated, observations)] * sensors
+    plan = [SensorObservations(stated, observations)] * sensors
     require_sound(plan)
     system = system_of(plan)
     z = _nominal(design, system, sensitivity)
@@ -200,7 +200,7 @@ def _nominal(design: Design, system: System, sensitivity: float) -> Array:
 
 def _worth_adding(
     design: Design,
-    positions: Sequence[Planned],
+    positions: Sequence[PlannedPosition],
     noise: float | Sequence[float],
     sensitivity: float,
     adc: float,
@@ -212,7 +212,7 @@ def _worth_adding(
     assumed = np.array([name in design.priors for name in design.names])
     usual = next((one.temperature for one in positions if one.temperature is not None), None)
     for name, gravity, temperature in _candidates(design, positions, usual):
-        longer = [*positions, Planned(name, gravity, temperature, positions[0].heading)]
+        longer = [*positions, PlannedPosition(name, gravity, temperature, positions[0].heading)]
         system, z = _system(design, longer, noise, sensitivity, adc, sensors)
         after = stated_budget(system, linear(system, z)).u[: len(before)]
         share = after / np.where(before > 0.0, before, np.inf)
@@ -224,7 +224,7 @@ def _worth_adding(
 
 
 def _candidates(
-    design: Design, positions: Sequence[Planned], usual: float | None
+    design: Design, positions: Sequence[PlannedPosition], usual: float | None
 ) -> list[tuple[str, Vector, float | None]]:
     """Positions that may be proposed: directions that the sensor can be set to, and other temperatures."""
     found: list[tuple[str, Vector, float | None]] = [

@@ -20,12 +20,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.core.estimation.linear import Linear
-from tiltcal.core.estimation.system import Indices, System
+from tiltcal.core.estimation.equations import Indices, System
+from tiltcal.core.estimation.linear import LinearSolution
 from tiltcal.core.model import AXES, Array
 
 
-def second_order_bias(system: System, z: Array, near: Linear, variance: float) -> Array:
+def second_order_bias(system: System, z: Array, near: LinearSolution, variance: float) -> Array:
     """By how much the coefficients are estimated too large on average, where attitudes are among the unknowns.
 
     Parameters
@@ -34,7 +34,7 @@ def second_order_bias(system: System, z: Array, near: Linear, variance: float) -
         Of a jig with attitude angles.
     z : ndarray, shape (unknowns,)
         The minimum.
-    near : Linear
+    near : LinearSolution
         The system there.
     variance : float
         Of an attitude angle, rad².
@@ -66,7 +66,7 @@ def second_order_bias(system: System, z: Array, near: Linear, variance: float) -
     return np.asarray(variance * bias)
 
 
-def second_order_squares(system: System, z: Array, near: Linear, squared: float) -> Array:
+def second_order_squares(system: System, z: Array, near: LinearSolution, squared: float) -> Array:
     """Mean squares of the second-order errors, where the attitudes are taken as set and nothing is put back.
 
     Parameters

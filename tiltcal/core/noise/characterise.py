@@ -9,10 +9,10 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.core.noise.allan import Octaves, limits
+from tiltcal.core.noise.allan_fit import AllanFit, terms_of
 from tiltcal.core.noise.averages import Averager, decades
-from tiltcal.core.noise.steps import Steps
-from tiltcal.core.noise.terms import Terms, terms_of
-from tiltcal.core.noise.unrest import Rows, Unrest
+from tiltcal.core.noise.disturbances import Disturbances, RowRange
+from tiltcal.core.noise.quantisation import Quantisation
 from tiltcal.core.statistics import rounding_left
 from tiltcal.errors import EstimateError
 
@@ -66,7 +66,7 @@ class ChannelNoise:
         Averaging times, seconds.
     deviation, low, high : ndarray, shape (k,)
         Allan deviation with its limits (95 %), unit.
-    terms : Terms
+    terms : AllanFit
     """
 
     mean: float
@@ -77,7 +77,7 @@ class ChannelNoise:
     deviation: Array
     low: Array
     high: Array
-    terms: Terms
+    terms: AllanFit
 
     @property
     def rounding(self) -> float:
@@ -116,8 +116,8 @@ class Characteriser:
         self._reference: Array | None = None
         self._count = np.zeros(channels, dtype=np.int64)
         self.rows = 0
-        self._octaves, self._unrest = Octaves(channels), Unrest(channels)
-        self._steps = [Steps() for _ in range(channels)]
+        self._octaves, self._unrest = Octaves(channels), Disturbances(channels)
+        self._steps = [Quantisation() for _ in range(channels)]
         self._averagers = [Averager(size, channels) for size in sorted({*decades(_LARGEST, 1), *sizes})]
 
     def add(self, samples: Array) -> None:
@@ -150,12 +150,12 @@ class Characteriser:
         values = self._steps[channel].values
         return float(values[0]) if values is not None and len(values) == 1 else None
 
-    def moved(self, steps: Sequence[float]) -> list[Rows]:
-        """Rows in which the sensor was moved; ``steps`` are those of the readings."""
+    def moved(self, steps: Sequence[float]) -> list[RowRange]:
+        """RowRange in which the sensor was moved; ``steps`` are those of the readings."""
         return self._unrest.moved(np.array(steps))
 
     @property
-    def hung(self) -> Rows | None:
+    def hung(self) -> RowRange | None:
         """The rows in which the reading hung, where it did."""
         return self._unrest.hung()
 

@@ -45,7 +45,7 @@ class Component:
 
 
 @dataclass(frozen=True)
-class Coefficients:
+class PairCoefficients:
     """p and q, pure numbers, with their standard uncertainties (k = 1)."""
 
     p: float
@@ -116,13 +116,13 @@ def match(demodulation: Demodulation, pair: Pair) -> Matching:
     return matching_with(demodulation, pair, solve(demodulation, pair))
 
 
-def matching_with(demodulation: Demodulation, pair: Pair, found: Coefficients) -> Matching:
+def matching_with(demodulation: Demodulation, pair: Pair, found: PairCoefficients) -> Matching:
     """What some p and q, however they were found, do to a record."""
     components = tabulate(demodulation, pair, found.p, found.q)
     return Matching(pair, found.p, found.q, found.u_p, found.u_q, components)
 
 
-def solve(demodulation: Demodulation, pair: Pair) -> Coefficients:
+def solve(demodulation: Demodulation, pair: Pair) -> PairCoefficients:
     """p and q in closed form.
 
     Parameters
@@ -146,7 +146,7 @@ def solve(demodulation: Demodulation, pair: Pair) -> Coefficients:
     mix = demodulation.mix(dict(zip(pair.channels, (rest, 1.0, q), strict=True)))
     inverse = np.linalg.inv(system)
     u_p, u_q = np.sqrt(np.diag(inverse @ demodulation.covariance(mix) @ inverse.T)).tolist()
-    return Coefficients(1.0 - rest, q, u_p, u_q)
+    return PairCoefficients(1.0 - rest, q, u_p, u_q)
 
 
 def tabulate(demodulation: Demodulation, pair: Pair, p: float, q: float) -> Mapping[str, Mapping[str, Component]]:

@@ -19,9 +19,9 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import regress
-from tiltcal.core.pair.matching import Coefficients, solve
+from tiltcal.core.pair.matching import PairCoefficients, solve
 from tiltcal.core.pair.model import Pair, sum_weights
-from tiltcal.core.pair.stream import HARMONICS, SECTORS, Notice, Sector, SectorStream, later, moved
+from tiltcal.core.pair.sectors import HARMONICS, SECTORS, Notice, Sector, SectorStream, later, moved
 from tiltcal.errors import EstimateError
 
 _ONE, _DRIFT, _READINGS = 2 * HARMONICS, 2 * HARMONICS + 1, 2 * HARMONICS + 2
@@ -39,7 +39,7 @@ _LEAST_QUADRATURE = 0.1
 
 
 @dataclass(frozen=True)
-class Gains:
+class LoopGains:
     """Of a PID controller; error to correction, time in turns."""
 
     proportional: float = 0.1
@@ -50,7 +50,7 @@ class Gains:
 class Controller:
     """A PID controller in its velocity form: what it gives is added to what it controls."""
 
-    def __init__(self, gains: Gains, step: float) -> None:
+    def __init__(self, gains: LoopGains, step: float) -> None:
         self._gains = gains
         self._step = step
         self._errors: deque[float] = deque(maxlen=2)
@@ -79,7 +79,7 @@ class Loops:
     pair : Pair
     channels : sequence of str
         Of the stream.
-    gains : Gains
+    gains : LoopGains
         Of both loops.
 
     Attributes
@@ -94,10 +94,10 @@ class Loops:
     it leaves is demodulated.
     """
 
-    def __init__(self, pair: Pair, channels: Sequence[str], gains: Gains | None = None) -> None:
+    def __init__(self, pair: Pair, channels: Sequence[str], gains: LoopGains | None = None) -> None:
         self.p = self.q = 0.0
         self.in_phase = self.quadrature = float("nan")
-        self._trims = [Controller(gains or Gains(), 1.0 / SECTORS) for _ in range(2)]
+        self._trims = [Controller(gains or LoopGains(), 1.0 / SECTORS) for _ in range(2)]
         self._where = [_READINGS + channels.index(channel) for channel in pair.channels]
         self._pair = pair
         self._turn: deque[tuple[Array, int, Array]] = deque(maxlen=SECTORS)
@@ -226,7 +226,7 @@ class Recursive:
         self.p, self.q = found.p, found.q
         self._white = found.u_p * fading, found.u_q * fading
 
-    def _solved(self) -> Coefficients:
+    def _solved(self) -> PairCoefficients:
         products = np.zeros((1, 0, 0)) if self._products is None else self._products[None]
         return solve(regress(products, self._channels, HARMONICS), self._pair)
 
@@ -248,7 +248,7 @@ class Recursive:
 
 
 @dataclass(frozen=True)
-class Course:
+class OnlineHistory:
     """Where the estimates were, after so many turns."""
 
     turns: float
@@ -264,7 +264,7 @@ class Online:
     pair : Pair
     channels : sequence of str
         Of the stream.
-    gains : Gains, optional
+    gains : LoopGains, optional
         Of the loops.
     memory : float
         Of the recursive estimator, turns.
@@ -274,17 +274,19 @@ class Online:
     stream : SectorStream
     loops : Loops
     recursive : Recursive
-    course : list of Course
+    course : list of OnlineHistory
         One entry for each turn.
     refused : str
         Why the last sector could not be used by the estimators; empty where it could.
     """
 
-    def __init__(self, pair: Pair, channels: Sequence[str], gains: Gains | None = None, memory: float = MEMORY) -> None:
+    def __init__(
+        self, pair: Pair, channels: Sequence[str], gains: LoopGains | None = None, memory: float = MEMORY
+    ) -> None:
         self.stream = SectorStream(len(channels))
         self.loops = Loops(pair, channels, gains)
         self.recursive = Recursive(pair, channels, memory)
-        self.course: list[Course] = []
+        self.course: list[OnlineHistory] = []
         self.refused = ""
         self._sectors = 0
 
@@ -321,6 +323,6 @@ class Online:
         self._sectors += 1
         if self._sectors % SECTORS == 0:
             turns = self._sectors / SECTORS
-            self.course.append(Course(turns, (self.loops.p, self.loops.q), (self.recursive.p, self.recursive.q)))
+            self.course.append(OnlineHistory(turns, (self.loops.p, self.loops.q), (self.recursive.p, self.recursive.q)))
         changed, self.refused = why != self.refused, why
         return [Notice(sector.end, why)] if changed else []

@@ -8,7 +8,7 @@ from math import atan2, pi
 import numpy as np
 
 from tiltcal.core.model import Array
-from tiltcal.core.pair.stage import FEWEST_TURNS
+from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.errors import EstimateError
 
 _STEPS = 20

@@ -1,0 +1,298 @@
+"""``tiltcal apply`` from the command line to the last byte of its output."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+import termios
+import time
+from math import asin, degrees, isnan
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from support import DATA, FIXTURES
+from support.command import TILTCAL
+
+from tiltcal.cli.apply import command
+from tiltcal.errors import InputError, TiltcalError, UsageError
+
+PLAIN = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: bench-built, serial: S-1, unit: V, channels: [x, y]}
+calibration:
+  offset: {x: 2.5, y: 2.5}
+  sensitivity: {x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}
+"""
+WARM = (
+    PLAIN
+    + """\
+  temperature:
+    reference: 20.0
+    range: [5.0, 30.0]
+    offset: {x: [0.01], y: [0.0]}
+    sensitivity: {x: [0.0], y: [0.0]}
+"""
+)
+THREE = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: bench-built, serial: S-3, unit: count, channels: [x, y, z]}
+calibration:
+  offset: {x: 0.0, y: 0.0, z: 0.0}
+  sensitivity:
+    x: {x: 1000.0, y: 0.0, z: 0.0}
+    y: {x: 0.0, y: 1000.0, z: 0.0}
+    z: {x: 0.0, y: 0.0, z: 1000.0}
+"""
+LOG = "time,x,y,note\n0.0,3.5,2.5,level\n0.1,2.5,1.5,\n"
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a calibration and a log."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cal.yaml").write_text(PLAIN)
+    (tmp_path / "log.csv").write_text(LOG)
+    return tmp_path
+
+
+def apply(*arguments: str, stdin: bytes | None = None) -> Result:
+    return CliRunner().invoke(command, list(arguments), input=stdin)
+
+
+def rows(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(text.splitlines()))
+
+
+def refused(result: Result, kind: type[TiltcalError]) -> str:
+    assert isinstance(result.exception, kind), result.exception
+    assert result.exception.exit_code == 2
+    assert result.stdout == ""
+    return str(result.exception)
+
+
+@pytest.mark.usefixtures("bench")
+class TestOutput:
+    def test_the_logs_own_columns_come_first_as_they_are(self) -> None:
+        result = apply("cal.yaml", "log.csv")
+        assert result.exit_code == 0
+        header, *lines = result.stdout.splitlines()
+        assert header == "time,x,y,note,g_x,g_y,tilt_x,tilt_y,flag,reason"
+        assert [line.split(",")[:4] for line in lines] == [line.split(",") for line in LOG.splitlines()[1:]]
+        found = rows(result.stdout)
+        assert [float(row["tilt_x"]) for row in found] == pytest.approx([30.0, 0.0], abs=1e-12)
+        assert [float(row["g_y"]) for row in found] == [0.0, -0.5]
+        assert [row["flag"] for row in found] == ["1", "1"]
+
+    def test_standard_input_gives_what_the_file_gives(self) -> None:
+        assert apply("cal.yaml", "-", stdin=LOG.encode()).stdout == apply("cal.yaml", "log.csv").stdout
+
+    def test_the_file_of_o_holds_what_standard_output_shows(self, bench: Path) -> None:
+        assert apply("cal.yaml", "log.csv", "-o", "out.csv").stdout == ""
+        assert (bench / "out.csv").read_text() == apply("cal.yaml", "log.csv").stdout
+
+    def test_line_ends_stay(self) -> None:
+        result = apply("cal.yaml", "-", stdin=LOG.replace("\n", "\r\n").encode())
+        assert result.stdout_bytes.count(b"\r\n") == result.stdout_bytes.count(b"\n") == 3
+
+    def test_columns_by_name(self) -> None:
+        log = "t,VoutX,VoutY,T\n0,3.6,2.5,30\n"
+        Path("warm.yaml").write_text(WARM)
+        result = apply("warm.yaml", "-", "--columns", "x=VoutX, y=VoutY,temperature=T", stdin=log.encode())
+        (row,) = rows(result.stdout)
+        assert float(row["tilt_x"]) == pytest.approx(degrees(asin((3.6 - 0.1 - 2.5) / 2)), abs=1e-12)
+        assert row["flag"] == "1"
+
+    def test_three_axes_have_pitch_roll_and_inclination_over_the_full_circle(self) -> None:
+        Path("three.yaml").write_text(THREE)
+        result = apply("three.yaml", "-", stdin=b"x,y,z\n0,0,-1000\n0,1000,0\n500,0,-866.0254037844386\n")
+        found = [[float(row[name]) for name in ("pitch", "roll", "inclination")] for row in rows(result.stdout)]
+        assert found[0] == pytest.approx([0, 180, 180])
+        assert found[1] == pytest.approx([0, 90, 90])
+        assert found[2] == pytest.approx([30, 180, 150])
+
+    def test_first_order_is_selectable(self) -> None:
+        Path("cross.yaml").write_text(PLAIN.replace("y: 0.0}, y: {x: 0.0", "y: 0.04}, y: {x: -0.04"))
+        log = b"x,y\n3.016,3.29\n"  # g_x = 0.25, g_y = 0.4
+        full, first = (apply("cross.yaml", "-", *more, stdin=log) for more in ((), ("--first-order",)))
+        assert float(rows(full.stdout)[0]["g_x"]) == pytest.approx(0.25, abs=1e-12)
+        # The first order leaves S_XY S_YX / (S_XX S_YY) of g_x: 0.0004 of 0.25.
+        assert float(rows(first.stdout)[0]["g_x"]) == pytest.approx(0.25 + 0.0001, abs=1e-12)
+
+
+@pytest.mark.usefixtures("bench")
+class TestFlags:
+    def test_missing_readings_are_missing_rows_in_their_place(self) -> None:
+        result = apply("cal.yaml", "-", stdin=b"x,y\n2.5,2.5\nNaN,2.5\n,2.5\n2.5,2.5\n")
+        found = rows(result.stdout)
+        assert [row["flag"] for row in found] == ["1", "9", "9", "1"]
+        assert [row["reason"] for row in found] == ["0", "32", "32", "0"]
+        assert isnan(float(found[1]["tilt_y"]))
+
+    def test_a_row_without_temperature_is_suspect(self) -> None:
+        Path("warm.yaml").write_text(WARM)
+        result = apply("warm.yaml", "-", stdin=b"x,y,temperature\n3.5,2.5,NA\n3.5,2.5,20\n3.5,2.5,31\n")
+        assert [(row["flag"], row["reason"]) for row in rows(result.stdout)] == [("3", "16"), ("1", "0"), ("3", "2")]
+        assert float(rows(result.stdout)[0]["tilt_x"]) == pytest.approx(30.0, abs=1e-12)
+        assert rows(apply("warm.yaml", "-", stdin=b"x,y\n3.5,2.5\n").stdout)[0]["reason"] == "16"
+
+    def test_the_rails_are_those_of_the_model_unless_the_file_names_them(self) -> None:
+        from tiltcal.drivers import find_model
+
+        low, high = find_model("sca100t-d02").rails
+        text = PLAIN.replace("bench-built", "sca100t-d02").replace("unit: V", "unit: count").replace("2.5", "1024.0")
+        text = text.replace("2.0", "819.0")
+        log = f"x,y\n{high},1024\n{low},1024\n1024,1024\n".encode()
+        Path("counts.yaml").write_text(text)
+        Path("limited.yaml").write_text(text + "limits: {reading: {x: [0, 1024]}}\n")
+        assert [int(row["reason"]) & 4 for row in rows(apply("counts.yaml", "-", stdin=log).stdout)] == [4, 4, 0]
+        assert int(rows(apply("limited.yaml", "-", stdin=log).stdout)[2]["reason"]) & 4
+
+    def test_rails_in_another_unit_do_not_count(self) -> None:
+        Path("volts.yaml").write_text(PLAIN.replace("bench-built", "sca100t-d02"))
+        assert rows(apply("volts.yaml", "log.csv").stdout)[0]["flag"] == "1"
+
+
+@pytest.mark.usefixtures("bench")
+class TestSummary:
+    LOG = b"x,y\n3.5,2.5\nNaN,2.5\n4.51,2.5\noops,2.5\n"
+    COUNTS = {"rows": 4, "flags": {"1": 1, "3": 1, "9": 2}, "reasons": {"1": 1, "32": 2}, "bad_rows": 1}  # noqa: RUF012
+
+    def test_is_in_words_on_stderr(self) -> None:
+        result = apply("cal.yaml", "-", "--skip-bad-rows", stdin=self.LOG)
+        assert result.stderr.splitlines() == [
+            "4 rows",
+            "  flag 1 pass: 1",
+            "  flag 3 suspect: 1",
+            "  flag 9 missing: 2",
+            "  reason 1 arcsine argument beyond ±1: 1",
+            "  reason 32 not a number: 2",
+            "  1 row could not be parsed and kept as missing",
+        ]
+
+    def test_is_json_on_stdout_where_the_rows_go_to_a_file(self) -> None:
+        result = apply("cal.yaml", "-", "--skip-bad-rows", "--json", "-o", "out.csv", stdin=self.LOG)
+        assert json.loads(result.stdout) == self.COUNTS
+        assert result.stderr == ""
+
+    def test_is_json_on_stderr_where_the_rows_go_to_stdout(self) -> None:
+        result = apply("cal.yaml", "-", "--skip-bad-rows", "--json", stdin=self.LOG)
+        assert json.loads(result.stderr) == self.COUNTS
+        assert len(rows(result.stdout)) == 4
+
+
+@pytest.mark.usefixtures("bench")
+class TestRefusals:
+    def test_a_bad_row_leaves_no_output(self, bench: Path) -> None:
+        (bench / "out.csv").write_text("the one before")
+        content = LOG.encode() + b"0.2,oops,2.5,\n"
+        assert refused(apply("cal.yaml", "-", stdin=content), InputError) == (
+            "standard input:4: column 'x': 'oops' is no number"
+        )
+        (bench / "log.csv").write_bytes(content)
+        assert "log.csv:4" in refused(apply("cal.yaml", "log.csv", "-o", "out.csv"), InputError)
+        assert (bench / "out.csv").read_text() == "the one before"
+        assert sorted(path.name for path in bench.iterdir()) == ["cal.yaml", "log.csv", "out.csv"]
+
+    def test_a_bad_row_far_behind_what_a_block_holds_leaves_no_output_either(self) -> None:
+        content = b"x,y\n" + b"3.5,2.5\n" * 700_000 + b"3.5\n"
+        assert ":700002: the row has 1 field" in refused(apply("cal.yaml", "-", stdin=content), InputError)
+
+    def test_a_missing_column_is_named_with_those_there_are(self) -> None:
+        said = refused(apply("cal.yaml", "-", stdin=b"time,X,Vy\n1,2,3\n"), InputError)
+        assert said == (
+            "standard input:1: there is no column 'x' (did you mean 'X'?); the log has time, X, Vy. "
+            "Name it with --columns x=NAME"
+        )
+
+    def test_a_named_column_must_be_there_even_where_it_is_optional(self) -> None:
+        said = refused(apply("cal.yaml", "log.csv", "--columns", "temperature=T"), InputError)
+        assert "there is no column 'T'" in said
+
+    @pytest.mark.parametrize(
+        ("log", "said"),
+        [(b"time;x;y\n1;2;3\n", "part the columns with commas"), (b"0.0,3.5,2.5\n", "must name the columns")],
+    )
+    def test_a_header_that_is_none_is_explained(self, log: bytes, said: str) -> None:
+        assert said in refused(apply("cal.yaml", "-", stdin=log), InputError)
+
+    @pytest.mark.parametrize(
+        ("columns", "said"),
+        [
+            ("x", "'x' is no pair"),
+            ("x=", "is no pair"),
+            ("temprature=T", "did you mean 'temperature'?"),
+            ("x=a,x=b", "x is named twice"),
+        ],
+    )
+    def test_columns_that_make_no_sense(self, columns: str, said: str) -> None:
+        assert said in refused(apply("cal.yaml", "log.csv", "--columns", columns), UsageError)
+
+    def test_a_result_is_not_compensated_again(self) -> None:
+        once = apply("cal.yaml", "log.csv").stdout_bytes
+        assert "column 'g_x' already" in refused(apply("cal.yaml", "-", stdin=once), UsageError)
+
+    def test_an_absent_log(self) -> None:
+        assert "cannot read none.csv" in refused(apply("cal.yaml", "none.csv"), UsageError)
+
+    def test_first_order_of_three_axes(self) -> None:
+        Path("three.yaml").write_text(THREE)
+        said = refused(apply("three.yaml", "-", "--first-order", stdin=b"x,y,z\n1,2,3\n"), InputError)
+        assert "three.yaml" in said
+        assert "two channels" in said
+
+
+SHARED = DATA
+
+
+@pytest.mark.skipif(not (SHARED / "ferraris_session.csv").exists(), reason="ferraris_session.csv is not there")
+def test_a_whole_recorded_session_comes_out_row_for_row(tmp_path: Path) -> None:
+    """Held still on its faces, the wearable sensor must read 90° and 0° within its placement error."""
+    session = SHARED / "ferraris_session.csv"
+    (tmp_path / "imu1.yaml").write_text(
+        "tiltcal: 1\nkind: tilt\n"
+        "sensor: {model: wearable, serial: IMU1, unit: m/s2, channels: [x, y, z]}\n"
+        "calibration:\n"
+        "  offset: {x: 0.55114, y: -0.61973, z: 0.38564}\n"
+        "  sensitivity:\n"
+        "    x: {x: 9.77673, y: -0.14501, z: -0.07316}\n"
+        "    y: {x: 0.08434, y: 9.83353, z: 0.01813}\n"
+        "    z: {x: 0.13384, y: 0.02012, z: 10.03860}\n"
+    )
+    output = tmp_path / "tilt.csv"
+    result = apply(
+        str(tmp_path / "imu1.yaml"), str(session), "--columns", "x=acc_x,y=acc_y,z=acc_z", "-o", str(output), "--json"
+    )
+    assert json.loads(result.stdout)["rows"] == 10_376
+    lines = output.read_text().splitlines()
+    assert [line.split(",")[:7] for line in lines] == [line.split(",") for line in session.read_text().splitlines()]
+    found = rows(output.read_text())
+    for segment in rows((SHARED / "ferraris_segments.csv").read_text()):
+        inside = found[int(segment["start"]) : int(segment["end"])]
+        for axis in "xyz":
+            mean = sum(float(row[f"g_{axis}"]) for row in inside) / len(inside)
+            assert mean == pytest.approx(float(segment[f"g{axis}"]), abs=0.005)
+
+
+def test_ctrl_c_ends_the_wait_for_a_pipe_that_has_gone_quiet(tmp_path: Path) -> None:
+    """More than a block of rows has been parsed by then: the engine that did so must not keep Ctrl-C to itself."""
+    command = [*TILTCAL, "apply", FIXTURES / "plane.yaml", "-", "-o", "out.csv"]
+    with subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        if process.stdin is None or process.stderr is None:
+            raise RuntimeError("no pipes")
+        process.stdin.write(b"time,x,y,temperature\n" + b"".join(b"%d,1020,1021,24\n" % n for n in range(400_000)))
+        process.stdin.flush()
+        deadline = time.monotonic() + 60
+        while int.from_bytes(fcntl.ioctl(process.stdin, termios.FIONREAD, bytes(4)), sys.byteorder):
+            assert time.monotonic() < deadline, "the rows were not read"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+        assert "interrupted" in process.stderr.read().decode()
+    assert os.listdir(tmp_path) == []

@@ -1,0 +1,208 @@
+"""``tiltcal apply`` on NetCDF: the file stays as it is, and what is added says what it is."""
+
+from __future__ import annotations
+
+import os
+import sys
+from math import nan
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner, Result
+from support import FIXTURES
+
+from tiltcal.cli.apply import command
+from tiltcal.cli.match import command as match_command
+from tiltcal.errors import InputError, TiltcalError, UsageError
+
+xarray = pytest.importorskip("xarray")
+h5netcdf = pytest.importorskip("h5netcdf")
+h5py = pytest.importorskip("h5py")
+
+CAL = str(FIXTURES / "mavs.yaml")
+OWN = ("x", "y", "temperature", "note", "time", "spectrum")
+
+
+@pytest.fixture(autouse=True)
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a log whose temperature is packed, with one that is missing."""
+    monkeypatch.chdir(tmp_path)
+    rows = 6
+    log = xarray.Dataset(
+        {
+            "x": ("time", np.array([1024, 1100, 1800, 2047, 700, 1024], np.int32), {"units": "count"}),
+            "y": ("time", np.array([1024, 1000, nan, 1024, 1024, 1024], np.float32)),
+            "temperature": ("time", [10.0, 12.5, 11.0, 11.0, nan, 60.0], {"units": "degC"}),
+            "note": ("time", np.array(["a", "", "b", "ü", "c", "d"], dtype=object)),
+            "spectrum": (("time", "f"), np.ones((rows, 3))),
+        },
+        coords={"time": ("time", np.arange(rows) * 0.5, {"units": "hours since 2026-05-01"}), "site": 4.0},
+        attrs={"history": "2026-05-01 recorded", "title": "night"},
+    )
+    log["x"].encoding["coordinates"] = "site"
+    packed = {"dtype": "i2", "scale_factor": 0.01, "_FillValue": np.int16(-999)}
+    log.to_netcdf("log.nc", engine="h5netcdf", unlimited_dims=["time"], encoding={"temperature": packed})
+    return tmp_path
+
+
+def apply(*arguments: str) -> Result:
+    result = CliRunner().invoke(command, list(arguments))
+    if result.exception is not None and not isinstance(result.exception, TiltcalError):
+        raise result.exception
+    return result
+
+
+def refused(result: Result, kind: type[TiltcalError]) -> str:
+    assert isinstance(result.exception, kind), result.exception
+    assert result.exception.exit_code == 2
+    return str(result.exception)
+
+
+def raw(path: str) -> dict[str, tuple[bytes, dict[str, object]]]:
+    """Every variable as it lies in the file, with its attributes; HDF5's own say where it lies."""
+    own = ("DIMENSION_LIST", "REFERENCE_LIST")
+    with h5py.File(path) as file:
+        return {
+            name: (
+                repr(variable[()].tolist()).encode(),
+                {key: repr(value) for key, value in variable.attrs.items() if key not in own},
+            )
+            for name, variable in file.items()
+        }
+
+
+def test_values_and_flags_are_those_of_csv() -> None:
+    with xarray.open_dataset("log.nc", decode_times=False) as log:
+        plain = pl.DataFrame({name: log[name].values.astype(float) for name in ("x", "y", "temperature")})
+    plain.write_csv("log.csv")
+    for name in ("log.csv", "log.nc"):
+        assert apply(CAL, name, "--uncertainty", "-o", "out-" + name).exit_code == 0
+    expected = pl.read_csv("out-log.csv", infer_schema_length=None)
+    with xarray.open_dataset("out-log.nc", decode_times=False, mask_and_scale=False) as found:
+        for name in expected.columns[3:]:
+            np.testing.assert_array_equal(found[name].values, expected[name].to_numpy(), err_msg=name)
+        assert found["flag"].values.tolist()[2] == 9
+        assert found["flag"].dtype == found["reason"].dtype == np.uint8
+
+
+def test_what_the_file_held_stays_as_it_lay() -> None:
+    apply(CAL, "log.nc", "-o", "out.nc")
+    before, after = raw("log.nc"), raw("out.nc")
+    assert {name: after[name] for name in before} == before
+    with h5netcdf.File("out.nc") as file:
+        assert file.dimensions["time"].isunlimited()
+        assert file.attrs["title"] == "night"
+
+
+def test_what_is_added_says_what_it_is() -> None:
+    apply(CAL, "log.nc", "--uncertainty", "-o", "out.nc")
+    with xarray.open_dataset("out.nc", decode_times=False, decode_coords=False) as found:
+        tilt, flag, reason = found["tilt_x"].attrs, found["flag"].attrs, found["reason"].attrs
+        assert tilt["units"] == found["U95_tilt_y"].attrs["units"] == "degree"
+        assert tilt["ancillary_variables"].split() == ["flag", "reason", "u_tilt_x", "U95_tilt_x"]
+        assert found["g_x"].attrs["units"] == "1"
+        assert dict(zip(flag["flag_values"].tolist(), flag["flag_meanings"].split(), strict=True)) == {
+            1: "pass",
+            3: "suspect",
+            4: "fail",
+            9: "missing",
+        }
+        assert reason["flag_masks"].tolist() == [1, 2, 4, 8, 16, 32]
+        assert len(reason["flag_meanings"].split()) == 6
+        assert all(found[name].attrs["long_name"] for name in set(found.variables) - {*OWN, "site"})
+        first, second = found.attrs["history"].split("\n")
+        assert first == "2026-05-01 recorded"
+        assert "tiltcal" in second
+        assert "mavs.yaml" in second
+
+
+def test_order_stays_over_many_blocks() -> None:
+    rows = 200_000
+    x = 1024 + 400 * np.sin(np.arange(rows) / 1e4)
+    log = xarray.Dataset({"x": ("n", x), "y": ("n", np.full(rows, 1024)), "temperature": ("n", np.full(rows, 15.0))})
+    log.to_netcdf("many.nc", engine="h5netcdf", encoding={"x": {"chunksizes": (30_001,), "zlib": True}})
+    apply(CAL, "many.nc", "-o", "out.nc")
+    log.to_dataframe().to_csv("many.csv", index=False)
+    apply(CAL, "many.csv", "-o", "out.csv")
+    with xarray.open_dataset("out.nc") as found:
+        np.testing.assert_array_equal(found["tilt_x"].values, pl.read_csv("out.csv")["tilt_x"].to_numpy())
+
+
+def test_pairs_and_their_time_in_another_unit() -> None:
+    rows = 20_000
+    hours, turn = np.arange(rows) * 0.01 / 3600.0, np.arange(rows) * 0.02
+    draw = np.random.default_rng(1)
+    parts = {"a1": np.sin(turn), "a2": -0.99 * np.sin(turn + 0.002), "a4": np.cos(turn)}
+    log = xarray.Dataset(
+        {name: ("time", part + draw.normal(0, 1e-5, rows), {"units": "m s-2"}) for name, part in parts.items()}
+        | {"theta": ("time", np.degrees(turn))},
+        coords={"time": ("time", hours, {"units": "hours since 2026-05-01"})},
+    )
+    log.to_netcdf("disk.nc", engine="h5netcdf")
+    wanted = ["--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "-o", "disk.yaml"]
+    result = CliRunner().invoke(match_command, ["disk.nc", *wanted])
+    assert result.exit_code == 0, result.exception
+    # 0.02 radians every 0.01 s
+    assert f"frequency: {2.0 / (2 * np.pi):.4f}"[:16] in Path("disk.yaml").read_text()
+    assert apply("disk.yaml", "disk.nc", "-o", "out.nc").exit_code == 0
+    with xarray.open_dataset("out.nc", decode_times=False) as found:
+        assert found["matched_a1_a2"].attrs["units"] == "m s-2"
+        assert float(np.abs(found["matched_a1_a2"]).max()) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("log", "output"), [("log.nc", "-"), ("log.nc", "out.csv"), ("log.nc", "out.parquet"), ("log.csv", "out.nc")]
+)
+def test_there_is_no_way_between_netcdf_and_the_others(log: str, output: str) -> None:
+    assert "NetCDF" in refused(apply(CAL, log, "-o", output), UsageError)
+    assert not Path("out.nc").exists()
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("content", [b"", b"x,y\n1,2\n", b"\x89HDF\r\n\x1a\n" + b"\0" * 100])
+    def test_what_is_no_netcdf(self, content: bytes) -> None:
+        Path("bad.nc").write_bytes(content)
+        said = refused(apply(CAL, "bad.nc", "-o", "out.nc"), InputError)
+        assert said.startswith("bad.nc: this is no NetCDF-4 file, or a damaged one")
+
+    def test_a_file_that_was_cut(self, bench: Path) -> None:
+        content = (bench / "log.nc").read_bytes()
+        (bench / "cut.nc").write_bytes(content[: len(content) // 2])
+        assert refused(apply(CAL, "cut.nc", "-o", "out.nc"), InputError).startswith("cut.nc: ")
+        assert sorted(os.listdir(bench)) == ["cut.nc", "log.nc"]
+
+    def test_netcdf_3(self) -> None:
+        Path("old.nc").write_bytes(b"CDF\x01" + bytes(100))
+        assert "nccopy -k nc4" in refused(apply(CAL, "old.nc", "-o", "out.nc"), InputError)
+
+    @pytest.mark.parametrize(
+        ("columns", "said"),
+        [
+            ("x=VoutX", "log.nc: there is no column 'VoutX'"),
+            ("x=note", "variable 'note' holds"),
+            ("x=spectrum", "variable 'spectrum' has 2 dimensions (time, f)"),
+            ("x=site", "variable 'site' has 0 dimensions"),
+        ],
+    )
+    def test_a_column_that_will_not_do(self, columns: str, said: str, bench: Path) -> None:
+        assert said in refused(apply(CAL, "log.nc", "--columns", columns, "-o", "out.nc"), InputError)
+        assert os.listdir(bench) == ["log.nc"]
+
+    def test_a_result_is_not_compensated_again(self) -> None:
+        apply(CAL, "log.nc", "-o", "out.nc")
+        assert "column 'g_x' already" in refused(apply(CAL, "out.nc", "-o", "again.nc"), UsageError)
+
+    def test_libraries_that_are_not_there(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "h5netcdf", None)
+        assert "pip install 'tiltcal[netcdf]'" in refused(apply(CAL, "log.nc", "-o", "out.nc"), UsageError)
+
+
+def test_csv_loads_none_of_it() -> None:
+    from test_house import loaded_by
+
+    Path("log.csv").write_text("x,y\n1024,1024\n")
+    loaded = loaded_by(f"from tiltcal.cli.main import run\nrun(['apply', {CAL!r}, 'log.csv', '-o', 'out.csv'])")
+    assert "polars" in loaded
+    assert not loaded & {"xarray", "h5netcdf", "h5py", "pandas", "distributed", "dask", "pyarrow"}

@@ -1,0 +1,352 @@
+"""``tiltcal apply`` on Parquet: the columns keep their types, and the result is what it is for CSV."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from datetime import UTC, date, datetime, timedelta
+from decimal import Decimal
+from math import isnan, nan
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given
+from hypothesis import strategies as st
+from polars.testing import assert_frame_equal
+from support import FIXTURES
+from support.command import TILTCAL
+
+from tiltcal.cli.apply import command
+from tiltcal.cli.match import command as match_command
+from tiltcal.errors import InputError, TiltcalError, UsageError
+from tiltcal.logs.parquet_log import ParquetLog
+
+WARM = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: bench-built, serial: S-1, unit: V, channels: [x, y]}
+calibration:
+  offset: {x: 2.5, y: 2.5}
+  sensitivity: {x: {x: 2.0, y: 0.01}, y: {x: -0.02, y: 2.0}}
+  temperature:
+    reference: 20.0
+    range: [5.0, 30.0]
+    offset: {x: [0.01], y: [0.002]}
+    sensitivity: {x: [0.001], y: [0.0]}
+"""
+ADDED = ["g_x", "g_y", "tilt_x", "tilt_y", "flag", "reason"]
+LOG = pl.DataFrame({"time": [0.0, 0.1, 0.2, 0.3], "x": [3.5, None, nan, 9.0], "y": [2.5, 1.5, 2.5, 2.5]})
+
+
+@pytest.fixture(autouse=True)
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a calibration and a log."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cal.yaml").write_text(WARM)
+    LOG.write_parquet("log.parquet")
+    return tmp_path
+
+
+def apply(*arguments: str, stdin: bytes | None = None) -> Result:
+    result = CliRunner().invoke(command, list(arguments), input=stdin)
+    if result.exception is not None and not isinstance(result.exception, TiltcalError):
+        raise result.exception
+    return result
+
+
+def applied(log: pl.DataFrame, *arguments: str) -> pl.DataFrame:
+    """What comes out, as Parquet."""
+    log.write_parquet("in.parquet")
+    result = apply("cal.yaml", "in.parquet", "-o", "out.parquet", *arguments)
+    assert result.exit_code == 0, result.exception
+    return pl.read_parquet("out.parquet")
+
+
+def refused(result: Result, kind: type[TiltcalError]) -> str:
+    assert isinstance(result.exception, kind), result.exception
+    assert result.exception.exit_code == 2
+    assert result.stdout == ""
+    return str(result.exception)
+
+
+class TestOutput:
+    def test_the_logs_own_columns_come_first_in_value_type_and_order(self) -> None:
+        rows = 5
+        log = pl.DataFrame(
+            {
+                "when": pl.Series([datetime(2026, 5, 1, 12, tzinfo=UTC) + timedelta(seconds=k) for k in range(rows)]),
+                "day": [date(2026, 5, k + 1) for k in range(rows)],
+                "note": ["level", None, "", "é,\n", "x"],
+                "n": pl.Series([1, None, 3, 2**63 - 1, -5], dtype=pl.Int64),
+                "y": pl.Series([2.5] * rows, dtype=pl.Float32),
+                "small": pl.Series([1, 2, 3, None, 255], dtype=pl.UInt8),
+                "kind": pl.Series(["a", "b", "a", None, "b"], dtype=pl.Enum(["a", "b"])),
+                "x": [3.5, 2.5, None, nan, 1.5],
+                "good": [True, None, False, True, True],
+                "raw": [b"\x00\xff", None, b"", b"a", b"b"],
+                "money": pl.Series([Decimal("1.10")] * rows, dtype=pl.Decimal(10, 2)),
+                "list": [[1, 2], None, [], [3], [4]],
+                "pair": [{"a": 1, "b": "x"}] * rows,
+                "for": [timedelta(milliseconds=k) for k in range(rows)],
+            }
+        )
+        found = applied(log)
+        assert found.columns == [*log.columns, *ADDED]
+        assert_frame_equal(found.select(log.columns), log, check_exact=True)
+        assert found.schema["flag"] == found.schema["reason"] == pl.UInt8
+        assert found["flag"].to_list() == [3, 3, 9, 9, 3]  # no temperature in this log
+        assert found["reason"].to_list() == [16, 16, 32, 32, 16]
+
+    def test_null_and_nan_are_missing_and_beyond_the_sine_fails(self) -> None:
+        found = applied(LOG.with_columns(temperature=20.0))
+        assert found["flag"].to_list() == [1, 9, 9, 4]
+        assert found["reason"].to_list() == [0, 32, 32, 1]
+        assert isnan(found["tilt_x"][1])
+        assert isnan(found["tilt_y"][2])
+
+    @pytest.mark.parametrize("kind", [pl.Int8, pl.UInt16, pl.Int64, pl.Float32, pl.Decimal(10, 3)])
+    def test_numbers_of_any_type_are_readings(self, kind: pl.DataType) -> None:
+        found = applied(pl.DataFrame({"x": [3, 2], "y": [2, 3], "temperature": [20, 25]}).cast(kind))
+        assert_frame_equal(
+            found.select(ADDED),
+            applied(pl.DataFrame({"x": [3.0, 2.0], "y": [2.0, 3.0], "temperature": [20.0, 25.0]})).select(ADDED),
+        )
+
+    def test_a_column_of_nothing_is_missing(self) -> None:
+        found = applied(pl.DataFrame({"x": [2.5, 2.5], "y": [2.5, 2.5], "temperature": pl.Series([None, None])}))
+        assert found["reason"].to_list() == [16, 16]
+
+    def test_order_stays_over_many_blocks_and_row_groups(self) -> None:
+        rows = 300_000
+        log = pl.DataFrame({"n": np.arange(rows), "x": np.linspace(1.5, 3.5, rows), "y": 2.5, "temperature": 20.0})
+        log.write_parquet("many.parquet", row_group_size=7_001)
+        assert json.loads(apply("cal.yaml", "many.parquet", "-o", "out.pq", "--json").stdout)["rows"] == rows
+        found = pl.read_parquet("out.pq")
+        assert_frame_equal(found.select(log.columns), log)
+        assert found["g_x"].is_sorted()
+
+    def test_the_file_says_what_it_was_made_with_and_what_it_said_before(self) -> None:
+        LOG.write_parquet("said.parquet", metadata={"site": "north"})
+        apply("cal.yaml", "said.parquet", "-o", "out.parquet")
+        notes = pl.read_parquet_metadata("out.parquet")
+        assert notes["site"] == "north"
+        made = json.loads(notes["tiltcal"])
+        assert (made["serial"], made["calibration"]) == ("S-1", "cal.yaml")
+        assert made["sha256"] == hashlib.sha256(WARM.encode()).hexdigest()
+
+    def test_columns_by_name_and_names_with_brackets(self) -> None:
+        log = pl.DataFrame({"Vout X": [3.5], "b": [2.5], "T": [20]})
+        log.write_parquet("night[1].parquet")
+        apply("cal.yaml", "night[1].parquet", "--columns", "x=Vout X,y=b,temperature=T", "-o", "out.parquet")
+        assert pl.read_parquet("out.parquet")["flag"].to_list() == [1]
+
+
+class TestBesideCsv:
+    VALUES = st.one_of(st.none(), st.floats(-10.0, 10.0), st.sampled_from([nan, 2.5, 4.5, 4.6, 1e300, 5e-324]))
+
+    @given(
+        rows=st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=20),
+        uncertainty=st.booleans(),
+    )
+    def test_flags_and_values_are_the_same(
+        self, rows: list[tuple[float | None, float | None, float | None]], uncertainty: bool
+    ) -> None:
+        calibration = FIXTURES / "mavs.yaml" if uncertainty else Path("cal.yaml")
+        log = pl.DataFrame(rows, schema={"x": pl.Float64, "y": pl.Float64, "temperature": pl.Float64}, orient="row")
+        more = ["--uncertainty"] if uncertainty else []
+        log.write_parquet("same.parquet")
+        log.write_csv("same.csv")
+        for start in ("same.parquet", "same.csv"):
+            for end in ("out.parquet", "out.csv"):
+                result = apply(str(calibration), start, "-o", start + "." + end, *more)
+                assert result.exit_code == 0, result.exception
+        typed, from_text = (pl.read_parquet(f"{start}.out.parquet") for start in ("same.parquet", "same.csv"))
+        added = typed.columns[3:]
+        assert_frame_equal(typed.select(added), from_text.select(added), check_exact=True)
+        texts = [pl.read_csv(f"{start}.out.csv", infer_schema=False) for start in ("same.parquet", "same.csv")]
+        assert_frame_equal(texts[0].select(added), texts[1].select(added))
+        plain = texts[0].select(added).cast({name: typed.schema[name] for name in added})
+        assert_frame_equal(plain, typed.select(added), check_exact=True)
+
+    def test_pairs_whose_kernel_remembers_are_the_same(self) -> None:
+        rows = 200_000
+        theta = np.arange(rows) * 0.72
+        turn, draw = np.radians(theta), np.random.default_rng(1)
+        gains = {"a1": 1.0, "a2": -1.01, "a3": 0.98, "a4": -1.02}
+        phases = {"a1": 0.0, "a2": 0.002, "a3": np.pi / 2 + 0.001, "a4": np.pi / 2}
+        log = pl.DataFrame(
+            {"theta": theta % 360.0}
+            | {name: gain * np.sin(turn + phases[name]) + draw.normal(0, 1e-4, rows) for name, gain in gains.items()}
+        )
+        log = log.with_columns(pl.col("a2") + 1e-3 * np.sin(2 * turn))
+        log.write_parquet("disk.parquet")
+        log.write_csv("disk.csv")
+        pairs = ["--pair", "a1,a2", "--orthogonal", "a4", "--pair", "a3,a4", "--orthogonal", "a1", "--phase", "theta"]
+        found = {}
+        for name in ("disk.csv", "disk.parquet"):
+            result = CliRunner().invoke(match_command, [name, *pairs, "--json", "-o", f"{name}.yaml"])
+            assert result.exit_code == 0, result.exception
+            found[name] = [(pair["p"], pair["q"]) for pair in json.loads(result.stdout)["pairs"]]
+        assert found["disk.parquet"] == pytest.approx(np.array(found["disk.csv"]), abs=1e-9)
+        assert hashlib.sha256(Path("disk.parquet").read_bytes()).hexdigest() in Path("disk.parquet.yaml").read_text()
+        for name in ("disk.csv", "disk.parquet"):
+            assert apply("disk.csv.yaml", name, "-o", f"{name}.out.parquet").exit_code == 0
+        one, other = (pl.read_parquet(f"{name}.out.parquet") for name in ("disk.csv", "disk.parquet"))
+        assert one["gradient_sin"].is_finite().sum() > rows // 2
+        # A turn is summed up block by block, and the blocks of the formats differ.
+        summed = ["gradient_sin", "gradient_cos"]
+        assert_frame_equal(one.drop(summed), other.drop(summed), check_exact=True)
+        assert_frame_equal(one.select(summed), other.select(summed), abs_tol=1e-12)
+
+
+class TestFromCsvToParquet:
+    def typed(self, text: str, *arguments: str) -> pl.DataFrame:
+        result = apply("cal.yaml", "-", "-o", "out.parquet", *arguments, stdin=text.encode())
+        assert result.exit_code == 0, result.exception
+        return pl.read_parquet("out.parquet")
+
+    def test_columns_of_numbers_are_numbers_and_all_others_text_as_it_stood(self) -> None:
+        found = self.typed(
+            "time,when,x,y,serial,long,note,empty,n\n"
+            '0.5,2026-05-01T12:00:00Z,3.5,2.5,0042,12345678901234567890,"a, ""b""",,1\n'
+            "0.6,2026-05-01T12:00:01Z,NA,2.5,0043,1,,,\n"
+        )
+        assert found["time"].to_list() == [0.5, 0.6]
+        assert found["when"].to_list() == ["2026-05-01T12:00:00Z", "2026-05-01T12:00:01Z"]
+        assert found["x"].to_list() == [3.5, None]
+        assert found["serial"].to_list() == ["0042", "0043"]
+        assert found["long"].to_list() == ["12345678901234567890", "1"]
+        assert found["note"].to_list() == ['a, "b"', None]
+        assert found["empty"].to_list() == [None, None]
+        assert found["n"].to_list() == [1.0, None]
+        assert found["flag"].to_list() == [3, 9]
+
+    @pytest.mark.parametrize("quote", ["", '"'])
+    def test_bad_rows_are_kept_with_the_text_they_had(self, quote: str) -> None:
+        text = f"note,x,y,n\n{quote}a{quote},3.5,2.5,1\nb,oops,2.5,2\nc\n\nd,1,2,3,4\ne,3.5,2.5,5\n"
+        found = self.typed(text, "--skip-bad-rows")
+        assert found["flag"].to_list() == [3, 9, 9, 9, 9, 3]
+        assert [(note or "").strip('"') for note in found["note"].to_list()[:3]] == ["a", "b", "c"]
+        assert found["n"].to_list()[0] == 1.0
+        assert found["n"].to_list()[-1] == 5.0
+        assert len(found) == 6
+
+    def test_a_row_that_cannot_be_parsed_is_named_with_its_line(self, bench: Path) -> None:
+        result = apply("cal.yaml", "-", "-o", "out.parquet", stdin=b"x,y\n1,2\n1,oops\n")
+        assert refused(result, InputError) == "standard input:3: column 'y': 'oops' is no number"
+        assert not (bench / "out.parquet").exists()
+
+    def test_a_column_that_changes_its_type_far_down_is_named_with_the_row(self, bench: Path) -> None:
+        text = b"x,y,n\n" + b"3.5,2.5,1\n" * 700_000 + b"3.5,2.5,off\n"
+        said = refused(apply("cal.yaml", "-", "-o", "out.parquet", stdin=text), InputError)
+        assert "row 700000: column 'n' holds 'off', and numbers above it" in said
+        assert not (bench / "out.parquet").exists()
+
+    def test_a_column_without_a_name(self) -> None:
+        said = refused(apply("cal.yaml", "-", "-o", "out.parquet", stdin=b"x,,y\n1,2,3\n"), InputError)
+        assert said == "standard input:1: column 2 has no name: Parquet needs one; name it in the header"
+
+
+class TestFromParquetToCsv:
+    def test_goes_to_standard_output_as_csv(self) -> None:
+        header, first, second, *_ = apply("cal.yaml", "log.parquet").stdout.splitlines()
+        assert header == ",".join(["time", "x", "y", *ADDED])
+        assert first.startswith("0.0,3.5,2.5,")
+        assert second == "0.1,,1.5,NaN,NaN,NaN,NaN,9,32"
+
+    def test_what_has_a_comma_is_quoted_and_a_moment_is_iso_8601(self) -> None:
+        moment = datetime(2026, 5, 1, 12, 0, 0, 500_000)
+        pl.DataFrame(
+            {"x": [2.5], "y": [2.5], "a,b": ['c"d'], "naive": [moment], "zoned": [moment.replace(tzinfo=UTC)]}
+        ).with_columns(pl.col("zoned").dt.convert_time_zone("Europe/Berlin")).write_parquet("in.parquet")
+        header, row = apply("cal.yaml", "in.parquet").stdout.splitlines()
+        assert header.startswith('x,y,"a,b",naive,zoned,')
+        assert row.startswith('2.5,2.5,"c""d",2026-05-01T12:00:00.500,2026-05-01T12:00:00.500Z,')
+
+    def test_a_list_has_no_place_in_a_cell(self) -> None:
+        LOG.with_columns(spectrum=pl.lit([1, 2])).write_parquet("in.parquet")
+        said = refused(apply("cal.yaml", "in.parquet"), UsageError)
+        assert "column 'spectrum' holds List" in said
+        assert "write Parquet" in said
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("content", [b"", b"x,y\n1,2\n", b"PAR1" + b"\0" * 64 + b"PAR1"])
+    def test_what_is_no_parquet(self, content: bytes, bench: Path) -> None:
+        (bench / "bad.parquet").write_bytes(content)
+        said = refused(apply("cal.yaml", "bad.parquet", "-o", "out.parquet"), InputError)
+        assert said.startswith("bad.parquet: this is no Parquet file, or a damaged one: ")
+        assert not (bench / "out.parquet").exists()
+
+    def test_a_file_that_was_cut(self, bench: Path) -> None:
+        content = (bench / "log.parquet").read_bytes()
+        (bench / "cut.parquet").write_bytes(content[: len(content) // 2])
+        assert "no Parquet file" in refused(apply("cal.yaml", "cut.parquet"), InputError)
+
+    def test_damage_in_the_middle_leaves_no_output(self, bench: Path) -> None:
+        draw = np.random.default_rng(0)
+        pl.DataFrame({"x": draw.random(200_000), "y": draw.random(200_000)}).write_parquet("in.parquet")
+        content = bytearray((bench / "in.parquet").read_bytes())
+        content[len(content) // 3 : len(content) // 2] = bytes(len(content) // 2 - len(content) // 3)
+        (bench / "in.parquet").write_bytes(content)
+        (bench / "out.parquet").write_text("the one before")
+        assert "in.parquet: " in refused(apply("cal.yaml", "in.parquet", "-o", "out.parquet"), InputError)
+        assert (bench / "out.parquet").read_text() == "the one before"
+        assert not [name for name in os.listdir(bench) if name.startswith(".")]
+
+    def test_rows_that_the_engine_loses_in_silence_are_missed(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        log = ParquetLog("log.parquet")
+        monkeypatch.setattr(log, "_rows", 5)
+        with pytest.raises(InputError, match="gives 4 of 5 rows"):
+            list(log.rows([1]))
+
+    def test_a_missing_column(self) -> None:
+        LOG.rename({"x": "X"}).write_parquet("in.parquet")
+        said = refused(apply("cal.yaml", "in.parquet"), InputError)
+        assert said.startswith("in.parquet: there is no column 'x' (did you mean 'X'?); the log has time, X, y. ")
+
+    @pytest.mark.parametrize(("kind", "called"), [(pl.String, "String"), (pl.Boolean, "Boolean")])
+    def test_a_column_that_holds_no_numbers(self, kind: pl.DataType, called: str) -> None:
+        LOG.with_columns(y=pl.lit(None, kind)).write_parquet("in.parquet")
+        said = refused(apply("cal.yaml", "in.parquet"), InputError)
+        assert said == f"in.parquet: column 'y' holds {called}, not numbers: name another, or make numbers of it"
+
+    def test_a_log_without_rows(self) -> None:
+        LOG.clear().write_parquet("in.parquet")
+        assert "no rows" in refused(apply("cal.yaml", "in.parquet"), InputError)
+
+    def test_a_result_is_not_compensated_again(self) -> None:
+        apply("cal.yaml", "log.parquet", "-o", "out.parquet")
+        assert "column 'g_x' already" in refused(apply("cal.yaml", "out.parquet"), UsageError)
+
+    def test_an_absent_log(self) -> None:
+        assert "cannot read none.parquet" in refused(apply("cal.yaml", "none.parquet"), UsageError)
+
+    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+    def test_a_full_disk(self) -> None:
+        os.symlink("/dev/full", "full.parquet")
+        assert "No space left" in refused(apply("cal.yaml", "log.parquet", "-o", "full.parquet"), UsageError)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_ctrl_c_leaves_nothing_behind(bench: Path) -> None:
+    os.mkfifo("in.csv")
+    (bench / "out.parquet").write_text("the one before")
+    process = subprocess.Popen(
+        [*TILTCAL, "apply", "cal.yaml", "in.csv", "-o", "out.parquet"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    with open("in.csv", "wb") as stream:
+        stream.write(b"x,y\n" + b"3.5,2.5\n" * 2_000_000)
+        stream.flush()  # most of it has been read when this returns, and the end is still to come
+        process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert (bench / "out.parquet").read_text() == "the one before"
+    assert sorted(os.listdir(bench)) == ["cal.yaml", "in.csv", "log.parquet", "out.parquet"]

@@ -1,0 +1,230 @@
+"""``tiltcal apply --uncertainty``: what it prints, what it refuses, and that the truth is inside."""
+
+from __future__ import annotations
+
+import csv
+import json
+from math import cos, degrees, hypot, isnan, nan, radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
+
+from tiltcal.calibration.results import rounded, uncertainty_record
+from tiltcal.cli.apply import command
+from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
+from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.errors import InputError, UsageError
+from tiltcal.files.calibration import Calibration, SensorIdentity, write_calibration
+from tiltcal.logs.column_widths import ColumnWidths
+
+SILENT = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: bench-built, serial: S-1, unit: V, channels: [x, y]}
+calibration:
+  offset: {x: 2.5, y: 2.5}
+  sensitivity: {x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}
+"""
+ALONE = """\
+uncertainty:
+  offset: {x: 0.003, y: 0.003}
+  sensitivity: {x: {x: 0.002, y: 0.0}, y: {x: 0.0, y: 0.002}}
+"""
+KNOWN = ALONE + "  reading: {x: 0.004, y: 0.004}\n"
+LOG = "x,y\n2.5,2.5\n3.5,2.5\n"
+
+
+@pytest.fixture(autouse=True)
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log.csv").write_text(LOG)
+    (tmp_path / "cal.yaml").write_text(SILENT + KNOWN)
+    return tmp_path
+
+
+def apply(*arguments: str, stdin: str | None = None) -> Result:
+    return CliRunner().invoke(command, list(arguments), input=stdin)
+
+
+def rows(text: str) -> list[dict[str, float]]:
+    return [{name: float(cell or nan) for name, cell in row.items()} for row in csv.DictReader(text.splitlines())]
+
+
+class TestColumns:
+    def test_stand_behind_all_others(self) -> None:
+        plain, found = apply("cal.yaml", "log.csv").stdout, apply("cal.yaml", "log.csv", "--uncertainty").stdout
+        assert found.splitlines()[0].endswith("flag,reason,u_tilt_x,u_tilt_y,U95_tilt_x,U95_tilt_y")
+        assert [line.rsplit(",", 4)[0] for line in found.splitlines()] == plain.splitlines()
+
+    def test_are_what_the_gum_gives(self) -> None:
+        """Offset 0.003, sensitivity 0.002, reading 0.004 V of 2 V/g, at level and at 30°."""
+        level, tilted = rows(apply("cal.yaml", "log.csv", "--uncertainty").stdout)
+        assert level["u_tilt_x"] == pytest.approx(degrees(0.005 / 2), rel=1e-3)
+        expected = degrees(hypot(0.005, 0.5 * 0.002) / 2 / cos(radians(30)))
+        assert tilted["u_tilt_x"] == pytest.approx(expected, rel=1e-3)
+        assert tilted["U95_tilt_x"] == pytest.approx(1.96 * expected, rel=2e-3)
+
+    def test_of_the_calibration_alone(self) -> None:
+        level, _ = rows(apply("cal.yaml", "log.csv", "--uncertainty", "--reading-noise", "0").stdout)
+        assert level["u_tilt_x"] == pytest.approx(degrees(0.003 / 2), rel=1e-3)
+
+    def test_the_noise_of_the_log_takes_the_place_of_the_files(self) -> None:
+        level, _ = rows(apply("cal.yaml", "log.csv", "--uncertainty", "--reading-noise", "0.0004").stdout)
+        assert level["u_tilt_x"] == pytest.approx(degrees(hypot(0.003, 0.0004) / 2), rel=1e-3)
+
+    def test_correlations_of_the_file_count(self) -> None:
+        """Offset and sensitivity that err together by 0.003 and 0.002 cancel in part at -30°."""
+        Path("joint.yaml").write_text(
+            SILENT + KNOWN + "  covariance:\n    parameters: [offset.x, sensitivity.x.x]\n"
+            "    matrix: [[9.0e-6, 6.0e-6], [6.0e-6, 4.0e-6]]\n"
+        )
+        found = rows(apply("joint.yaml", "-", "--uncertainty", stdin="x,y\n1.5,2.5\n3.5,2.5\n").stdout)
+        for row, error in zip(found, (0.003 - 0.5 * 0.002, 0.003 + 0.5 * 0.002), strict=True):
+            expected = degrees(hypot(error, 0.004) / 2 / cos(radians(30)))
+            assert row["u_tilt_x"] == pytest.approx(expected, rel=1e-3)
+
+    def test_the_coverage_factor_of_the_file_counts(self) -> None:
+        factors = (
+            "  coverage_factor: {offset.x: 4.303, offset.y: 4.303, sensitivity.x.x: 4.303, sensitivity.y.y: 4.303}\n"
+        )
+        Path("few.yaml").write_text(SILENT + KNOWN + factors)
+        level, _ = rows(apply("few.yaml", "log.csv", "--uncertainty", "--reading-noise", "0").stdout)
+        assert level["U95_tilt_x"] == pytest.approx(4.303 * degrees(0.003 / 2), rel=2e-3)
+
+    def test_the_thermometer_counts_where_the_drift_does(self) -> None:
+        """0.1 V/°C and a thermometer that is uncertain by 0.04 °C: as much as the reading."""
+        warm = (
+            SILENT
+            + "  temperature: {reference: 20.0, offset: {x: [0.1], y: [0.0]}}\n"
+            + KNOWN.replace("y: 0.004}", "y: 0.004, temperature: 0.04}")
+        )
+        Path("warm.yaml").write_text(warm)
+        (found,) = rows(apply("warm.yaml", "-", "--uncertainty", stdin="x,y,temperature\n2.5,2.5,20\n").stdout)
+        assert found["u_tilt_x"] == pytest.approx(degrees(hypot(0.003, 0.004, 0.004) / 2), rel=1e-3)
+        assert found["u_tilt_y"] == pytest.approx(degrees(0.005 / 2), rel=1e-3)
+
+    def test_a_mounting_that_is_known_by_its_angles(self) -> None:
+        """Turned by 90° about z, the application's x is the sensor's y; yaw moves it by the tilt of y."""
+        mounted = SILENT + "  mounting: {roll: 0, pitch: 0, yaw: 90}\n" + KNOWN + "  mounting: {yaw: 0.5}\n"
+        Path("mounted.yaml").write_text(mounted)
+        (found,) = rows(apply("mounted.yaml", "-", "--uncertainty", stdin="x,y\n3.5,2.5\n").stdout)
+        assert found["tilt_y"] == pytest.approx(-30.0, abs=1e-9)
+        assert found["u_tilt_x"] == pytest.approx(hypot(degrees(0.005 / 2), 0.5 * 0.5), rel=1e-3)
+
+    def test_three_axes_have_one_for_every_angle(self) -> None:
+        text = SILENT.replace("[x, y]", "[x, y, z]").replace("y: 2.5}", "y: 2.5, z: 2.5}")
+        text = text.replace(
+            "{x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}",
+            "{x: {x: 2, y: 0, z: 0}, y: {x: 0, y: 2, z: 0}, z: {x: 0, y: 0, z: 2}}",
+        )
+        Path("three.yaml").write_text(text + "uncertainty: {offset: {x: 0.003, y: 0.003, z: 0.003}}\n")
+        (found,) = rows(apply("three.yaml", "-", "--uncertainty", stdin="x,y,z\n3.5,2.5,4.232050808\n").stdout)
+        assert found["pitch"] == pytest.approx(30.0, abs=1e-6)
+        for angle in ("tilt_y", "pitch", "inclination"):
+            assert found[f"u_{angle}"] == pytest.approx(degrees(0.003 / 2), rel=1e-3)
+        assert found["u_roll"] == pytest.approx(degrees(0.003 / 2 / cos(radians(30))), rel=1e-3)
+
+    def test_rows_without_an_angle_to_use_have_none(self) -> None:
+        found = rows(apply("cal.yaml", "-", "--uncertainty", stdin="x,y\n,2.5\n4.9,2.5\n4.502,2.5\n").stdout)
+        assert [int(row["flag"]) for row in found] == [9, 4, 3]
+        assert [isnan(row["U95_tilt_x"]) for row in found] == [True, True, False]
+
+
+class TestSummary:
+    def test_tells_the_median_and_the_largest(self) -> None:
+        said = apply("cal.yaml", "log.csv", "--uncertainty", "-o", "out.csv").stderr.splitlines()
+        assert said[-1] == "  median (largest) U95_tilt_x 0.28° (0.33°), U95_tilt_y 0.28° (0.28°)"
+
+    def test_is_there_for_a_program(self) -> None:
+        found = json.loads(apply("cal.yaml", "log.csv", "--uncertainty", "-o", "out.csv", "--json").stdout)
+        largest = 1.96 * degrees(hypot(0.005, 0.001) / 2 / cos(radians(30)))
+        assert found["uncertainty"]["U95_tilt_x"]["largest"] == pytest.approx(largest, rel=2e-3)
+
+    def test_of_nothing(self) -> None:
+        found = apply("cal.yaml", "-", "--uncertainty", "-o", "out.csv", stdin="x,y\n,\n")
+        assert "U95_tilt_x none" in found.stderr
+
+    def test_the_median_of_many(self) -> None:
+        widths, drawn = ColumnWidths(), np.random.default_rng(4).lognormal(-3.0, 1.5, 100_001)
+        for some in np.array_split(drawn, 7):
+            widths.add(some)
+        assert widths.median == pytest.approx(float(np.median(drawn)), rel=0.005)
+        assert widths.largest == drawn.max()
+
+
+class TestWhatTheFileDoesNotSay:
+    def test_no_uncertainty_at_all_is_refused_with_what_to_do(self) -> None:
+        for silent in (SILENT, SILENT + "uncertainty: {}\n"):
+            Path("silent.yaml").write_text(silent)
+            result = apply("silent.yaml", "log.csv", "--uncertainty", "-o", "out.csv")
+            assert isinstance(result.exception, InputError)
+            assert "silent.yaml" in str(result.exception)
+            assert "under `uncertainty`" in str(result.exception)
+            assert not Path("out.csv").exists()
+
+    def test_no_covariance_is_said_aloud(self) -> None:
+        assert (
+            "no covariance: the coefficients count as uncorrelated"
+            in apply("cal.yaml", "log.csv", "--uncertainty").stderr
+        )
+
+    def test_what_counts_as_exact_is_named(self) -> None:
+        Path("half.yaml").write_text(SILENT + "uncertainty: {offset: {x: 0.003, y: 0.003}}\n")
+        said = apply("half.yaml", "log.csv", "--uncertainty").stderr
+        assert "no uncertainty is stated of sensitivity.x.x, sensitivity.x.y" in said
+        assert "--reading-noise" in said
+
+    def test_a_coefficient_that_is_not_there_is_named(self) -> None:
+        Path("odd.yaml").write_text(SILENT + "uncertainty: {covariance: {parameters: [offset.q], matrix: [[1.0]]}}\n")
+        result = apply("odd.yaml", "log.csv", "--uncertainty")
+        assert isinstance(result.exception, InputError)
+        assert "'offset.q'" in str(result.exception)
+
+    def test_correlations_that_contradict_are_refused(self) -> None:
+        Path("odd.yaml").write_text(
+            SILENT + "uncertainty: {covariance: {parameters: [offset.x, offset.y], matrix: [[1.0, 2.0], [2.0, 1.0]]}}\n"
+        )
+        assert "contradict" in str(apply("odd.yaml", "log.csv", "--uncertainty").exception)
+
+    def test_reading_noise_without_uncertainty(self) -> None:
+        assert isinstance(apply("cal.yaml", "log.csv", "--reading-noise", "1").exception, UsageError)
+
+
+def calibrated(rng: np.random.Generator, *, stated: bool) -> tuple[Calibration, Estimate, object]:
+    """One simulated calibration on a jig of 0.2°, with the noise known from block means alone."""
+    plan = plan_of(12, noise=2e-4, jig=0.2)
+    truth = part(rng)
+    (found,) = estimate_jointly(
+        fixture(measured(rng, plan, [truth], known_noise=False), design(plan, jig=0.2 if stated else None))
+    )
+    reading = dict.fromkeys(XYZ, 1e-3)
+    identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
+    return Calibration(identity, rounded(found), uncertainty_record(found, reading)), found, truth
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_the_truth_is_inside_in_95_of_100(stated: bool) -> None:
+    """300 calibrations by way of their files, each with a log of 20 noisy rows; and u is what the errors scatter by."""
+    rng = np.random.default_rng(21)
+    inside, ratios = [], []
+    for _ in range(300):
+        calibration, _, truth = calibrated(rng, stated=stated)
+        write_calibration("drawn.yaml", calibration)
+        x, y = rng.uniform(-40.0, 40.0, (2, 20))
+        gravity = np.array([gravity_from_tilt({"x": a, "y": b}) for a, b in zip(x, y, strict=True)])
+        readings = truth.reading(gravity, np.zeros(20)) + 1e-3 * rng.standard_normal((20, 3))
+        log = "x,y,z\n" + "\n".join(",".join(f"{value:.9f}" for value in row) for row in readings) + "\n"
+        found = rows(apply("drawn.yaml", "-", "--uncertainty", stdin=log).stdout)
+        roll = np.degrees(np.arctan2(gravity[:, 1], gravity[:, 2]))
+        for angle, right in (("tilt_x", x), ("tilt_y", y), ("pitch", x), ("roll", roll)):
+            error = np.array([row[angle] for row in found]) - right
+            inside.append(np.mean(np.abs(error) <= [row[f"U95_{angle}"] for row in found]))
+            ratios.append(np.mean((error / [row[f"u_{angle}"] for row in found]) ** 2))
+    shares = np.array(inside).reshape(300, 4).mean(axis=1)
+    doubt = shares.std(ddof=1) / np.sqrt(300)
+    assert abs(shares.mean() - 0.95) < 3 * doubt + 0.005, (shares.mean(), doubt)
+    if stated:
+        assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.06)

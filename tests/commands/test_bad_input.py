@@ -1,0 +1,175 @@
+"""Bad input: a clear error with file, line and key, exit code 2, and nothing written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.command import measure, tiltcal
+
+CALIBRATION = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: sca100t-d02, serial: S-0042, unit: count, channels: [x, y]}
+calibration:
+  offset: {x: 1024.6, y: 1021.9}
+  sensitivity:
+    x: {x: 818.2, y: 9.1}
+    y: {x: -6.4, y: 820.7}
+"""
+LOG = "time,x,y\n0,1024,1022\n1,1433,1020\n"
+SEGMENTS = "position,start,end\nx-up,0,1\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "cal.yaml").write_text(CALIBRATION)
+    (tmp_path / "log.csv").write_text(LOG)
+    return tmp_path
+
+
+def test_the_good_files_are_good(folder: Path) -> None:
+    assert tiltcal("apply", "cal.yaml", "log.csv", "-o", "out.csv", cwd=folder).returncode == 0
+    assert tiltcal("check", "cal.yaml", cwd=folder).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "key"),
+    [
+        ("  offset:", "  ofset:", 5, "ofset"),
+        ("serial: S-0042, ", "", 3, "serial"),
+        ("y: 1021.9", "y: .nan", 5, "calibration.offset.y"),
+        ("y: 1021.9", "y: 10:21", 5, "calibration.offset.y"),
+        ("y: 1021.9", 'y: "1021.9"', 5, "calibration.offset.y"),
+        ("y: 1021.9", "y: 1021.9, y: 1021.8", 5, "y"),
+        ("{x: -6.4, y: 820.7}", "{x: 818.2, y: 9.1}", 6, "calibration.sensitivity"),
+        ("tiltcal: 1", "tiltcal: 99", 1, "tiltcal"),
+        ("kind: tilt", "kind: tilted", 2, "kind"),
+        ("channels: [x, y]", "channels: [x, x]", 3, "sensor.channels"),
+    ],
+)
+@pytest.mark.parametrize("command", [("apply", "log.csv", "-o", "out.csv"), ("check",)])
+def test_a_wrong_calibration_file(
+    old: str, new: str, line: int, key: str, command: tuple[str, ...], folder: Path
+) -> None:
+    (folder / "cal.yaml").write_text(CALIBRATION.replace(old, new))
+    name, *rest = command
+    result = tiltcal(name, "cal.yaml", *rest, cwd=folder)
+    assert result.returncode == 2
+    assert f"cal.yaml:{line}: " in result.stderr
+    assert key in result.stderr
+    assert not (folder / "out.csv").exists()
+    assert result.stdout == ""
+
+
+def test_an_alias_bomb(folder: Path) -> None:
+    levels = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 12))
+    (folder / "cal.yaml").write_text("a0: &a0 [lol]\n" + levels)
+    result = tiltcal("check", "cal.yaml", cwd=folder)
+    assert result.returncode == 2
+    assert "cal.yaml:1: " in result.stderr
+
+
+def test_a_file_of_1_gb(folder: Path) -> None:
+    with open(folder / "cal.yaml", "ab") as stream:
+        stream.truncate(1 << 30)
+    result = tiltcal("apply", "cal.yaml", "log.csv", cwd=folder)
+    assert result.returncode == 2
+    assert "cal.yaml" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("log", "told"),
+    [
+        ("", "log.csv"),
+        ("time,x,y\n", "log.csv:2: the log has a header and no rows"),
+        ("time,x\n0,1024\n", "'y'"),
+        ("time,x,y\n0,1024,fast\n", "log.csv:2: "),
+        ("time,x,y\n0,1024\n", "log.csv:2: "),
+        ("time,x,y\n0,1024,1022\n1,2,2.", "log.csv:3: "),
+    ],
+)
+def test_a_wrong_log(log: str, told: str, folder: Path) -> None:
+    (folder / "log.csv").write_text(log)
+    result = tiltcal("apply", "cal.yaml", "log.csv", "-o", "out.csv", cwd=folder)
+    assert result.returncode == 2
+    assert told in result.stderr
+    assert not (folder / "out.csv").exists()
+
+
+@pytest.mark.parametrize("name", ["cal.yaml", "log.csv"])
+def test_a_file_that_is_not_there(name: str, folder: Path) -> None:
+    (folder / name).unlink()
+    result = tiltcal("apply", "cal.yaml", "log.csv", cwd=folder)
+    assert result.returncode == 2
+    assert name in result.stderr
+
+
+class TestFit:
+    OPTIONS = ("--segments", "seg.csv", "--unit", "count", "--serial", "S-1", "-o", "new.yaml")
+
+    ROWS = "1,2,3\n1.5,2,3\n" * 20
+
+    def fit(self, folder: Path, segments: str, *options: str, procedure: str = "six-face", rows: str = ROWS) -> str:
+        (folder / "seg.csv").write_text(segments)
+        (folder / "log.csv").write_text("x,y,z\n" + rows)
+        result = tiltcal("fit", procedure, "log.csv", *self.OPTIONS, *options, cwd=folder)
+        assert result.returncode == 2
+        assert not (folder / "new.yaml").exists()
+        return result.stderr
+
+    def test_a_position_the_procedure_does_not_have(self, folder: Path) -> None:
+        told = self.fit(folder, "position,start,end\nx-upp,0,9\n")
+        assert "seg.csv:2: " in told
+        assert "'x-up'" in told
+
+    def test_a_segment_beyond_the_log(self, folder: Path) -> None:
+        assert "seg.csv:2: segment x-up: ends at row 99; log.csv has 40 rows" in self.fit(
+            folder, "position,start,end\nx-up,0,99\n"
+        )
+
+    def test_stuck_is_not_still(self, folder: Path) -> None:
+        told = self.fit(folder, "position,start,end,gx,gy,gz\nup,0,2,0,0,1\n", "--columns", "x=y,y=y,z=z")
+        assert "stuck" in told
+
+    def test_too_few_positions(self, folder: Path) -> None:
+        rows = "9.8,0.1,0.2\n9.9,0.2,0.1\n" * 10 + "0.1,9.8,0.3\n0.2,9.7,0.2\n" * 10
+        told = self.fit(folder, "position,start,end\nx-up,0,20\ny-up,20,40\n", rows=rows)
+        assert "no position says anything of sensitivity.x.z: add the position level (+z up)" in told
+
+    def test_an_unknown_procedure(self, folder: Path) -> None:
+        assert "'six-face'" in self.fit(folder, SEGMENTS, procedure="six-faces")
+
+    def test_a_missing_column(self, folder: Path) -> None:
+        told = self.fit(folder, SEGMENTS, "--columns", "x=acc_x")
+        assert "'acc_x'" in told
+        assert "log.csv:1: " in told
+
+
+def test_a_wrong_procedure_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text(
+        "tiltcal: 1\nkind: procedure\nname: mine\ntitle: T\ndetermines: {axes: [x]}\npositions:\n"
+        "  - {name: a, tilt: {x: 95}, prompt: p}\n"
+    )
+    result = measure(procedure="mine.yaml", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "mine.yaml:7: positions[0]" in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.yaml"]
+
+
+def test_a_damaged_journal_names_the_line(tmp_path: Path) -> None:
+    measure(cwd=tmp_path)
+    journal = tmp_path / "S-1.journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    lines[200] = lines[200].replace(b"1", b"2", 1)
+    journal.write_bytes(b"".join(lines))
+    for command in (("replay",), ("check",), ("measure", "--resume")):
+        result = tiltcal(*command, "S-1.journal.jsonl", cwd=tmp_path)
+        assert result.returncode == 2
+        assert "S-1.journal.jsonl:201: the line is damaged" in result.stderr
+
+
+def test_an_unknown_command_offers_the_near_one() -> None:
+    result = tiltcal("mesure")
+    assert result.returncode == 2
+    assert "measure" in result.stderr

@@ -1,0 +1,101 @@
+"""``tiltcal fit`` and ``apply`` on the recorded six-face session (imucal's, MIT; see data/README.md)."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+from support import DATA
+from support.command import tiltcal
+
+from tiltcal.files.calibration import read_calibration
+
+SESSION, SEGMENTS = DATA / "ferraris_session.csv", DATA / "ferraris_segments.csv"
+
+pytestmark = pytest.mark.skipif(not SESSION.exists(), reason="the recorded data are not in ../shared/data")
+
+COLUMNS = "x=acc_x,y=acc_y,z=acc_z"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fit")
+    result = tiltcal(
+        *("fit", "six-face", SESSION, "--segments", SEGMENTS, "--columns", COLUMNS),
+        *("--unit", "m/s2", "--serial", "IMU1", "-o", "imu1.yaml"),
+        cwd=folder,
+    )
+    assert result.returncode == 0, result.stderr
+    (folder / "said.txt").write_text(result.stdout)
+    return folder
+
+
+def test_the_published_coefficients_to_their_printed_digits(folder: Path) -> None:
+    found = read_calibration(folder / "imu1.yaml").coefficients
+    assert [f"{value:.5f}" for value in found.offset] == ["0.55114", "-0.61973", "0.38564"]
+    assert [[f"{value:.5f}" for value in row] for row in found.sensitivity] == [
+        ["9.77673", "-0.14501", "-0.07316"],
+        ["0.08434", "9.83353", "0.01813"],
+        ["0.13384", "0.02012", "10.03860"],
+    ]
+
+
+def test_it_names_the_worst_residual(folder: Path) -> None:
+    """Face residuals reach 0.026 m/s² (placement)."""
+    said = (folder / "said.txt").read_text()
+    assert "worst residual  z-up, channel x: 0.0263 m/s2" in said
+
+
+def test_apply_runs_over_the_whole_session(folder: Path) -> None:
+    result = tiltcal("apply", "imu1.yaml", SESSION, "--columns", COLUMNS, "-o", "tilt.csv", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    with open(SESSION, newline="") as before, open(folder / "tilt.csv", newline="") as after:
+        rows_in, rows_out = list(csv.reader(before)), list(csv.reader(after))
+    assert len(rows_out) - 1 == len(rows_in) - 1 == 10376
+    width = len(rows_in[0])
+    assert [row[:width] for row in rows_out] == rows_in
+    assert rows_out[0][width:] == [
+        *("g_x", "g_y", "g_z", "tilt_x", "tilt_y", "tilt_z"),
+        *("pitch", "roll", "inclination", "flag", "reason"),
+    ]
+
+
+def test_the_faces_come_out_where_they_were_held(folder: Path) -> None:
+    """Within the placement of the faces, half a degree, each face's mean gravity is the direction that was up."""
+    with open(folder / "tilt.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    with open(SEGMENTS, newline="") as stream:
+        for face in csv.DictReader(stream):
+            still = rows[int(face["start"]) : int(face["end"])]
+            for axis in "xyz":
+                mean = sum(float(row[f"g_{axis}"]) for row in still) / len(still)
+                assert mean == pytest.approx(float(face[f"g{axis}"]), abs=0.009), face["position"]
+
+
+def test_with_a_stated_jig_the_chi_square_is_told(folder: Path) -> None:
+    result = tiltcal(
+        *("fit", "six-face", SESSION, "--segments", SEGMENTS, "--columns", COLUMNS, "--jig", "0.001"),
+        *("--unit", "m/s2", "--serial", "IMU1", "-o", "tight.yaml"),
+        cwd=folder,
+    )
+    assert result.returncode == 0, result.stderr
+    assert "chi-square" in result.stdout
+    assert "further off than the jig should be, the worst first: " in result.stdout
+    judged = tiltcal("check", "tight.yaml", cwd=folder)
+    assert judged.returncode == 1
+    assert "more than the stated noise and jig allow" in judged.stdout
+
+
+def test_with_a_stated_placement_error_imucals_offsets_are_inside_our_intervals(tmp_path: Path) -> None:
+    """imucal's own two-face formula gives offsets 0.5371, -0.6162, 0.3989 m/s² (data/README.md)."""
+    result = tiltcal(
+        *("fit", "six-face", SESSION, "--segments", SEGMENTS, "--columns", COLUMNS, "--jig", "0.2"),
+        *("--unit", "m/s2", "--serial", "IMU1", "-o", "imu1.yaml"),
+        cwd=tmp_path,
+    )
+    assert result.returncode == 0, result.stderr
+    found = read_calibration(tmp_path / "imu1.yaml")
+    for axis, published in {"x": 0.5371, "y": -0.6162, "z": 0.3989}.items():
+        offset = found.coefficients.offset["xyz".index(axis)]
+        assert abs(offset - published) < 1.96 * found.uncertainty["offset"][axis]

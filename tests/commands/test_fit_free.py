@@ -1,0 +1,265 @@
+"""``tiltcal fit free``: recorded logs of sensors that were held still by hand, and unit gravity alone.
+
+Published values are those of ../shared/data/README.md (imu_tk and imu-calib).
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from math import acos, degrees, hypot
+from pathlib import Path
+
+import pytest
+from support import DATA
+from support.command import tiltcal
+
+from tiltcal.files.calibration import Calibration, read_calibration
+
+XSENS, MPU = DATA / "xsens_acc.txt", DATA / "mpu9150_imu0.txt"
+
+needs_data = pytest.mark.skipif(not XSENS.exists(), reason="the recorded data are not in ../shared/data")
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What came out of a fit: the file, what was printed, what was said, and where."""
+
+    calibration: Calibration
+    printed: str
+    said: str
+    folder: Path
+
+
+def fitted(folder: Path, log: Path, *options: str | Path) -> Fit:
+    result = tiltcal("fit", "free", log, *options, "--serial", "S-1", "-o", "cal.yaml", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    return Fit(read_calibration(folder / "cal.yaml"), result.stdout, result.stderr, folder)
+
+
+XSENS_OPTIONS = ("--columns", "x=2,y=3,z=4", "--unit", "count", "--gravity", "9.81744")
+MPU_OPTIONS = ("--columns", "x=1,y=2,z=3", "--unit", "m/s2", "--gravity", "9.81")
+
+
+@pytest.fixture(scope="module")
+def xsens(tmp_path_factory: pytest.TempPathFactory) -> Fit:
+    return fitted(tmp_path_factory.mktemp("xsens"), XSENS, *XSENS_OPTIONS, "--segments-out", "still.csv")
+
+
+@pytest.fixture(scope="module")
+def mpu(tmp_path_factory: pytest.TempPathFactory) -> Fit:
+    return fitted(tmp_path_factory.mktemp("mpu"), MPU, *MPU_OPTIONS)
+
+
+@needs_data
+class TestXsens:
+    """The Xsens MTi: blanks between columns, no header, counts; g there is 9.81744 m/s²."""
+
+    def test_the_published_scales_within_0_02_percent(self, xsens: Fit) -> None:
+        scales = xsens.calibration.derived["sensitivity_per_m_s2"]
+        assert [scales[axis] for axis in "xyz"] == pytest.approx([414.41, 412.05, 414.61], rel=2e-4)
+
+    def test_sensitivity_is_per_g(self, xsens: Fit) -> None:
+        diagonal = xsens.calibration.coefficients.sensitivity.diagonal()
+        assert diagonal == pytest.approx([414.41 * 9.81744, 412.05 * 9.81744, 414.61 * 9.81744], rel=2e-4)
+
+    def test_the_published_offsets_within_twice_their_uncertainty(self, xsens: Fit) -> None:
+        published, u = (33123.8, 33275.2, 32364.5), (0.24, 0.14, 0.15)
+        for found, value, uncertainty in zip(xsens.calibration.coefficients.offset, published, u, strict=True):
+            assert abs(found - value) < 2 * uncertainty
+
+    def test_the_still_means_miss_by_0_10_mg(self, xsens: Fit) -> None:
+        assert xsens.calibration.fit["misfit_rms_mg"] == pytest.approx(0.10, abs=0.01)
+
+    def test_about_40_attitudes_are_found_and_shown(self, xsens: Fit) -> None:
+        calibration, said = xsens.calibration, xsens.said
+        assert 36 <= len(calibration.positions) <= 44
+        assert f"{len(calibration.positions)} positions" in xsens.printed
+        assert "times the noise of the stillest part" in said
+        assert said.count("\n  still-") == len(calibration.positions)
+        assert calibration.provenance["segments"]["threshold"] > 0
+
+    def test_the_mounting_is_said_to_be_undetermined(self, xsens: Fit) -> None:
+        calibration, said = xsens.calibration, xsens.said
+        assert calibration.coefficients.mounting is None
+        assert calibration.derived["mounting"].startswith("undetermined")
+        assert "mounting undetermined" in said
+        below = [calibration.coefficients.sensitivity[place] for place in ((1, 0), (2, 0), (2, 1))]
+        assert below == [0.0, 0.0, 0.0]
+
+    def test_the_segments_it_writes_give_the_same_again(self, xsens: Fit, tmp_path: Path) -> None:
+        again = fitted(tmp_path, XSENS, *XSENS_OPTIONS, "--segments", xsens.folder / "still.csv").calibration
+        assert again.coefficients.offset.tolist() == xsens.calibration.coefficients.offset.tolist()
+        assert again.coefficients.sensitivity.tolist() == xsens.calibration.coefficients.sensitivity.tolist()
+        assert again.positions == xsens.calibration.positions
+
+    def test_apply_reads_the_log_by_the_same_columns(self, xsens: Fit) -> None:
+        result = tiltcal(
+            "apply", "cal.yaml", XSENS, "--columns", "x=2,y=3,z=4", "-o", "tilt.csv", "--json", cwd=xsens.folder
+        )
+        assert result.returncode == 0, result.stderr
+        with open(xsens.folder / "tilt.csv", newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        assert len(rows) == 51175
+        first = rows[0]
+        assert [first[name] for name in "1234"] == ["2.9840000e-02", "3.3108000e+04", "3.3329000e+04", "3.6429000e+04"]
+        # The first 50 s lie still and nearly level.
+        assert float(first["inclination"]) == pytest.approx(1.0, abs=0.3)
+
+
+@needs_data
+class TestMpu9150:
+    """The MPU-9150: readings in m/s², g = 9.81; the record in which a strict threshold leaves nine attitudes."""
+
+    def test_the_published_scale_errors_within_0_02_percent(self, mpu: Fit) -> None:
+        errors = mpu.calibration.derived["scale_error_percent"]
+        assert [errors[axis] for axis in "xyz"] == pytest.approx([0.363, 0.315, 0.647], abs=0.02)
+
+    def test_the_published_offsets_within_twice_the_uncertainty(self, mpu: Fit) -> None:
+        for axis, published in {"x": 0.103, "y": 0.097, "z": 0.344}.items():
+            found = mpu.calibration.coefficients.offset["xyz".index(axis)]
+            assert (
+                abs(found - published) < 2 * mpu.calibration.uncertainty["offset"][axis] + 0.0005
+            )  # half its last digit
+
+    def test_far_more_than_nine_attitudes(self, mpu: Fit) -> None:
+        assert mpu.calibration.fit["distinct_attitudes"] >= 20
+        assert mpu.calibration.fit["degrees_of_freedom"] == len(mpu.calibration.positions) - 9
+
+
+# ------------------------------------------------------------------------------------------- without recorded data
+
+OFFSET = (0.3, -0.2, 0.1)
+ROWS = ((9.9, 0.05, -0.08), (0.0, 9.7, 0.12), (0.0, 0.0, 10.1))
+UP = [
+    *((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)),
+    *((0.6, 0.8, 0), (0, 0.6, 0.8), (0.8, 0, 0.6)),
+    *((-0.6, 0.8, 0), (0.6, -0.8, 0), (0, -0.6, 0.8), (0, 0.6, -0.8), (-0.8, 0, 0.6)),
+]
+
+
+def reading(up: tuple[float, ...]) -> list[float]:
+    """By hand: offset and sensitivity."""
+    return [offset + sum(s * g for s, g in zip(row, up, strict=True)) for offset, row in zip(OFFSET, ROWS, strict=True)]
+
+
+def table(count: int, *, u: bool = True) -> str:
+    header = "position,x,y,z" + (",ux,uy,uz" if u else "")
+    lines = [
+        ",".join([f"p{number}", *(f"{value:.9f}" for value in reading(up)), *(["0.001"] * 3 if u else [])])
+        for number, up in enumerate(UP[:count])
+    ]
+    return "\n".join([header, *lines, ""])
+
+
+class TestTable:
+    OPTIONS = ("--table", "--unit", "m/s2")
+
+    def test_a_table_of_means_in_free_positions(self, tmp_path: Path) -> None:
+        (tmp_path / "means.csv").write_text(table(14))
+        fit = fitted(tmp_path, tmp_path / "means.csv", *self.OPTIONS)
+        found = fit.calibration
+        assert found.coefficients.offset == pytest.approx(OFFSET, abs=1e-6)
+        assert found.coefficients.sensitivity.ravel() == pytest.approx([s for row in ROWS for s in row], abs=1e-6)
+        assert "14 positions, 14 different attitudes" in fit.printed
+        own = found.derived["intrinsic"]
+        lengths = [hypot(*row) for row in ROWS]
+        assert [own["sensitivity"][axis] for axis in "xyz"] == pytest.approx(lengths, abs=1e-6)
+        # Between channels x and y: the product of their rows by hand, 0.05 * 9.7 - 0.08 * 0.12.
+        cosine = (0.485 - 0.0096) / (lengths[0] * lengths[1])
+        assert own["angle_degrees"]["xy"] == pytest.approx(degrees(acos(cosine)), abs=1e-4)
+        assert found.provenance["table"]["name"] == "means.csv"
+        assert found.positions[0] == {
+            "position": "p0",
+            "mean": dict(zip("xyz", (10.2, -0.2, 0.1), strict=True)),
+            "u": dict.fromkeys("xyz", 0.001),
+            "n": 1,
+            "line": 2,
+        }
+
+    def test_nine_positions_for_nine_unknowns_are_warned_of(self, tmp_path: Path) -> None:
+        (tmp_path / "means.csv").write_text(table(9))
+        fit = fitted(tmp_path, tmp_path / "means.csv", *self.OPTIONS)
+        assert fit.calibration.fit["degrees_of_freedom"] == 0
+        assert "zero degrees of freedom" in fit.calibration.fit["warning"]
+        assert "warning: 9 different attitudes for 9 unknowns" in fit.said
+
+    def test_nothing_says_how_good_it_is(self, tmp_path: Path) -> None:
+        (tmp_path / "means.csv").write_text(table(9, u=False))
+        assert "states no uncertainties" in refused(tmp_path, "free", "means.csv", *self.OPTIONS)
+
+    def test_known_directions_by_the_procedures_names(self, tmp_path: Path) -> None:
+        faces = ("x-up", "x-down", "y-up", "y-down", "z-up", "z-down")
+        lines = [",".join([face, *map(str, reading(up))]) for face, up in zip(faces, UP, strict=False)]
+        (tmp_path / "means.csv").write_text("\n".join(["position,x,y,z", *lines, ""]))
+        options = (*self.OPTIONS, "--serial", "S-1", "-o", "cal.yaml")
+        result = tiltcal("fit", "six-face", "means.csv", *options, cwd=tmp_path)
+        assert result.returncode == 0, result.stderr
+        found = read_calibration(tmp_path / "cal.yaml")
+        assert found.coefficients.offset == pytest.approx(OFFSET, abs=1e-9)
+        assert found.coefficients.sensitivity.ravel() == pytest.approx([s for row in ROWS for s in row], abs=1e-9)
+        assert "u" not in found.positions[0]
+
+
+def refused(folder: Path, procedure: str, log: str, *options: str) -> str:
+    result = tiltcal("fit", procedure, log, *options, "--serial", "S-1", "-o", "cal.yaml", cwd=folder)
+    assert result.returncode == 2, result.stderr
+    assert not (folder / "cal.yaml").exists()
+    return result.stderr
+
+
+@pytest.mark.parametrize(
+    ("procedure", "options", "said"),
+    [
+        ("six-face", (), "--segments"),
+        ("free", ("--jig", "0.1"), "no jig"),
+        ("free", ("--tilt", "30"), "no angle"),
+        ("free", ("--table", "--segments", "seg.csv"), "leave --segments out"),
+        ("free", ("--table", "--columns", "x=a"), "leave --columns out"),
+        ("free", ("--table", "--window", "50"), "--window"),
+        ("six-face", ("--segments", "seg.csv", "--segments-out", "out.csv"), "--segments-out"),
+        ("free", ("--sensor", "sca100t-d02"), "three channels"),
+        ("free", (), "no threshold of stillness"),
+        ("free", ("--gravity", "1.0"), "--gravity"),
+        ("free", ("--segments", "three.csv"), "3 free positions"),
+    ],
+)
+def test_refused_with_the_reason(tmp_path: Path, procedure: str, options: tuple[str, ...], said: str) -> None:
+    (tmp_path / "log.csv").write_text("x,y,z\n" + "1,2,3\n1.5,2,3\n" * 60)
+    (tmp_path / "seg.csv").write_text("position,start,end\nx-up,0,9\n")
+    (tmp_path / "three.csv").write_text("position,start,end\na,0,9\nb,10,19\nc,20,29\n")
+    assert said in refused(tmp_path, procedure, "log.csv", "--unit", "g", *options)
+
+
+def test_consecutive_segments_of_one_name_are_one_placement(tmp_path: Path) -> None:
+    log = ["x,y,z"]
+    segments = ["position,start,end"]
+    for number, up in enumerate([*UP, UP[0]]):
+        first, second = reading(up), [value + 0.002 for value in reading(up)]
+        log += [",".join(map(str, one)) for one in (first, second) for _ in range(5)]
+        name = "p0" if up == UP[0] else f"p{number}"
+        segments += [f"{name},{10 * number},{10 * number + 4}", f"{name},{10 * number + 4},{10 * number + 10}"]
+    (tmp_path / "log.csv").write_text("\n".join([*log, ""]))
+    (tmp_path / "seg.csv").write_text("\n".join([*segments, ""]))
+    found = fitted(tmp_path, tmp_path / "log.csv", "--segments", "seg.csv", "--unit", "m/s2").calibration
+    assert len(found.positions) == 15
+    assert found.positions[0]["rows"] == [[0, 4], [4, 10]]
+    assert [one["position"] for one in (found.positions[0], found.positions[-1])] == ["p0", "p0 (2)"]
+
+
+def test_temperatures_in_the_log_give_the_temperature_terms(tmp_path: Path) -> None:
+    """Level at two temperatures: a drift of 2 mV/°C on x and -1 mV/°C on y is put into the log by hand."""
+    log = ["VoutX,VoutY,T"]
+    for temperature in (24.0, 4.0):
+        for k in range(6):
+            jitter = 1e-5 * (-1) ** k
+            drift = temperature - 24.0
+            log.append(f"{2.5 + 0.002 * drift + jitter},{2.4 - 0.001 * drift - jitter},{temperature + jitter}")
+    (tmp_path / "log.csv").write_text("\n".join([*log, ""]))
+    (tmp_path / "seg.csv").write_text("position,start,end,gx,gy,gz\nwarm,0,6,0,0,1\ncold,6,12,0,0,1\n")
+    options = ("--sensor", "sca100t-d02-analog", "--columns", "x=VoutX,y=VoutY,temperature=T", "--segments", "seg.csv")
+    result = tiltcal("fit", "two-temperature", "log.csv", *options, "--serial", "A", "-o", "a.yaml", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    thermal = read_calibration(tmp_path / "a.yaml").coefficients.thermal
+    assert thermal is not None
+    assert thermal.drift[:, 0] == pytest.approx([0.002, -0.001], rel=1e-4)

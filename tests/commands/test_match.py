@@ -1,0 +1,484 @@
+"""``tiltcal match`` and ``tiltcal apply`` with a pair file, from the command line."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from support import accelerometer_disk as disk
+from support.command import TILTCAL, tiltcal
+
+from tiltcal.cli.apply import command as apply_command
+from tiltcal.cli.match import command as match_command
+from tiltcal.errors import EstimateError, InputError, TiltcalError, UsageError
+from tiltcal.files.pair import dump_pair, read_pair
+
+PAIR = ("--pair", "a1,a2", "--orthogonal", "a4")
+BOTH = (*PAIR, "--pair", "a3,a4", "--orthogonal", "a1")
+TAKEN = disk.record(start=40.0)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The record of the laboratory as a log."""
+    return TAKEN.write(tmp_path_factory.mktemp("disk") / "disk.csv")
+
+
+def match(*arguments: str | Path, stdin: bytes | None = None) -> Result:
+    return CliRunner().invoke(match_command, [str(one) for one in arguments], input=stdin)
+
+
+def apply(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(apply_command, [str(one) for one in arguments])
+
+
+def as_json(result: Result) -> dict[str, object]:
+    assert result.exit_code == 0, result.output
+    loaded: dict[str, object] = json.loads(result.stdout)
+    return loaded
+
+
+def refused(result: Result, kind: type[TiltcalError]) -> str:
+    assert isinstance(result.exception, kind), result.exception
+    assert result.exception.exit_code == 2
+    assert result.stdout == ""
+    return str(result.exception)
+
+
+def small(tmp_path: Path, name: str = "small.csv", **options: float) -> Path:
+    return disk.record(seconds=80, rate=20, **options).write(tmp_path / name)  # type: ignore[arg-type]
+
+
+class TestMatch:
+    @pytest.mark.parametrize(
+        ("how", "within", "suppressed"),
+        [
+            ((), 2e-5, 5e4),
+            (("--online",), 2e-4, 1e4),
+            (("--online", "--loops"), 2e-4, 1e4),
+        ],
+        ids=["offline", "recursive", "loops"],
+    )
+    def test_the_laboratory_record(self, log: Path, how: tuple[str, ...], within: float, suppressed: float) -> None:
+        found = as_json(match(log, *PAIR, "--phase", "theta", *how, "--json"))
+        assert (found["p"], found["q"]) == pytest.approx(disk.truth(), abs=within)
+        assert disk.suppression(TAKEN, float(str(found["p"])), float(str(found["q"]))) > suppressed
+
+    def test_json_is_as_documented(self, log: Path) -> None:
+        found = as_json(match(log, *PAIR, "--phase", "theta", "--json"))
+        assert list(found) == ["p", "q", "u_p", "u_q", "suppression", "components"]
+        assert set(found["suppression"]) == {"p", "pq"}  # type: ignore[call-overload]
+        components = found["components"]
+        assert isinstance(components, dict)
+        assert list(components) == ["before", "after_p", "after_pq"]
+        for stage in components.values():
+            assert set(stage) == {"a1", "a2", "a4", "sum"}
+            assert all(len(pair) == 2 for pair in stage.values())
+            assert stage["sum"] == pytest.approx(np.add(stage["a1"], stage["a2"]), abs=1e-12)
+        assert components["before"]["a1"] == pytest.approx(disk.judged(TAKEN, TAKEN.readings[:, 0]), abs=3e-5)
+
+    def test_without_an_encoder(self, log: Path) -> None:
+        found = as_json(match(log, *PAIR, "--json"))
+        assert (found["p"], found["q"]) == pytest.approx(disk.truth(), abs=2e-5)
+
+    def test_the_table_is_what_a_person_reads(self, log: Path) -> None:
+        lines = match(log, *PAIR, "--phase", "theta").stdout.splitlines()
+        assert lines[0] == "a1 and a2, orthogonal a4"
+        assert [part.strip() for part in lines[1].split("   ") if part] == [
+            "before matching",
+            "after p",
+            "after p and q",
+        ]
+        assert lines[-1].startswith("common acceleration suppressed")
+
+    def test_both_pairs_at_once(self, log: Path) -> None:
+        found = as_json(match(log, *BOTH, "--phase", "theta", "--json"))["pairs"]
+        assert isinstance(found, list)
+        for one, numbers in zip(found, ((0, 1, 3), (2, 3, 0)), strict=True):
+            assert (one["p"], one["q"]) == pytest.approx(disk.truth(pair=numbers), abs=2e-5)
+
+    def test_a_figure(self, log: Path, tmp_path: Path) -> None:
+        result = match(log, *PAIR, "--phase", "theta", "--online", "--figure", tmp_path / "six.svg")
+        assert result.exit_code == 0, result.output
+        drawn = (tmp_path / "six.svg").read_text(encoding="utf-8")
+        assert "sum after p and q" in drawn
+        assert "p, recursive" in drawn
+
+    def test_a_stop_of_the_stage_is_told_and_survived_online(self, tmp_path: Path) -> None:
+        taken = disk.record(seconds=160, rate=20)
+        standing = np.repeat(1600, 900)
+        rows = np.concatenate([np.arange(1600), standing, np.arange(1600, 3200)])
+        path = disk.Record(np.arange(len(rows)) / 20, taken.theta[rows], taken.readings[rows]).write(tmp_path / "s.csv")
+        result = match(path, *PAIR, "--phase", "theta", "--online", "--json")
+        assert [line.split(": ")[1] for line in result.stderr.splitlines()] == [
+            "held, the stage stands still",
+            "goes on",
+        ]
+        assert (as_json(result)["p"], as_json(result)["q"]) == pytest.approx(disk.truth(), abs=2e-4)
+
+    def test_standard_input_of_a_process(self, tmp_path: Path) -> None:
+        path = small(tmp_path)
+        done = tiltcal("match", "-", *PAIR, "--phase", "theta", "--online", "--json", said=path.read_text())
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["p"] == pytest.approx(disk.truth()[0], abs=2e-4)
+
+    def test_missing_values_are_counted_and_left_out(self, tmp_path: Path) -> None:
+        path = small(tmp_path)
+        lines = path.read_text().splitlines()
+        for row in range(5, 1500, 10):
+            cells = lines[row].split(",")
+            cells[3] = ""
+            lines[row] = ",".join(cells)
+        path.write_text("\n".join(lines) + "\n")
+        result = match(path, *PAIR, "--phase", "theta", "--json")
+        assert "150 of 1600 rows have a missing value and are left out" in result.stderr
+        assert as_json(result)["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
+
+
+class TestTimes:
+    """The column ``time`` as the recorder writes it, and as others do."""
+
+    @pytest.mark.parametrize(
+        "written",
+        [
+            lambda moment: moment.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            lambda moment: moment.astimezone(timezone(timedelta(hours=2))).isoformat(),
+            lambda moment: moment.strftime("%Y-%m-%d %H:%M:%S.%f"),
+            lambda moment: f'"{moment.isoformat()}"',
+        ],
+        ids=["as recorded", "another zone", "no zone", "in quotes"],
+    )
+    @pytest.mark.parametrize("phase", [("--phase", "theta"), ()], ids=["encoder", "no encoder"])
+    def test_moments(self, tmp_path: Path, written: Callable[[datetime], str], phase: tuple[str, ...]) -> None:
+        path = small(tmp_path)
+        header, *rows = path.read_text().splitlines()
+        begin = datetime(2026, 3, 29, 0, 59, 30, tzinfo=UTC)  # where clocks in Europe change
+        for number, row in enumerate(rows):
+            rows[number] = ",".join([written(begin + timedelta(seconds=number / 20)), *row.split(",")[1:]])
+        path.write_text("\n".join([header, *rows]) + "\n")
+        found = as_json(match(path, *PAIR, *phase, "--json", "-o", tmp_path / "p.yaml"))
+        assert found["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
+        assert read_pair(tmp_path / "p.yaml").frequency == pytest.approx(0.125, rel=1e-5)
+
+    def test_what_is_no_time_is_needed_only_without_an_encoder(self, tmp_path: Path) -> None:
+        path = small(tmp_path)
+        header, *rows = path.read_text().splitlines()
+        path.write_text("\n".join([header, *(f"noon,{row.partition(',')[2]}" for row in rows)]) + "\n")
+        assert match(path, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
+        assert read_pair(tmp_path / "p.yaml").frequency is None
+        assert "no row has a time: write it in seconds, or in ISO 8601" in refused(match(path, *PAIR), EstimateError)
+
+
+class TestStuckValues:
+    ROWS = slice(600, 1000)
+
+    def stuck(self, tmp_path: Path, channel: int, rows: slice = ROWS) -> Path:
+        taken = disk.record(seconds=80, rate=20)
+        taken.readings[rows, channel] = taken.readings[rows.start, channel]
+        return taken.write(tmp_path / "stuck.csv")
+
+    @pytest.mark.parametrize(
+        ("how", "within"),
+        [((), 1e-4), (("--online",), 2e-4), (("--online", "--loops"), 1e-3)],  # ten turns do not settle the loops
+        ids=["offline", "recursive", "loops"],
+    )
+    @pytest.mark.parametrize("channel", [0, 1, 3])
+    def test_are_named_and_left_out(self, tmp_path: Path, how: tuple[str, ...], within: float, channel: int) -> None:
+        result = match(self.stuck(tmp_path, channel), *PAIR, "--phase", "theta", *how, "--json")
+        assert f"row 600: {disk.NAMES[channel]} is stuck at " in result.stderr
+        assert "400 of 1600 rows have a missing value and are left out" in result.stderr
+        found = as_json(result)
+        assert (found["p"], found["q"]) == pytest.approx(disk.truth(), abs=within)
+
+    def test_to_the_end(self, tmp_path: Path) -> None:
+        result = match(self.stuck(tmp_path, 1, slice(1000, 1600)), *PAIR, "--phase", "theta", "--json")
+        assert result.stderr.count("is stuck") == 1
+        assert as_json(result)["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
+
+    def test_a_stage_that_stands_is_no_reason(self, tmp_path: Path) -> None:
+        taken = disk.record(seconds=80, rate=20, noise=0.0)
+        rows = np.concatenate([np.arange(800), np.repeat(800, 500), np.arange(800, 1600)])
+        path = disk.Record(np.arange(len(rows)) / 20, taken.theta[rows], taken.readings[rows]).write(tmp_path / "s.csv")
+        result = match(path, *PAIR, "--phase", "theta", "--json")
+        assert result.stderr == ""
+        assert as_json(result)["p"] == pytest.approx(disk.truth()[0], abs=1e-6)
+
+    def test_coarse_steps_are_no_reason(self, tmp_path: Path) -> None:
+        """Steps of a tenth of the amplitude, and no noise to cross them."""
+        taken = disk.record(seconds=80, rate=20, noise=0.0)
+        path = disk.Record(taken.time, taken.theta, np.round(taken.readings / 0.34) * 0.34).write(tmp_path / "s.csv")
+        assert match(path, *PAIR, "--phase", "theta").stderr == ""
+
+
+class TestLiveStream:
+    def begun(self, *more: str | Path, log: str = "-") -> subprocess.Popen[bytes]:
+        pipe = subprocess.PIPE
+        # Ctrl-C reaches whom the shell that runs the tests does not shield from it.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            return subprocess.Popen(
+                [*TILTCAL, "match", log, *PAIR, "--phase", "theta", "--online", "--json", *map(str, more)],
+                stdin=pipe,
+                stdout=pipe,
+                stderr=pipe,
+            )
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    def fed(self, process: subprocess.Popen[bytes], lines: Sequence[str]) -> None:
+        """Hand over some rows, then a stage that stands, and wait until that is told: all rows have gone through."""
+        assert process.stdin is not None
+        assert process.stderr is not None
+        process.stdin.write("".join(lines).encode())
+        process.stdin.flush()
+        last = lines[-1].split(",")
+        for number in range(200):
+            process.stdin.write(
+                ",".join([*last[:2], *(f"{float(cell) + 1e-4 * number}" for cell in last[2:])]).encode()
+            )
+            process.stdin.write(b"\n")
+            process.stdin.flush()
+        assert b"the stage stands still" in process.stderr.readline()
+
+    def test_rows_count_as_they_arrive_and_ctrl_c_gives_the_result(self, tmp_path: Path) -> None:
+        lines = small(tmp_path).read_text().splitlines(keepends=True)
+        process = self.begun("-o", tmp_path / "p.yaml")
+        self.fed(process, lines[:1200])
+        assert process.stdin is not None
+        process.stdin.write(b"60.0,12")  # a row that does not end
+        process.stdin.flush()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=60) == 0
+        assert process.stdout is not None
+        assert json.loads(process.stdout.read())["p"] == pytest.approx(disk.truth()[0], abs=2e-4)
+        process.communicate()
+        assert read_pair(tmp_path / "p.yaml").provenance["log"]["rows"] == 1399
+
+    def test_ctrl_c_before_two_turns_says_what_to_do(self, tmp_path: Path) -> None:
+        lines = small(tmp_path).read_text().splitlines(keepends=True)
+        process = self.begun("-o", tmp_path / "p.yaml")
+        self.fed(process, lines[:300])
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=60)[1].decode()
+        assert process.returncode == 130
+        assert "whole turns and need 2" in said
+        assert "let the stream run for longer" in said
+        assert not (tmp_path / "p.yaml").exists()
+
+    def test_a_pipe_with_a_name_is_a_stream_too(self, tmp_path: Path) -> None:
+        os.mkfifo(tmp_path / "device")
+        lines = small(tmp_path).read_text().splitlines(keepends=True)
+        process = self.begun(log=str(tmp_path / "device"))
+        with open(tmp_path / "device", "wb") as device:
+            device.write("".join(lines).encode())
+        assert json.loads(process.communicate(timeout=60)[0])["p"] == pytest.approx(disk.truth()[0], abs=2e-4)
+
+    @pytest.mark.parametrize(("rate", "rows_a_turn"), [(0.5, 4), (0.75, 6)])
+    def test_too_few_rows_a_turn_are_told(self, tmp_path: Path, rate: float, rows_a_turn: int) -> None:
+        path = disk.record(seconds=800, rate=rate).write(tmp_path / "few.csv")
+        said = refused(match(path, *PAIR, "--phase", "theta", "--online"), EstimateError)
+        assert "more than 45°" in said
+        found = as_json(match(path, *PAIR, "--phase", "theta", "--json"))
+        assert found["p"] == pytest.approx(disk.truth()[0], abs=1e-4), rows_a_turn
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("how", [(), ("--online",)], ids=["offline", "online"])
+    @pytest.mark.parametrize(
+        ("options", "said"),
+        [
+            ({"spin": 0.0225}, "turns"),
+            ({"spin": 0.0}, "turn"),
+            ({"spin": -0.125}, "backwards"),
+            ({"scale": (3.4, 0.03, 3.4, 3.4)}, "too near to 1"),
+        ],
+        ids=["less than two turns", "not turning", "backwards", "p near 1"],
+    )
+    def test_with_the_reason(self, tmp_path: Path, how: tuple[str, ...], options: dict[str, float], said: str) -> None:
+        path = small(tmp_path, **options)
+        assert said in refused(match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml"), EstimateError)
+        assert not (tmp_path / "p.yaml").exists()
+
+    def test_an_angle_in_radians_is_asked_about(self, tmp_path: Path) -> None:
+        taken = disk.record(seconds=80, rate=20)
+        path = disk.Record(taken.time, np.deg2rad(taken.theta), taken.readings).write(tmp_path / "radians.csv")
+        said = refused(match(path, *PAIR, "--phase", "theta"), EstimateError)
+        assert said.startswith(f"{path}: the stage is not turning")
+        assert "in degrees?" in said
+
+    def test_a_channel_that_is_missing(self, tmp_path: Path) -> None:
+        path = small(tmp_path)
+        said = refused(match(path, "--pair", "a1,a2", "--orthogonal", "a5", "--phase", "theta"), InputError)
+        assert "there is no column 'a5'; the log has time, theta, a1, a2, a3, a4" in said
+        assert said.endswith("Name it with --pair or --orthogonal NAME")
+        said = refused(match(path, *PAIR, "--phase", "angle"), InputError)
+        assert said.endswith("Name it with --phase NAME")
+
+    def test_a_channel_without_a_value(self, tmp_path: Path) -> None:
+        path = small(tmp_path)
+        header, *lines = path.read_text().splitlines()
+        path.write_text("\n".join([header, *(line.rpartition(",")[0] + ",nan" for line in lines)]) + "\n")
+        said = refused(match(path, *PAIR, "--phase", "theta"), InputError)
+        assert "column 'a4' has no value in any row" in said
+
+    @pytest.mark.parametrize(
+        ("arguments", "said"),
+        [
+            (("--pair", "a1", "--orthogonal", "a4"), "is no pair"),
+            (("--pair", "a1,a1", "--orthogonal", "a4"), "three different columns"),
+            ((*PAIR, "--pair", "a3,a4"), "2 --pair and 1 --orthogonal"),
+            ((*PAIR, *PAIR), "given twice"),
+            ((*PAIR, *BOTH), "at most two pairs"),
+            ((*PAIR, "--loops"), "give --online too"),
+        ],
+    )
+    def test_options_that_make_no_sense(self, log: Path, arguments: tuple[str, ...], said: str) -> None:
+        assert said in refused(match(log, *arguments, "--phase", "theta"), UsageError)
+
+    def test_a_folder_that_cannot_be_written_is_told_before_the_log_is_read(self, tmp_path: Path) -> None:
+        result = match("none.csv", *PAIR, "--phase", "theta", "-o", tmp_path / "no" / "p.yaml")
+        assert "there is no folder" in refused(result, UsageError)
+
+    def test_a_record_too_short_for_its_spectrum(self, tmp_path: Path) -> None:
+        path = disk.record(seconds=24, rate=20).write(tmp_path / "short.csv")
+        result = match(path, *PAIR, "--phase", "theta", "--figure", tmp_path / "f.svg")
+        assert "too short for a spectrum" in refused(result, EstimateError)
+
+    def test_nothing_is_written_where_the_figure_cannot_be_drawn(self, tmp_path: Path) -> None:
+        path = disk.record(seconds=24, rate=20).write(tmp_path / "short.csv")
+        wanted = tmp_path / "p.yaml", tmp_path / "f.svg"
+        refused(match(path, *PAIR, "--phase", "theta", "-o", wanted[0], "--figure", wanted[1]), EstimateError)
+        assert not wanted[0].exists()
+
+
+class TestPairFile:
+    @pytest.mark.parametrize("how", [(), ("--online",)], ids=["offline", "online"])
+    def test_keeps_the_checksum_of_what_was_read(self, tmp_path: Path, how: tuple[str, ...]) -> None:
+        path = small(tmp_path)
+        wanted = hashlib.sha256(path.read_bytes()).hexdigest()
+        match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml")
+        assert read_pair(tmp_path / "p.yaml").provenance["log"]["sha256"] == wanted
+        match("-", *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml", stdin=path.read_bytes())
+        assert read_pair(tmp_path / "p.yaml").provenance["log"]["sha256"] == wanted
+
+    def test_a_log_without_time_has_turns_and_no_frequency(self, tmp_path: Path) -> None:
+        path = small(tmp_path)
+        path.write_text("".join(line.partition(",")[2] + "\n" for line in path.read_text().splitlines()))
+        assert match(path, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
+        known = read_pair(tmp_path / "p.yaml")
+        assert known.frequency is None
+        assert known.turns == pytest.approx(10.0, abs=0.01)
+
+    def test_reads_back_what_was_written(self, log: Path, tmp_path: Path) -> None:
+        path = tmp_path / "both.yaml"
+        assert match(log, *BOTH, "--phase", "theta", "-o", path).exit_code == 0
+        known = read_pair(path)
+        assert dump_pair(known) == path.read_text(encoding="utf-8")
+        assert [one.pair.channels for one in known.matchings] == [("a1", "a2", "a4"), ("a3", "a4", "a1")]
+        assert known.frequency == pytest.approx(0.125, abs=1e-6)
+        assert known.turns == pytest.approx(100, abs=0.01)
+        assert (known.matchings[0].p, known.matchings[0].q) == pytest.approx(disk.truth(), abs=2e-5)
+        assert tiltcal("check", path).stdout == f"{path}: pair calibration, good\n"
+
+    @pytest.mark.parametrize(
+        ("old", "new", "said"),
+        [
+            ("orthogonal: a4", "orthogonal: a2", "three different channels"),
+            ("  p: -0.01", "  p: 1.01", "must be below 1"),
+            ("    p: -0.01", "    pp: -0.01", "did you mean 'p'?"),
+            ("uncertainty: {p: ", "uncertainty: {p: -", "at least 0"),
+            ("pair: [a1, a2]", "pair: [a1]", "a pair has two channels"),
+            ("turns: 99", "turns: -99", "more than 0"),
+            ("before: {a1: [", "before: {a1: [1.0, ", "two numbers [sin, cos]"),
+            ("kind: pair", "kind: tilt", "a pair calibration"),
+        ],
+    )
+    def test_what_is_wrong_is_named_with_its_line(
+        self, log: Path, tmp_path: Path, old: str, new: str, said: str
+    ) -> None:
+        path = tmp_path / "pair.yaml"
+        assert match(log, *PAIR, "--phase", "theta", "-o", path).exit_code == 0
+        text = path.read_text(encoding="utf-8")
+        assert old in text
+        path.write_text(text.replace(old, new, 1), encoding="utf-8")
+        with pytest.raises(InputError) as refusal:
+            read_pair(path)
+        assert said in str(refusal.value)
+        assert f"{path}:" in str(refusal.value)
+
+
+GRADIENT = (2e-3, 1.5e-3)
+
+
+@pytest.fixture(scope="module")
+def applied(tmp_path_factory: pytest.TempPathFactory) -> tuple[disk.Record, dict[str, np.ndarray]]:
+    """A record with a planted gradient, matched and applied."""
+    folder = tmp_path_factory.mktemp("gradient")
+    taken = disk.record(gradient=GRADIENT, start=10.0, noise=3e-5)
+    path = taken.write(folder / "disk.csv")
+    assert match(path, *BOTH, "--phase", "theta", "-o", folder / "both.yaml").exit_code == 0
+    result = apply(folder / "both.yaml", path, "-o", folder / "out.csv")
+    assert result.exit_code == 0, result.output
+    rows = list(csv.DictReader((folder / "out.csv").read_text().splitlines()))
+    return taken, {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+class TestApply:
+    def test_adds_the_matched_sum_of_the_definition(self, log: Path, tmp_path: Path) -> None:
+        assert match(log, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
+        known = read_pair(tmp_path / "p.yaml").matchings[0]
+        rows = list(csv.DictReader(apply(tmp_path / "p.yaml", log).stdout.splitlines()))
+        assert list(rows[0]) == ["time", "theta", "a1", "a2", "a3", "a4", "matched_a1_a2", "flag", "reason"]
+        a1, a2, _, a4 = TAKEN.readings.T
+        expected = a1 + (a2 + known.q * a4) / (1 - known.p)
+        assert [float(row["matched_a1_a2"]) for row in rows] == pytest.approx(expected, abs=1e-9)
+        assert {row["flag"] for row in rows} == {"1"}
+
+    def test_the_common_acceleration_goes(self, applied: tuple[disk.Record, dict[str, np.ndarray]]) -> None:
+        taken, out = applied
+        for name in ("matched_a1_a2", "matched_a3_a4", "gradient"):
+            assert np.hypot(*disk.judged(taken, out[name])) < 3.383 / 5e4
+
+    def test_a_planted_gradient_survives_within_a_thousandth(
+        self, applied: tuple[disk.Record, dict[str, np.ndarray]]
+    ) -> None:
+        """Eq. 2 with the scale of a1, by an independent regression of the column ``gradient``."""
+        taken, out = applied
+        expected = (2 * 3.383 * GRADIENT[0], 4 * 3.383 * GRADIENT[1])
+        size = np.hypot(*expected)
+        # The wander multiplies the common acceleration alone; what is left of it at twice the turning is far smaller.
+        assert disk.judged(taken, out["gradient"], harmonic=2) == pytest.approx(expected, abs=1e-3 * size)
+
+    def test_its_components_are_demodulated_turn_by_turn(
+        self, applied: tuple[disk.Record, dict[str, np.ndarray]]
+    ) -> None:
+        taken, out = applied
+        turn = np.floor((taken.time * 0.125) + 10 / 360).astype(int)
+        assert np.isnan(out["gradient_sin"][turn < 2]).all()
+        assert not np.isnan(out["gradient_sin"][turn >= 2]).any()
+        for number in (2, 50):
+            rows = turn == number - 1
+            expected = disk.judged(taken.rows(rows), out["gradient"][rows], harmonic=2)
+            assert out["gradient_sin"][turn == number] == pytest.approx(expected[0], abs=3e-5)
+            assert out["gradient_cos"][turn == number] == pytest.approx(expected[1], abs=3e-5)
+
+    def test_a_missing_value_is_flagged_in_its_place(self, log: Path, tmp_path: Path) -> None:
+        assert match(log, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
+        (tmp_path / "few.csv").write_text("a1,a2,a4\n1.0,-1.0,0.0\n1.0,,0.0\n1.0,-1.0,0.0\n")
+        rows = list(csv.DictReader(apply(tmp_path / "p.yaml", tmp_path / "few.csv").stdout.splitlines()))
+        assert [(row["flag"], row["reason"]) for row in rows] == [("1", "0"), ("9", "32"), ("1", "0")]
+        assert rows[1]["matched_a1_a2"] == "NaN"
+
+    def test_first_order_is_for_tilt(self, log: Path, tmp_path: Path) -> None:
+        assert match(log, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
+        assert "tilt calibrations" in refused(apply(tmp_path / "p.yaml", log, "--first-order"), UsageError)

@@ -1,0 +1,333 @@
+"""``tiltcal noise`` from the command line."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+from math import degrees, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from support import coloured_noise as coloured
+from support.command import TILTCAL, tiltcal
+
+from tiltcal.cli.noise import command
+from tiltcal.errors import EstimateError, InputError, TiltcalError, UsageError
+
+DATA = Path("/work/shared/data")
+SCA100T_D02 = 819.0
+"""count/g"""
+
+CALIBRATION = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: sca100t-d02, serial: S-1, unit: count, channels: [x, y]}
+calibration:
+  offset: {x: 1024.0, y: 1024.0}
+  sensitivity: {x: {x: 600.0, y: 3.0}, y: {x: 5.0, y: -700.0}}
+"""
+
+
+def noise(*arguments: str | Path, stdin: bytes | None = None) -> Result:
+    return CliRunner().invoke(command, [str(one) for one in arguments], input=stdin)
+
+
+def as_json(*arguments: str | Path) -> dict[str, Any]:
+    result = noise(*arguments, "--json")
+    assert result.exit_code == 0, (result.output, result.exception)
+    loaded: dict[str, Any] = json.loads(result.stdout)
+    return loaded
+
+
+def refused(result: Result, kind: type[TiltcalError]) -> str:
+    assert isinstance(result.exception, kind), (result.exception, result.output)
+    assert result.exception.exit_code == 2
+    assert result.stdout == ""
+    return str(result.exception)
+
+
+def counts(n: int = 20_000, seed: int = 1) -> coloured.Samples:
+    """Two channels of white noise about 1024."""
+    rng = np.random.default_rng(seed)
+    return 1024.0 + np.stack([coloured.white(rng, n, 0.6), coloured.white(rng, n, 0.9)], axis=1)
+
+
+def written(path: Path, samples: coloured.Samples, interval: float = 0.01, rows: slice = slice(None)) -> Path:
+    lines = [f"{k * interval:.4f},{x:.6g},{y:.6g}" for k, (x, y) in enumerate(samples.tolist())]
+    path.write_text("\n".join(["time,x,y", *lines[rows]]) + "\n")
+    return path
+
+
+class TestOfALog:
+    def test_numbers(self, tmp_path: Path) -> None:
+        found = as_json(written(tmp_path / "log.csv", counts()), "--sensor", "sca100t-d02")
+        x, y = found["channels"]["x"], found["channels"]["y"]
+        assert found["samples"] == 20_000
+        assert found["interval"] == pytest.approx(0.01, rel=1e-6)
+        assert found["seconds"] == pytest.approx(200.0)
+        assert found["unit"] == "count"
+        assert x["mean"] == pytest.approx(1024.0, abs=0.02)
+        assert x["averages"][0]["std"] == pytest.approx(0.6, rel=0.02)
+        assert x["averages"][0]["std_degrees"] == pytest.approx(degrees(0.6 / SCA100T_D02), rel=0.02)
+        assert [one["samples"] for one in x["averages"]] == [1, 10, 100, 1000]
+        # One-sided density of white noise: 2 sigma² dt.
+        assert x["noise_density"]["value"] == pytest.approx(0.6 * sqrt(2 * 0.01), rel=0.03)
+        assert y["velocity_random_walk"]["value"] == pytest.approx(0.9 * sqrt(0.01), rel=0.03)
+        assert x["drift"] is None
+        assert not x["bias_instability"]["reached"]
+        assert [point["tau"] for point in x["allan"]][:3] == pytest.approx([0.01, 0.02, 0.04])
+        assert all(point["low"] < point["deviation"] < point["high"] for point in x["allan"])
+
+    def test_the_number_of_samples_for_a_target(self, tmp_path: Path) -> None:
+        """The noisier channel settles it: (sigma / target)², and degrees of one g are those of the nominal part."""
+        log = written(tmp_path / "log.csv", counts())
+        advice = as_json(log, "--sensor", "sca100t-d02", "--target", "0.005")["recommendation"]
+        assert advice["channel"] == "y"
+        assert advice["met"] is True
+        assert advice["samples"] == pytest.approx((degrees(0.9 / SCA100T_D02) / 0.005) ** 2, rel=0.06)
+        assert advice["seconds"] == pytest.approx(advice["samples"] * 0.01)
+        result = noise(log, "--sensor", "sca100t-d02", "--target", "0.005")
+        assert f"measure --samples {advice['samples']}:" in result.stdout
+
+    def test_a_target_that_the_record_does_not_reach(self, tmp_path: Path) -> None:
+        log = written(tmp_path / "log.csv", counts(5000))
+        result = noise(log, "--sensor", "sca100t-d02", "--target", "0.0001")
+        assert result.exit_code == 0
+        assert "does not meet 0.0001°" in result.stdout
+        assert as_json(log, "--sensor", "sca100t-d02", "--target", "0.0001")["recommendation"]["met"] is False
+
+    def test_the_uncertainty_is_that_of_the_position(self, tmp_path: Path) -> None:
+        """The quieter channel has its mean of as many samples as the noisier one needs."""
+        found = as_json(written(tmp_path / "log.csv", counts()), "--sensor", "sca100t-d02", "--target", "0.005")
+        advice = found["recommendation"]
+        x, y = advice["channels"]["x"], advice["channels"]["y"]
+        assert x["samples"] < y["samples"] == advice["samples"]
+        assert x["uncertainty"] == pytest.approx(0.6 / sqrt(advice["samples"]), rel=0.06)
+        assert y["uncertainty_degrees"] == pytest.approx(0.005, rel=0.02)
+
+    def test_a_table_of_averages_that_was_asked_for(self, tmp_path: Path) -> None:
+        """Standard deviation and range, worked out by numpy."""
+        samples = np.round(counts(), 3)
+        found = as_json(written(tmp_path / "log.csv", samples), "--averages", "5, 7000")
+        table = {one["samples"]: one for one in found["channels"]["x"]["averages"]}
+        means = samples[:, 0].reshape(-1, 5).mean(axis=1)
+        # The log holds six digits.
+        assert table[5]["std"] == pytest.approx(np.std(means, ddof=1), rel=1e-3)
+        assert table[5]["range"] == pytest.approx(np.ptp(means), rel=1e-2)
+        assert table[7000]["averages"] == 2
+
+    def test_a_calibration_says_what_a_degree_is(self, tmp_path: Path) -> None:
+        (tmp_path / "S-1.yaml").write_text(CALIBRATION)
+        log = written(tmp_path / "log.csv", counts())
+        found = as_json(log, "--calibration", tmp_path / "S-1.yaml")
+        assert found["sensitivity"]["source"] == "calibration of S-1"
+        first = found["channels"]["y"]["averages"][0]
+        assert first["std_degrees"] == pytest.approx(degrees(first["std"] / 700), rel=0.01)
+
+    def test_metres_per_second_squared(self, tmp_path: Path) -> None:
+        found = as_json(written(tmp_path / "log.csv", counts()), "--unit", "m/s2")
+        first = found["channels"]["x"]["averages"][0]
+        assert first["std_degrees"] == pytest.approx(degrees(first["std"] / 9.80665), rel=1e-6)
+
+    def test_without_time_the_rate_is_said(self, tmp_path: Path) -> None:
+        path = tmp_path / "log.csv"
+        path.write_text("a,b\n" + "".join(f"{x:.4f},{y:.4f}\n" for x, y in counts(2000).tolist()))
+        found = as_json(path, "--columns", "x=b", "--rate", "50")
+        assert list(found["channels"]) == ["x"]
+        assert found["interval"] == 0.02
+        assert "--rate" in refused(noise(path, "--columns", "x=b"), InputError)
+
+    def test_standard_input_by_numbers(self, tmp_path: Path) -> None:
+        path = written(tmp_path / "log.csv", counts(2000))
+        bare = "\n".join(line.replace(",", " ") for line in path.read_text().splitlines()[1:]).encode()
+        result = noise("-", "--columns", "time=1,x=2,y=3", "--json", stdin=bare)
+        assert result.exit_code == 0, result.exception
+        assert json.loads(result.stdout)["interval"] == pytest.approx(0.01)
+
+    def test_a_figure(self, tmp_path: Path) -> None:
+        log = written(tmp_path / "log.csv", counts(4000))
+        result = noise(log, "--sensor", "sca100t-d02", "--figure", tmp_path / "a.svg")
+        assert result.exit_code == 0
+        drawn = (tmp_path / "a.svg").read_text()
+        assert all(text in drawn for text in ("Allan deviation of x [count]", "near level [°]", "averaging time [s]"))
+
+    @pytest.mark.skipif(not DATA.exists(), reason="the recorded data are not here")
+    def test_a_real_sensor(self, tmp_path: Path) -> None:
+        """The still minute of an Xsens MTi, and the whole record, in which it is turned by hand."""
+        lines = (DATA / "xsens_acc.txt").read_text().splitlines(keepends=True)
+        (tmp_path / "still.txt").write_text("".join(lines[:4500]))
+        columns = ("--columns", "time=1,x=2,y=3,z=4")
+        still = as_json(tmp_path / "still.txt", *columns)
+        assert still["moved"] == []
+        assert still["interval"] == pytest.approx(0.01, rel=1e-3)
+        x = [float(line.split()[1]) for line in lines[:4500]]
+        assert still["channels"]["x"]["averages"][0]["std"] == pytest.approx(np.std(x, ddof=1))
+        assert still["channels"]["x"]["step"] == 1.0
+        assert as_json(DATA / "xsens_acc.txt", *columns)["moved"]
+
+
+class TestWhatIsWrongWithALog:
+    def test_stuck(self, tmp_path: Path) -> None:
+        samples = counts(500)
+        samples[:, 1] = 1024.0
+        assert "y reads 1024 in all 500 samples" in refused(noise(written(tmp_path / "l.csv", samples)), InputError)
+
+    def test_too_short(self, tmp_path: Path) -> None:
+        assert "fewer than 64" in refused(noise(written(tmp_path / "l.csv", counts(63))), EstimateError)
+
+    def test_a_gap(self, tmp_path: Path) -> None:
+        path = written(tmp_path / "l.csv", counts(4000))
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join(lines[:1001] + lines[1501:]) + "\n")
+        found = as_json(path)
+        assert found["gaps"] == {"count": 1, "rows": 500}
+        assert found["samples"] == 3500
+        assert found["seconds"] == pytest.approx(40.0)
+        assert "1 gap in its times, 500 rows long" in noise(path).stderr
+
+    def test_missing_values(self, tmp_path: Path) -> None:
+        samples = counts(4000)
+        samples[::100, 0] = np.nan
+        found = as_json(written(tmp_path / "l.csv", samples))
+        assert found["missing"] == {"x": 40}
+        assert found["channels"]["x"]["noise_density"]["value"] == pytest.approx(0.6 * sqrt(0.02), rel=0.06)
+
+    def test_a_column_of_nothing(self, tmp_path: Path) -> None:
+        samples = counts(200)
+        samples[:, 0] = np.nan
+        assert "is x connected?" in refused(noise(written(tmp_path / "l.csv", samples)), InputError)
+
+    def test_bad_rows(self, tmp_path: Path) -> None:
+        path = written(tmp_path / "l.csv", counts(1000))
+        lines = path.read_text().splitlines()
+        lines[10] = "0.09,oops,1024"
+        path.write_text("\n".join(lines) + "\n")
+        assert ":11:" in refused(noise(path), InputError)
+        found = as_json(path, "--skip-bad-rows")
+        assert found["bad_rows"] == 1
+        assert found["missing"] == {"x": 1, "y": 1}
+
+    def test_motion_is_told(self, tmp_path: Path) -> None:
+        samples = counts(4000)
+        samples[2500:, 0] += 30.0
+        path = written(tmp_path / "l.csv", samples)
+        ((begin, end),) = as_json(path)["moved"]
+        assert begin <= 25.0 <= end
+        assert "it was not still" in noise(path).stderr
+
+    def test_hanging_is_told(self, tmp_path: Path) -> None:
+        samples = np.round(counts(4000) * 2) / 2
+        samples[1000:1200] = samples[1000]
+        path = written(tmp_path / "l.csv", samples)
+        begin, end = as_json(path)["hung"]
+        assert (begin, end) == pytest.approx((10.0, 12.0), abs=0.05)
+        assert "hung" in noise(path).stderr
+
+    def test_time_that_goes_back(self, tmp_path: Path) -> None:
+        path = written(tmp_path / "l.csv", counts(400))
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join([lines[0], *lines[200:], *lines[1:200]]) + "\n")
+        assert "goes back at row 201" in refused(noise(path), InputError)
+
+    def test_times_that_are_none(self, tmp_path: Path) -> None:
+        path = tmp_path / "l.csv"
+        path.write_text("time,x\n" + "".join(f"noon,{x:.3f}\n" for x in counts(100)[:, 0].tolist()))
+        assert "--rate" in refused(noise(path), InputError)
+
+
+class TestLive:
+    ONE = ("--sensor", "sca100t-d02", "--address", "sim:seed=3")
+
+    def test_recorded_and_done_again(self, tmp_path: Path) -> None:
+        """What is kept says the same as what was recorded; the times are written to the millisecond."""
+        log = tmp_path / "still.csv"
+        live = as_json(*self.ONE, "--samples", "3000", "-o", log)
+        again = as_json(log, "--sensor", "sca100t-d02")
+        assert live == again
+        assert live["samples"] == 3000
+        assert live["channels"]["x"]["step"] == 1.0
+
+    def test_the_noise_is_that_of_the_part(self, tmp_path: Path) -> None:
+        (tmp_path / "twin.yaml").write_text(
+            "tiltcal: 1\nkind: twin\nmodel: sca100t-d02\ntruth:\n  offset: {x: 1024, y: 1024}\n"
+            "  sensitivity: {x: {x: 819, y: 0}, y: {x: 0, y: 819}}\n  noise: {x: 2.0, y: 3.0}\n"
+        )
+        address = f"sim:twin={tmp_path / 'twin.yaml'}"
+        found = as_json("--sensor", "sca100t-d02", "--address", address, "--for", "60", "--rate", "50")
+        assert found["samples"] == 3000
+        assert found["interval"] == pytest.approx(0.02, rel=1e-3)
+        # The rounding of a converter adds step²/12.
+        assert found["channels"]["x"]["averages"][0]["std"] == pytest.approx(sqrt(4 + 1 / 12), rel=0.05)
+        assert found["channels"]["y"]["averages"][0]["std"] == pytest.approx(sqrt(9 + 1 / 12), rel=0.05)
+
+    def test_a_virtual_sensor_needs_an_end(self) -> None:
+        assert "--samples or --for" in refused(noise(*self.ONE), UsageError)
+
+    def test_what_is_not_kept_is_called_the_record(self) -> None:
+        assert refused(noise(*self.ONE, "--samples", "20"), EstimateError).startswith("the record: x has 20 samples")
+
+    def test_interrupted_it_tells_of_what_it_has(self, tmp_path: Path) -> None:
+        log = tmp_path / "still.csv"
+        process = subprocess.Popen(
+            [*TILTCAL, "noise", *self.ONE, "--samples", "100000000", "-o", str(log)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        while process.poll() is None and (not log.exists() or log.stat().st_size < 20_000):
+            pass
+        process.send_signal(signal.SIGINT)
+        printed, said = process.communicate()
+        assert process.returncode == 130
+        rows = len(log.read_text().splitlines()) - 1
+        assert f"{rows} samples in" in said
+        assert printed.startswith(f"{rows} samples of x, y")
+
+    def test_a_log_is_never_replaced(self, tmp_path: Path) -> None:
+        (tmp_path / "still.csv").write_text("mine")
+        assert "exists" in refused(noise(*self.ONE, "--samples", "100", "-o", tmp_path / "still.csv"), UsageError)
+        assert (tmp_path / "still.csv").read_text() == "mine"
+
+    def test_a_sensor_that_is_not_there(self, tmp_path: Path) -> None:
+        done = tiltcal(
+            *("noise", "--sensor", "sca100t-d02", "--address", "spi:///dev/spidev9.9", "--samples", "100"), cwd=tmp_path
+        )
+        assert done.returncode == 3, done.stderr
+        assert done.stdout == ""
+
+
+class TestUsage:
+    @pytest.mark.parametrize(
+        ("arguments", "said"),
+        [
+            ((), "either a LOG, or"),
+            (("log.csv", "--samples", "100"), "--samples is for recording"),
+            (("log.csv", "-o", "other.csv"), "--output is for recording"),
+            (("log.csv", "--sensor", "sca100t-d02", "--address", "sim:"), "not both"),
+            (("--address", "sim:", "--samples", "10"), "--sensor"),
+            (("log.csv", "--target", "0.01"), "--target is in degrees"),
+            (("log.csv", "--averages", "5,few"), "whole numbers"),
+            (("log.csv", "--averages", "0"), "whole numbers"),
+            (("log.csv", "--sensor", "sca100t-d02", "--unit", "V"), "one unit"),
+            (("log.csv", "--sensor", "sca100t-d03"), "did you mean"),
+            (("log.parquet",), "CSV"),
+            (("nowhere.csv",), "cannot read"),
+        ],
+    )
+    def test_refused(self, arguments: tuple[str, ...], said: str) -> None:
+        assert said in refused(noise(*arguments), UsageError)
+
+    def test_results_on_stdout_and_talk_on_stderr(self, tmp_path: Path) -> None:
+        samples = counts(3000)
+        samples[1500:, 0] += 30.0
+        written(tmp_path / "log.csv", samples)
+        done = tiltcal("noise", "log.csv", "--sensor", "sca100t-d02", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert re.match(r"3000 samples of x, y, 0.01 s apart \(100 Hz\), 30 s\n", done.stdout)
+        assert done.stderr.startswith("note: it was not still")
+        assert "measure --samples" in done.stdout

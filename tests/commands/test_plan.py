@@ -1,0 +1,87 @@
+"""``tiltcal plan``: what a procedure will determine, before anyone starts."""
+
+from __future__ import annotations
+
+import json
+from math import radians, sqrt
+from pathlib import Path
+
+import pytest
+from support.command import measure, tiltcal
+
+
+def plan(*options: str, sensor: str = "sca100t-d02") -> dict:
+    result = tiltcal("plan", *options, "--sensor", sensor, "--json")
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def test_noise_alone_is_the_closed_form() -> None:
+    """Four positions at ±30° of two axes, each mean good to s: u(offset) = s/2, u(S) = s/sqrt(2)/sin 30°."""
+    found = plan("plane", "--noise", "2.0", "--samples", "100")["uncertainty"]
+    s = 2.0 / sqrt(100)
+    assert found["offset.x"] == pytest.approx(s / 2, rel=1e-3)
+    assert found["sensitivity.x.x"] == pytest.approx(s / sqrt(2) / 0.5, rel=1e-3)
+
+
+def test_a_jig_adds_what_its_angle_is_worth() -> None:
+    """Level and 45° with noise near zero: the offset of D02 is uncertain by 819 count/g times the jig."""
+    found = plan("zero-45", "--noise", "0.5", "--samples", "1000000", "--jig", "0.2")["uncertainty"]
+    assert found["offset.x"] == pytest.approx(819.0 * radians(0.2), rel=1e-3)
+
+
+def test_nothing_left_over_is_said() -> None:
+    """{0°, 45°} has no degree of freedom left."""
+    assert plan("zero-45")["degrees_of_freedom"] == 0
+    assert "nothing is left to check the result by" in tiltcal("plan", "zero-45", "--sensor", "sca100t-d02").stdout
+
+
+PROCEDURE = """\
+tiltcal: 1
+kind: procedure
+name: short
+title: Too short
+determines: {determines}
+reference: 24
+positions:
+{positions}
+"""
+
+
+@pytest.mark.parametrize(
+    ("determines", "positions", "told"),
+    [
+        ("{axes: [x]}", ["tilt: {x: 0}"], "add"),
+        ("{axes: [x, y, z]}", ["gravity: [1, 0, 0]", "gravity: [0, 1, 0]", "gravity: [0, 0, 1]"], "add"),
+        ("{axes: [], drift: 1}", ["tilt: {x: 0}, temperature: 24"], "add"),
+        ("{axes: [], drift: 2}", ["tilt: {x: 0}, temperature: 24", "tilt: {x: 0}, temperature: 5"], "add"),
+    ],
+    ids=["one position", "three faces", "one temperature", "two temperatures for a curve"],
+)
+def test_what_cannot_be_determined_is_refused_with_what_to_add(
+    determines: str, positions: list[str], told: str, tmp_path: Path
+) -> None:
+    rows = "\n".join(f"  - {{name: p{n}, {where}, prompt: P}}" for n, where in enumerate(positions))
+    (tmp_path / "short.yaml").write_text(PROCEDURE.format(determines=determines, positions=rows))
+    planned = tiltcal("plan", "short.yaml", "--sensor", "sca100t-d02", cwd=tmp_path)
+    assert planned.returncode == 2
+    assert told in planned.stderr
+    measured = measure(procedure="short.yaml", cwd=tmp_path)
+    assert measured.returncode == 2
+    assert "1/" not in measured.stderr, "refused before the first position"
+    assert [path.name for path in tmp_path.iterdir()] == ["short.yaml"]
+
+
+def test_measure_shows_it_first(tmp_path: Path) -> None:
+    told = measure("--jig", "0.05", cwd=tmp_path).stderr
+    assert told.index("predicted standard uncertainty") < told.index("1/4")
+    assert "a jig of 0.05°" in told
+
+
+def test_a_mounting_is_told_in_its_angles() -> None:
+    """By hand, in five positions up to 30°: about z gravity has a lever of 1/2 in four of them, so 4 (1/2)² = 1; about
+    x of cos 30° in two and of 1 in three, so 2 (3/4) + 3 = 4.5; about y the same."""
+    told = plan("mounting", "--jig", "0.1", "--noise", "0")["uncertainty"]
+    assert told["mounting.yaw"] == pytest.approx(0.1, rel=1e-3)
+    assert told["mounting.roll"] == pytest.approx(0.1 / sqrt(4.5), rel=1e-3)
+    assert told["mounting.pitch"] == pytest.approx(0.1 / sqrt(4.5), rel=1e-3)

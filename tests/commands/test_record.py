@@ -1,0 +1,105 @@
+"""``tiltcal record``: every row that was written is kept."""
+
+from __future__ import annotations
+
+import csv
+import signal
+import subprocess
+from pathlib import Path
+
+import polars as pl
+import pytest
+from support.command import TILTCAL, tiltcal
+
+ONE = ("--sensor", "sca100t-d02", "--address", "sim:?seed=3")
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_one_sensor_at_a_rate(tmp_path: Path) -> None:
+    result = tiltcal("record", *ONE, "--rate", "5", "--for", "4", "-o", "log.csv", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    rows = rows_of(tmp_path / "log.csv")
+    assert list(rows[0]) == ["time", "x", "y", "temperature"]
+    assert len(rows) == 20
+    seconds = [float(row["time"][17:-1]) for row in rows]
+    assert seconds[-1] - seconds[0] == pytest.approx(19 / 5, abs=0.002)
+
+
+def test_its_log_goes_through_apply(tmp_path: Path) -> None:
+    tiltcal("record", *ONE, "--rows", "10", "-o", "log.csv", cwd=tmp_path)
+    tiltcal(
+        *("measure", "plane", *ONE, "--serial", "S", "-o", "S.yaml", "--operator", "sim", "--samples", "20"),
+        cwd=tmp_path,
+    )
+    result = tiltcal("apply", "S.yaml", "log.csv", "-o", "tilt.csv", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert {row["flag"] for row in rows_of(tmp_path / "tilt.csv")} == {"1"}
+
+
+def test_a_bench_to_parquet(tmp_path: Path) -> None:
+    (tmp_path / "bench.yaml").write_text(
+        "tiltcal: 1\nkind: bench\nthermometer: {model: thermistor, address: 'sim:'}\nsensors:\n"
+        "  - {serial: A, model: adxl202, address: 'sim:'}\n  - {serial: B, model: sca3000-d01, address: 'sim:'}\n"
+    )
+    result = tiltcal("record", "--bench", "bench.yaml", "--rows", "12", "-o", "log.parquet", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    log = pl.read_parquet(tmp_path / "log.parquet")
+    assert log.columns == ["time", "A_x", "A_y", "B_x", "B_y", "B_z", "temperature"]
+    assert len(log) == 12
+    assert log["time"].is_sorted()
+    assert not (tmp_path / "log.parquet.csv").exists()
+
+
+def test_a_reading_that_fails_leaves_its_cells_empty(tmp_path: Path) -> None:
+    (tmp_path / "twin.yaml").write_text(
+        "tiltcal: 1\nkind: twin\nseed: 1\ntruth:\n  offset: {x: 1024, y: 1024}\n"
+        "  sensitivity: {x: {x: 819, y: 0}, y: {x: 0, y: 819}}\n  faults: [{kind: unplugged, start: 1.0, end: 2.0}]\n"
+    )
+    result = tiltcal(
+        *("record", "--sensor", "sca100t-d02", "--address", "sim:?twin=twin.yaml"),
+        *("--rate", "10", "--for", "3", "-o", "log.csv"),
+        cwd=tmp_path,
+    )
+    assert result.returncode == 0, result.stderr
+    rows = rows_of(tmp_path / "log.csv")
+    empty = [row for row in rows if row["x"] == ""]
+    assert len(rows) == 30
+    assert 9 <= len(empty) <= 11
+    assert "readings missing" in result.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_stopped_in_the_middle_it_keeps_its_rows(number: int, tmp_path: Path) -> None:
+    """A virtual sensor without end: stopped by Ctrl-C, or killed, when the log has grown."""
+    log = tmp_path / "log.csv"
+    process = subprocess.Popen(
+        [*TILTCAL, "record", *ONE, "--rows", "100000000", "-o", str(log)], stderr=subprocess.PIPE, text=True
+    )
+    while process.poll() is None and (not log.exists() or log.stat().st_size < 20_000):
+        pass
+    process.send_signal(number)
+    said = process.communicate()[1]
+    rows = rows_of(log)
+    assert len(rows) > 300
+    assert all(len([cell for cell in row.values() if cell]) == 4 for row in rows[:-1])
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert f"{len(rows)} rows in" in said
+
+
+def test_a_recording_never_replaces_a_log(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("mine")
+    result = tiltcal("record", *ONE, "--rows", "3", "-o", "log.csv", cwd=tmp_path)
+    assert result.returncode == 2
+    assert (tmp_path / "log.csv").read_text() == "mine"
+
+
+def test_a_virtual_night_needs_an_end(tmp_path: Path) -> None:
+    result = tiltcal("record", *ONE, "-o", "log.csv", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "--rows" in result.stderr
+    assert not (tmp_path / "log.csv").exists()

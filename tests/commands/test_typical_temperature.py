@@ -1,0 +1,61 @@
+"""``--typical-temperature``: the data sheet's mean curves, asked for by name and told in the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.command import measure
+
+from tiltcal.files.calibration import read_calibration
+
+
+def offcorr(t: float) -> float:
+    """The data sheet's mean offset curve in degrees (section 6 of the device facts), typed from there."""
+    return -0.0000006 * t**3 + 0.0001 * t**2 - 0.0039 * t + 0.0522
+
+
+def scorr(t: float) -> float:
+    """The data sheet's mean sensitivity curve in per cent."""
+    return -0.00011 * t**2 + 0.0022 * t + 0.0408
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory):
+    folder = tmp_path_factory.mktemp("typical")
+    result = measure("--typical-temperature", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    return read_calibration(folder / "S-1.yaml")
+
+
+@pytest.mark.parametrize("t", [-20.0, 0.0, 40.0, 60.0])
+def test_it_is_the_data_sheets_curve(t: float, calibration) -> None:
+    thermal = calibration.coefficients.thermal
+    reference = thermal.reference
+    dt = t - reference
+    drift = sum(k * dt**power for power, k in enumerate(thermal.drift[0], start=1))
+    assert drift == pytest.approx(819.0 * 0.017453293 * (offcorr(t) - offcorr(reference)), abs=0.02)
+    gain = sum(k * dt**power for power, k in enumerate(thermal.gain[1], start=1))
+    expected = (1 + scorr(t) / 100) / (1 + scorr(reference) / 100) - 1
+    assert gain == pytest.approx(expected, abs=2e-7)
+
+
+def test_the_file_says_so_and_how_far_a_part_may_differ(calibration) -> None:
+    assert any("not this unit's own" in line for line in calibration.derived["assumed"])
+    # ±0.008 °/°C and ±0.014 %/°C over the parts.
+    assert calibration.uncertainty["temperature"]["offset"]["x"][0] == pytest.approx(
+        819 * 0.017453293 * 0.008, rel=1e-3
+    )
+    assert calibration.uncertainty["temperature"]["sensitivity"]["y"][0] == pytest.approx(1.4e-4)
+
+
+def test_a_units_own_run_wins(tmp_path: Path) -> None:
+    result = measure("--typical-temperature", cwd=tmp_path, procedure="mavs")
+    assert result.returncode == 2
+    assert "measures its own" in result.stderr
+
+
+def test_a_model_whose_curves_nobody_knows(tmp_path: Path) -> None:
+    result = measure("--typical-temperature", "--sensor", "sca3000-d01", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "measure it" in result.stderr

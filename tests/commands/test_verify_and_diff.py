@@ -1,0 +1,97 @@
+"""``tiltcal verify`` judges by positions that were not fitted; ``tiltcal diff`` compares two dated calibrations."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from support.command import measure, tiltcal
+
+CALIBRATION = """\
+tiltcal: 1
+kind: tilt
+sensor: {{model: sca100t-d02, serial: S-1, unit: count, channels: [x, y]}}
+calibration:
+  offset: {{x: {offset}, y: 1021.0}}
+  sensitivity: {{x: {{x: 818.0, y: 9.0}}, y: {{x: -6.0, y: 820.0}}}}
+uncertainty:
+  offset: {{x: 0.3, y: 0.3}}
+  sensitivity: {{x: {{x: 0.6, y: 0.6}}, y: {{x: 0.6, y: 0.6}}}}
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("verify")
+    assert measure(cwd=folder, procedure="complete").returncode == 0
+    return folder
+
+
+def verify(folder: Path, *options: str, seed: int = 1) -> tuple[int, dict]:
+    result = tiltcal(
+        "verify", "S-1.yaml", "--address", f"sim:?seed={seed}", "--operator", "sim", "--json", *options, cwd=folder
+    )
+    return result.returncode, json.loads(result.stdout)
+
+
+def test_a_good_calibration_passes(folder: Path) -> None:
+    """The twin bends by up to 0.57° over its whole range; within 20° less than 0.15° of it is seen."""
+    code, verdict = verify(folder, "--limit", "0.15")
+    assert code == 0
+    assert verdict["passed"] is True
+    assert [row["position"] for row in verdict["positions"]] == ["level", "x-up", "x-down", "y-up", "y-down", "both-up"]
+    assert verdict["positions"][1]["expected"] == pytest.approx({"x": 20.0, "y": 0.0}, abs=1e-9)
+
+
+def test_another_part_fails(folder: Path) -> None:
+    code, verdict = verify(folder, seed=2)
+    assert code == 1
+    assert verdict["passed"] is False
+    assert verdict["worst"]["error"] > 0.5
+
+
+def test_a_limit_that_is_too_tight_fails(folder: Path) -> None:
+    assert verify(folder, "--limit", "0.001")[0] == 1
+
+
+def test_an_interrupted_verification_is_resumed(folder: Path) -> None:
+    said = '{"answer": "ready"}\n' * 2
+    options = ("--address", "sim:?seed=1", "--operator", "json", "--journal", "v.jsonl")
+    stopped = tiltcal("verify", "S-1.yaml", *options, cwd=folder, said=said)
+    assert stopped.returncode == 130
+    assert "tiltcal verify S-1.yaml --resume v.jsonl" in stopped.stderr
+    resumed = tiltcal("verify", "S-1.yaml", "--resume", "v.jsonl", "--operator", "sim", cwd=folder)
+    assert resumed.returncode == 0, resumed.stderr
+    assert "passed" in resumed.stdout
+
+
+def differ(tmp_path: Path, offset: float, serial: str = "S-1") -> dict:
+    (tmp_path / "a.yaml").write_text(CALIBRATION.format(offset=1024.0))
+    (tmp_path / "b.yaml").write_text(CALIBRATION.format(offset=offset).replace("S-1", serial))
+    result = tiltcal("diff", "a.yaml", "b.yaml", "--json", cwd=tmp_path)
+    return json.loads(result.stdout) if result.returncode == 0 else {"error": result.stderr}
+
+
+def test_a_change_within_its_uncertainty_is_none(tmp_path: Path) -> None:
+    """0.5 count with 0.3 on either side: 0.5 / 0.424 = 1.18 standard uncertainties."""
+    told = differ(tmp_path, 1024.5)
+    assert told["verdict"] == "unchanged"
+    row = next(row for row in told["coefficients"] if row["name"] == "offset.x")
+    assert row["change"] == pytest.approx(0.5)
+    assert row["ratio"] == pytest.approx(1.1785, abs=1e-3)
+
+
+def test_a_change_beyond_it_is_named(tmp_path: Path) -> None:
+    told = differ(tmp_path, 1026.0)
+    assert told["verdict"] == "changed"
+    assert told["changed"] == ["offset.x"]
+
+
+def test_the_verdict_allows_for_how_many_are_compared(tmp_path: Path) -> None:
+    """Six coefficients at 95 % together: 1 - (1 - 0.95^(1/6)) each, 2.63 standard uncertainties (two-sided)."""
+    assert differ(tmp_path, 1024.0)["threshold"] == pytest.approx(2.631, abs=2e-3)
+
+
+def test_two_sensors_are_not_compared(tmp_path: Path) -> None:
+    assert "serial is S-1 in one and S-2 in the other" in differ(tmp_path, 1024.0, "S-2")["error"]

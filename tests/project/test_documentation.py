@@ -1,0 +1,117 @@
+"""The documentation is true: every command in it runs and says what is printed there, and no link leads nowhere.
+
+In a page, a ``console`` block holds commands behind ``$`` and what they print; ``...`` stands for anything. A block
+with a file name behind its language is a file that the commands after it find. A ``text`` block is only read.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from support import ROOT
+
+PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(ROOT.glob("docs/**/*.md"))
+WITH_COMMANDS = [page for page in PAGES if "```console" in page.read_text(encoding="utf-8")]
+
+BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command of a page, and what the page says that it prints."""
+
+    line: str
+    printed: str
+
+    @property
+    def fails(self) -> bool:
+        """Whether the page shows an error of ours as the last thing printed."""
+        return any(line.startswith("tiltcal: ") for line in self.printed.splitlines())
+
+
+def commands_of(block: str) -> Iterator[Command]:
+    for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+        line, _, printed = part.partition("\n")
+        yield Command(line, printed)
+
+
+def pattern_of(printed: str) -> str:
+    """What is printed as a regular expression; a line of ``...`` is any lines, ``...`` in a line is any characters."""
+    return "".join(
+        "(?:.*\n)*" if line == "..." else re.escape(line).replace(r"\.\.\.", ".*") + "\n"
+        for line in printed.splitlines()
+    )
+
+
+@pytest.fixture(scope="module")
+def shims(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the ``tiltcal`` and the ``python`` of this test run."""
+    folder = tmp_path_factory.mktemp("bin")
+    for name, command in (("tiltcal", f'"{sys.executable}" -m tiltcal'), ("python", f'"{sys.executable}"')):
+        shim = folder / name
+        shim.write_text(f'#!/bin/sh\nexec {command} "$@"\n', encoding="utf-8")
+        shim.chmod(0o755)
+    return folder
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=name_of)
+def test_commands_run_and_print_what_the_page_says(page: Path, shims: Path, tmp_path: Path) -> None:
+    environment = os.environ | {"PATH": f"{shims}{os.pathsep}{os.environ['PATH']}", "LC_ALL": "C.UTF-8"}
+    for language, file, content in BLOCK.findall(page.read_text(encoding="utf-8")):
+        if file:
+            (tmp_path / file).write_text(content, encoding="utf-8")
+        for command in commands_of(content) if language == "console" else ():
+            done = subprocess.run(
+                ["bash", "-o", "pipefail", "-c", command.line],
+                cwd=tmp_path,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                check=False,
+            )
+            assert (done.returncode != 0) == command.fails, f"{command.line}\n{done.stdout}"
+            if command.printed:
+                assert re.fullmatch(pattern_of(command.printed), done.stdout), f"{command.line}\n{done.stdout}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target, heading in LINK.findall(page.read_text(encoding="utf-8")):
+        if target.startswith(("http:", "https:")):
+            continue
+        goal = page.parent / target if target else page
+        assert goal.exists(), target
+        if heading:
+            assert heading in headings_of(goal), f"{target}#{heading}"
+
+
+def headings_of(page: Path) -> set[str]:
+    """The anchors that a reader's browser makes of headings."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_the_reference_of_commands_is_what_help_says() -> None:
+    generator = ROOT / "docs" / "reference" / "generate.py"
+    done = subprocess.run([sys.executable, str(generator), "--check"], check=False)
+    assert done.returncode == 0, "docs/reference/cli.md is out of date: make reference"
+
+
+def test_every_decision_is_listed() -> None:
+    listed = (ROOT / "docs" / "decisions" / "README.md").read_text(encoding="utf-8")
+    for record in (ROOT / "docs" / "decisions").glob("0*.md"):
+        assert f"({record.name})" in listed

@@ -1,0 +1,186 @@
+"""The house keeps its rules: packaging, start-up, help, errors, text."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+from click.testing import CliRunner
+from support import ROOT
+
+import tiltcal
+from tiltcal import errors
+from tiltcal.cli.main import COMMANDS, group
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+HEAVY = {"numpy", "scipy", "polars", "rich", "matplotlib", "jinja2", "yaml", "spidev"}
+REGISTRIES = ("pypi" + ".org", "python" + "hosted.org", "anaconda" + ".org", "npmjs" + ".com", "crates" + ".io")
+
+
+def loaded_by(statement: str) -> set[str]:
+    """Top-level modules that a fresh Python has loaded after a statement."""
+    script = f"import sys\n{statement}\nprint('\\nloaded', *{{name.partition('.')[0] for name in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.splitlines()[-1].split()[1:])
+
+
+def tracked_files() -> list[Path]:
+    """Every file that is in git or would be added to it."""
+    git = shutil.which("git")
+    if git is None or not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    listed = subprocess.run(
+        [git, "ls-files", "--cached", "--others", "--exclude-standard", "-z"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return [path for name in listed.stdout.split("\0") if name and (path := ROOT / name).is_file()]
+
+
+# Packaging
+
+
+def test_every_package_folder_is_listed() -> None:
+    folders = {
+        path.parent for root in ("tiltcal", "drivers", "procedures") for path in ROOT.glob(f"{root}/**/__init__.py")
+    }
+    shipped = {inside_tiltcal(folder.relative_to(ROOT)).as_posix().replace("/", ".") for folder in folders}
+    assert set(PROJECT["tool"]["setuptools"]["packages"]) == shipped
+
+
+def inside_tiltcal(path: Path) -> Path:
+    """Where a file or folder of the repository is in the import package."""
+    return path if path.parts[0] == "tiltcal" else "tiltcal" / path
+
+
+def test_the_version_is_written_once() -> None:
+    assert PROJECT["project"]["dynamic"] == ["version"]
+    assert PROJECT["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "tiltcal.__version__"}
+    assert CliRunner().invoke(group, ["--version"]).output == f"tiltcal, version {tiltcal.__version__}\n"
+
+
+def test_constraints_are_exact_versions_of_all_that_is_required() -> None:
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pins = [line for line in lines if not line.startswith("#")]
+    assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.]+", pin) for pin in pins)
+    pinned = {normal(pin.partition("==")[0]) for pin in pins}
+    groups = PROJECT["project"]["optional-dependencies"].values()
+    required = [*PROJECT["project"]["dependencies"], *(one for group in groups for one in group)]
+    wanted = {normal(re.split(r"[<>=!~;\[ ]", one)[0]) for one in required} - {"tiltcal"}
+    assert wanted <= pinned
+
+
+def normal(name: str) -> str:
+    """A distribution's name as the installers compare it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_the_wheel_holds_tiltcal_alone(tmp_path: Path) -> None:
+    pytest.importorskip("setuptools", minversion="77", reason="setuptools is too old to build the wheel")
+    source = tmp_path / "source"
+    for name in ("tiltcal", "drivers", "procedures"):
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE", "MANIFEST.in"):
+        shutil.copy(ROOT / name, source)
+    build = "pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir"
+    subprocess.run([sys.executable, "-m", *build.split(), tmp_path, source], check=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    held = set(ZipFile(wheel).namelist())
+    assert {name.partition("/")[0] for name in held} == {"tiltcal", f"tiltcal-{tiltcal.__version__}.dist-info"}
+    modules = [path for root in ("tiltcal", "drivers") for path in ROOT.glob(f"{root}/**/*.py")]
+    wanted = [*modules, *ROOT.glob("procedures/*.yaml"), *ROOT.glob("tiltcal/report/templates/*")]
+    assert {inside_tiltcal(path.relative_to(ROOT)).as_posix() for path in wanted} <= held
+    assert "tiltcal/py.typed" in held
+
+
+# Start-up
+
+
+def test_help_loads_nothing_heavy() -> None:
+    loaded = loaded_by("from tiltcal.cli.main import run\nrun(['--help'])")
+    assert "click" in loaded
+    assert not loaded & HEAVY
+
+
+def test_drivers_load_nothing_heavy() -> None:
+    loaded = loaded_by("from tiltcal.drivers import models\nlist(models())\nimport tiltcal.drivers.bus.spi")
+    assert not loaded & HEAVY
+
+
+# Help
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(command: str) -> None:
+    result = CliRunner().invoke(group, [command, "--help"], prog_name="tiltcal")
+    assert result.exit_code == 0
+    assert f"Usage: tiltcal {command}" in result.output
+    assert re.search(rf"Examples?:\s+tiltcal\s+{command}\b", result.output)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_option_has_help(command: str) -> None:
+    known = group.get_command(group.make_context("tiltcal", [command]), command)
+    assert known is not None
+    for parameter in known.params:
+        if parameter.param_type_name == "option":
+            assert getattr(parameter, "help", None), parameter.name
+
+
+def test_every_command_module_is_a_command() -> None:
+    modules = (ROOT / "tiltcal" / "cli").glob("*.py")
+    commands = {path.stem for path in modules if "@click.command(" in path.read_text(encoding="utf-8")}
+    assert commands == set(COMMANDS)
+
+
+# Errors
+
+
+def drawn_tree() -> list[tuple[str, str, int]]:
+    """Class, class above it and exit code, as the docstring of errors.py draws them."""
+    above: list[tuple[int, str, int]] = []
+    drawn = []
+    for line in (errors.__doc__ or "").splitlines():
+        found = re.match(r"^([ │├└─]*)([A-Z]\w+)(?: +exit (\d+))?(?: |$)", line)
+        if not found or not line.startswith("    "):
+            continue
+        depth, name = len(found.group(1)), found.group(2)
+        while above and above[-1][0] >= depth:
+            above.pop()
+        code = int(found.group(3)) if found.group(3) else (above[-1][2] if above else 2)
+        drawn.append((name, above[-1][1] if above else "Exception", code))
+        above.append((depth, name, code))
+    return drawn
+
+
+def test_the_drawn_tree_of_errors_is_the_tree() -> None:
+    real = [
+        (name, error.__base__.__name__, error.exit_code)
+        for name, error in vars(errors).items()
+        if isinstance(error, type) and issubclass(error, errors.TiltcalError) and error.__base__
+    ]
+    assert sorted(drawn_tree()) == sorted(real)
+
+
+# Text
+
+
+def test_no_file_names_a_package_registry() -> None:
+    for path in tracked_files():
+        content = path.read_bytes()
+        assert not [host for host in REGISTRIES if host.encode() in content], path
+
+
+def test_public_modules_say_what_they_are() -> None:
+    for path in [*ROOT.glob("tiltcal/**/*.py"), *ROOT.glob("drivers/**/*.py"), *ROOT.glob("procedures/*.py")]:
+        assert re.match(r'\s*r?"""\S', path.read_text(encoding="utf-8")), f"{path} has no docstring"

@@ -1,0 +1,106 @@
+"""Every captured session gives its golden calibration file, to the byte, and its golden file finds the twin's truth."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import FIXTURES
+from support import accelerometer_disk as disk
+from support.command import tiltcal
+
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.document import read_document
+from tiltcal.files.pair import read_pair
+from tiltcal.files.procedure import shipped_procedures
+from tiltcal.files.twin import read_twin
+
+JOURNALS = sorted(FIXTURES.glob("*.journal.jsonl"))
+
+
+def golden(journal: Path) -> Path:
+    return journal.with_name(journal.name.replace(".journal.jsonl", ".yaml"))
+
+
+def test_every_shipped_procedure_has_a_fixture() -> None:
+    assert {golden(journal).stem for journal in JOURNALS} >= set(shipped_procedures())
+
+
+@pytest.mark.parametrize("journal", JOURNALS, ids=lambda path: path.name)
+def test_replay_gives_the_golden_file(journal: Path, tmp_path: Path) -> None:
+    result = tiltcal("replay", journal, "-o", "again.yaml", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "again.yaml").read_bytes() == golden(journal).read_bytes()
+
+
+@pytest.mark.parametrize("journal", JOURNALS, ids=lambda path: path.name)
+def test_it_says_that_the_virtual_bench_made_it(journal: Path) -> None:
+    assert '"virtual":true' in journal.read_text(encoding="utf-8").splitlines()[0]
+    made_by = read_document(golden(journal)).entries()["provenance"].plain()["made_by"]
+    assert "virtual bench" in made_by
+
+
+def test_the_samples_of_a_session_are_a_log_that_gives_its_means(tmp_path: Path) -> None:
+    """Averaged apart from the session: the last 40 rows before each position was accepted."""
+    journal = FIXTURES / "plane.journal.jsonl"
+    result = tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    with open(tmp_path / "log.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for position in read_calibration(golden(journal)).positions:
+        before = [row for row in rows if row["time"] <= position["time"]][-position["n"] :]
+        for channel, mean in position["mean"].items():
+            assert sum(float(row[channel]) for row in before) / position["n"] == pytest.approx(mean, abs=1e-9)
+
+
+def test_the_samples_of_a_rotation_match_as_a_log(tmp_path: Path) -> None:
+    journal = FIXTURES / "rotation.journal.jsonl"
+    assert tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path).returncode == 0
+    result = tiltcal(
+        *("match", "log.csv", "--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "--online", "--json"),
+        cwd=tmp_path,
+    )
+    assert result.returncode == 0, result.stderr
+    found, kept = json.loads(result.stdout), read_pair(golden(journal)).matchings[0]
+    assert abs(found["p"] - kept.p) < 4 * kept.u_p
+    assert abs(found["q"] - kept.q) < 4 * kept.u_q
+
+
+def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
+    changed = tmp_path / "plane.yaml"
+    changed.write_text(golden(JOURNALS[0]).read_text(encoding="utf-8").replace("SIM-42", "SIM-43"), encoding="utf-8")
+    assert tiltcal("replay", JOURNALS[0], "--golden", changed).returncode == 1
+    assert tiltcal("replay", JOURNALS[0], "--golden", golden(JOURNALS[0])).returncode == 0
+
+
+@pytest.mark.parametrize("procedure", ["cross-axis", "complete"])
+def test_the_golden_file_finds_the_truth(procedure: str) -> None:
+    """Within five of its stated uncertainties, or what non-linearity and jig can do to a coefficient (1.5 count)."""
+    found = read_calibration(FIXTURES / f"{procedure}.yaml").coefficients
+    _, truth = read_twin(FIXTURES / "twins" / "sca100t-d02.yaml")
+    for row, channel in enumerate(found.channels):
+        assert found.offset[row] == pytest.approx(truth.offset[channel], abs=1.5)
+        for column, axis in enumerate(found.axes):
+            assert found.sensitivity[row, column] == pytest.approx(truth.sensitivity[channel][axis], abs=1.5)
+
+
+def test_the_golden_pairs_find_the_truth() -> None:
+    """p and q from the twin's accelerometers by what the matched sum must do, within four stated uncertainties."""
+    truth = read_document(FIXTURES / "twins" / "disk.yaml").entries()["truth"].plain()["disk"]["accelerometers"]
+    vectors = []
+    for name, phi in zip(("a1", "a2", "a3", "a4"), disk.PHASES, strict=True):
+        part = truth[name]
+        angle = phi + np.deg2rad(float(part.get("phase_error", 0.0)))
+        tilt = np.deg2rad(float(part["misalignment"]))
+        sin, cos = np.cos(angle) - tilt * np.sin(angle), np.sin(angle) + tilt * np.cos(angle)
+        vectors.append(float(part["scale"]) * np.array([sin, cos]))
+    written = read_pair(FIXTURES / "rotation.yaml").matchings
+    for matching, (first, second, orthogonal) in zip(written, ((0, 1, 3), (2, 3, 0)), strict=True):
+        system = np.stack([vectors[first], vectors[orthogonal]], axis=1)
+        rest, q = np.linalg.solve(system, -vectors[second])
+        assert matching.p == pytest.approx(1.0 - rest, abs=4 * matching.u_p)
+        assert matching.q == pytest.approx(q, abs=4 * matching.u_q)
+        assert 0.0 < matching.u_p < 1e-5

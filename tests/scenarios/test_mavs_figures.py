@@ -1,0 +1,99 @@
+"""The tilt meter paper's figures, met on a twin with the paper's magnitudes (fixtures/twins/mavs.yaml).
+
+Temperature coefficients of +10 and -2 mV/°C, a protractor good to ±0.3° (95 %): from 5 to 28 °C the residual is below
+0.3° of the settings in which the coefficients were determined, and tilt is right within 1° to ±50° and within 3° to
+±70°. What is reached is printed (run with -s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import degrees
+
+import numpy as np
+import pytest
+from support import FIXTURES
+
+from tiltcal.bench.operators.sim import SimOperator
+from tiltcal.bench.session import Session
+from tiltcal.bench.session_plan import plan_session, single
+from tiltcal.core.compensation import Compensation
+from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.procedure import find_procedure
+from tiltcal.files.twin import read_twin
+
+TWIN = FIXTURES / "twins" / "mavs.yaml"
+SEEDS = range(12)
+
+
+@pytest.fixture(scope="module")
+def calibrations(tmp_path_factory: pytest.TempPathFactory) -> list[Calibration]:
+    """Twelve benches: the same part, set anew by hand each time."""
+    folder = tmp_path_factory.mktemp("mavs")
+    found = []
+    for seed in SEEDS:
+        output, journal = folder / f"{seed}.yaml", folder / f"{seed}.journal.jsonl"
+        bench = single("sca100t-d02", f"A-{seed}", f"sim:?twin={TWIN}&seed={seed}")
+        plan = plan_session(find_procedure("mavs"), bench, [output], journal, lead="sim")
+        Session(plan, journal).measure(SimOperator(lambda line: None))
+        found.append(read_calibration(output))
+    return found
+
+
+def readings(gravity: tuple[float, float, float], temperature: float) -> list[float]:
+    """What the part reads, noiseless: the paper averages noise away."""
+    _, truth = read_twin(TWIN)
+    return [truth.reading(channel, gravity, temperature) for channel in truth.channels]
+
+
+def tilts(calibration: Calibration, gravity: tuple[float, float, float], temperature: float) -> np.ndarray:
+    result = Compensation(calibration.coefficients)(np.array([readings(gravity, temperature)]), np.array([temperature]))
+    return result.tilt[0]
+
+
+def test_the_four_coefficients_are_recovered(calibrations: list[Calibration]) -> None:
+    """Two scales and two temperature coefficients. A 0.15° protractor is worth 3 count/g (both ends), the
+    thermometer's step of 0.92 °C in 18.5 °C and the curve's second order are worth 8 % of a coefficient."""
+    for calibration in calibrations:
+        s = calibration.coefficients.sensitivity
+        thermal = calibration.coefficients.thermal
+        assert thermal is not None
+        assert [s[0, 0], s[1, 1]] == pytest.approx([815.0, 823.0], abs=4 * 3.0)
+        assert thermal.drift[0, 0] == pytest.approx(2.62 - 0.008 * 18.5, rel=0.12)
+        assert thermal.drift[1, 0] == pytest.approx(-0.52 - 0.004 * 18.5, rel=0.2)
+
+
+def test_residual_over_temperature_is_below_0_3_degrees(calibrations: list[Calibration]) -> None:
+    worst = 0.0
+    for calibration in calibrations:
+        level = tilts(calibration, (0.0, 0.0, 1.0), 24.0)
+        for temperature in np.linspace(5.0, 28.0, 24):
+            residual = np.abs(tilts(calibration, (0.0, 0.0, 1.0), float(temperature)) - level)
+            worst = max(worst, float(residual.max()))
+    print(f"residual from 5 to 28 °C: {worst:.3f}° (paper: 0.3°)")
+    assert worst < 0.3
+
+
+def axis_sweep(reach: float) -> Iterator[tuple[int, float]]:
+    for axis in (0, 1):
+        for angle in np.linspace(-reach, reach, 29):
+            yield axis, float(angle)
+
+
+@pytest.mark.parametrize(("reach", "bound"), [(50.0, 1.0), (70.0, 3.0)])
+def test_tilt_is_right_within(reach: float, bound: float, calibrations: list[Calibration]) -> None:
+    worst = 0.0
+    for calibration in calibrations:
+        for axis, angle in axis_sweep(reach):
+            for temperature in (5.0, 16.0, 28.0):
+                tilt = tilts(calibration, gravity_from_tilt({"xy"[axis]: angle}), temperature)
+                worst = max(worst, abs(float(tilt[axis]) - angle))
+    print(f"tilt error within ±{reach:g}°, 5 to 28 °C: {worst:.3f}° (paper: {bound:g}°)")
+    assert worst < bound
+
+
+def test_uncompensated_it_would_not_do(calibrations: list[Calibration]) -> None:
+    """The coefficient matters: without it the part is off by more than the paper's 0.3° many times over."""
+    warm, cold = readings((0.0, 0.0, 1.0), 24.0), readings((0.0, 0.0, 1.0), 5.0)
+    assert degrees(abs(warm[0] - cold[0]) / 815.0) > 2.0

@@ -1,0 +1,165 @@
+"""An ADXL202 that was written apart from the drivers, on a pseudo-terminal, led through ``mavs`` by a program."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from support.adxl202_part import Adxl202Part, on_a_pty
+
+pytest.importorskip("serial", reason="the pyserial package is not installed")
+
+
+Event = dict[str, Any]
+
+
+def lead(address: str, folder: Path, take: Callable[[Event], Event]) -> tuple[list[Event], str]:
+    """Be the program of ``--operator json``: every line the session said, and what it wrote on standard error."""
+    program = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "tiltcal", "measure", "mavs", "--sensor", "adxl202", "--serial", "A-1005"),
+            *("--address", address, "--operator", "json", "--settle", "0.2", "--samples", "200", "-o", "A-1005.yaml"),
+        ],
+        cwd=folder,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    events = []
+    for line in program.stdout:
+        events.append(json.loads(line))
+        if "ask" in events[-1]:
+            program.stdin.write(json.dumps(take(events[-1])) + "\n")
+            program.stdin.flush()
+    _, errors = program.communicate()
+    assert program.returncode == 0, errors
+    return events, errors
+
+
+def posed(part: Adxl202Part, ask: Event) -> Event:
+    """Lay the part as it is asked for."""
+    part.gravity, part.temperature = ask["gravity"], ask["temperature"]
+    return {"answer": "ready", "temperature": part.temperature}
+
+
+def lead_through_mavs(part: Adxl202Part, folder: Path) -> tuple[dict, str]:
+    """Be the tilt table and the chamber; the calibration file and what was said on standard error."""
+    with on_a_pty(part) as path:
+        _, errors = lead(f"serial://{path}?baudrate=115200", folder, lambda ask: posed(part, ask))
+    return yaml.safe_load((folder / "A-1005.yaml").read_text()), errors
+
+
+def require_near(part: Adxl202Part, file: dict) -> None:
+    found = file["calibration"]
+    for row, channel in enumerate("xy"):
+        assert found["offset"][channel] == pytest.approx(part.offset[row], abs=4e-4)
+        assert found["temperature"]["offset"][channel][0] == pytest.approx(part.drift[row], abs=4e-5)
+        for column, axis in enumerate("xy"):
+            assert found["sensitivity"][channel][axis] == pytest.approx(part.sensitivity[row][column], abs=6e-4)
+
+
+def test_mavs_finds_the_four_coefficients(tmp_path: Path) -> None:
+    part = Adxl202Part()
+    file, errors = lead_through_mavs(part, tmp_path)
+
+    require_near(part, file)
+    assert file["sensor"] == {"model": "adxl202", "serial": "A-1005", "unit": "duty", "channels": ["x", "y"]}
+    assert file["provenance"]["link_statistics"]["damaged"] == 0
+    assert "0 damaged" in errors
+
+
+def test_one_damaged_sentence_in_seven_is_counted_never_used_and_replays_to_the_byte(tmp_path: Path) -> None:
+    part = Adxl202Part(damage_one_in=7)
+    file, errors = lead_through_mavs(part, tmp_path)
+
+    require_near(part, file)
+    link_statistics = file["provenance"]["link_statistics"]
+    assert f"A-1005: {link_statistics['sentences']} sentences, {link_statistics['damaged']} damaged" in errors
+    # Every seventh of those that arrived; a sentence whose line end is gone takes none with it.
+    assert link_statistics["damaged"] / (link_statistics["sentences"] + link_statistics["damaged"]) == pytest.approx(
+        1 / 7, abs=0.03
+    )
+    # A changed digit would have moved a single reading far beyond the noise.
+    for position in file["positions"]:
+        for channel in "xy":
+            assert position["std"][channel] < 1.5 * part.noise
+
+    replayed = subprocess.run(
+        [sys.executable, "-m", "tiltcal", "replay", "A-1005.journal.jsonl", "--golden", "A-1005.yaml"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert replayed.returncode == 0, replayed.stderr
+
+
+def test_the_session_goes_on_once_the_sensor_is_plugged_in_again(tmp_path: Path) -> None:
+    part, name, plugged = Adxl202Part(), tmp_path / "ttyUSB0", ExitStack()
+
+    def plug() -> None:
+        name.unlink(missing_ok=True)
+        name.symlink_to(plugged.enter_context(on_a_pty(part)))
+
+    def take(ask: Event) -> Event:
+        asked.append(ask["position"])
+        if len(asked) == 2:
+            plugged.close()
+        if len(asked) == 3:
+            plug()
+        return posed(part, ask)
+
+    asked: list[str] = []
+    plug()
+    with plugged:
+        events, _ = lead(f"serial://{name}", tmp_path, take)
+
+    assert asked == ["x-45", "y-45", "y-45", "level-warm", "level-cold"]
+    (refused,) = [event for event in events if event.get("event") == "refused"]
+    assert "plug" in refused["why"]
+    require_near(part, yaml.safe_load((tmp_path / "A-1005.yaml").read_text()))
+
+
+@pytest.mark.parametrize("address", ["sim:seed=4", "sim:seed=4&wiring=edges"])
+def test_a_virtual_session_that_was_cut_anywhere_resumes_to_the_same_file(tmp_path: Path, address: str) -> None:
+    def tiltcal(*arguments: str) -> None:
+        done = subprocess.run(
+            [sys.executable, "-m", "tiltcal", "measure", *arguments], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+
+    sensor = ["--sensor", "adxl202", "--address", address, "--serial", "V-1", "--operator", "sim"]
+    tiltcal("mavs", *sensor, "--samples", "20", "-o", "V-1.yaml")
+    journal, file = tmp_path / "V-1.journal.jsonl", tmp_path / "V-1.yaml"
+    lines, whole = journal.read_bytes().splitlines(keepends=True), file.read_bytes()
+    for share in (0.02, 0.35, 0.351, 0.7, 0.98):
+        journal.write_bytes(b"".join(lines[: max(int(share * len(lines)), 1)]))
+        file.unlink()
+        tiltcal("--resume", journal.name)
+        assert file.read_bytes() == whole
+        assert journal.read_bytes() == b"".join(lines)
+
+
+def test_a_device_of_unknown_scale_is_calibrated_where_the_procedure_finds_the_scale(tmp_path: Path) -> None:
+    def measure(procedure: str) -> subprocess.CompletedProcess[str]:
+        address = "sim:unit=V&columns=x,y"
+        sensor = ["--sensor", "serial-columns", "--address", address, "--serial", "C-1", "--operator", "sim"]
+        return subprocess.run(
+            [sys.executable, "-m", "tiltcal", "measure", procedure, *sensor, "-o", f"{procedure}.yaml"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+        )
+
+    assert measure("zero-45").returncode == 0
+    refused = measure("two-temperature")
+    assert refused.returncode == 2
+    assert "state it in the address (sensitivity=" in refused.stderr
+    assert not (tmp_path / "two-temperature.yaml").exists()

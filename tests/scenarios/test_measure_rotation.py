@@ -1,0 +1,446 @@
+"""`tiltcal measure rotation` as a laboratory runs it: a real serial line, a program that leads, and what goes wrong."""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pexpect
+import pytest
+from support import FIXTURES
+from support import accelerometer_disk as disk
+from support.command import TILTCAL, tiltcal
+from support.stage_part import on_a_pty, printed
+
+from tiltcal.files.pair import read_pair
+
+# 50 lines a turn: 60 turns and more.
+RECORD = disk.record(seconds=125.0, rate=25.0, spin=0.5, noise=3e-4, wander=0.01)
+LINES = printed(RECORD)
+PAIRS = {"a1_a2": (0, 1, 3), "a3_a4": (2, 3, 0)}
+JOURNAL = "pair.journal.jsonl"
+
+OWN = """\
+tiltcal: 1
+kind: procedure
+name: my-stage
+title: Two pairs, quickly
+rotation:
+  phase: theta
+  pairs:
+    - {pair: [a1, a2], orthogonal: a4}
+    - {pair: [a3, a4], orthogonal: a1}
+  turns: 12
+  patience: 0.5
+"""
+
+
+def options(address: str, lead: str, *more: str) -> list[str]:
+    return [
+        *("measure", "./own.yaml", "--sensor", "serial-columns", "--address", address, "--serial", "G-1"),
+        *("-o", "pair.yaml", "--operator", lead, *more),
+    ]
+
+
+def serial(path: str) -> str:
+    return f"serial://{path}?columns=time,theta,a1,a2,a3,a4&timeout=1"
+
+
+class Program:
+    """Leads a session: answers every ask, hears every event, and says what ``hear`` returns."""
+
+    def __init__(
+        self,
+        folder: Path,
+        address: str,
+        *more: str,
+        hear: Callable[[dict[str, Any]], str | None] = lambda said: None,
+        interrupt_at: int = 0,
+    ) -> None:
+        (folder / "own.yaml").write_text(OWN)
+        self.told: list[dict[str, Any]] = []
+        with subprocess.Popen(
+            [*TILTCAL, *options(address, "json", *more)],
+            cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        ) as self.process:  # fmt: skip
+            if self.process.stdin is None or self.process.stdout is None or self.process.stderr is None:
+                raise RuntimeError("no pipes")
+            for line in self.process.stdout:
+                message = json.loads(line)
+                self.told.append(message)
+                if interrupt_at and message.get("turn") == interrupt_at:
+                    self.process.send_signal(signal.SIGINT)
+                word = hear(message) or ("ready" if "ask" in message else None)
+                if word:
+                    self.process.stdin.write(json.dumps({"answer": word}) + "\n")
+                    self.process.stdin.flush()
+            self.errors = self.process.stderr.read()
+        self.exit_code = self.process.returncode
+
+    def events(self, kind: str) -> list[dict[str, Any]]:
+        return [message for message in self.told if message.get("event") == kind]
+
+
+def require_truth(path: Path, sigmas: float = 4.0) -> None:
+    for matching in read_pair(path).matchings:
+        p, q = disk.truth(pair=PAIRS[matching.pair.name])
+        assert matching.p == pytest.approx(p, abs=sigmas * matching.u_p)
+        assert matching.q == pytest.approx(q, abs=sigmas * matching.u_q)
+        # 3e-4 of noise on 3.4 at the turning, some hundred lines
+        assert 0.0 < matching.u_p < 3e-5
+
+
+def require_replay(folder: Path) -> None:
+    again = tiltcal("replay", JOURNAL, "-o", "again.yaml", cwd=folder)
+    assert again.returncode == 0, again.stderr
+    assert (folder / "again.yaml").read_bytes() == (folder / "pair.yaml").read_bytes()
+
+
+def log_of(journal: Path) -> str:
+    """The lines that came after the stage was said to turn, from the bytes of the journal."""
+    events = [json.loads(line) for line in journal.read_text(encoding="utf-8").splitlines()[1:]]
+    begun = next(number for number, event in enumerate(events) if event[1] == "a")
+    heard = b"".join(bytes.fromhex(event[3]) for event in events[begun:] if event[1] == "r")
+    # The first line may have lost its head, the last one its tail.
+    return "time,theta,a1,a2,a3,a4\n" + "\n".join(heard.decode().splitlines()[1:-1]) + "\n"
+
+
+def test_a_real_line_led_by_a_program(tmp_path: Path) -> None:
+    with on_a_pty(LINES) as path:
+        program = Program(tmp_path, serial(path))
+    assert program.exit_code == 0, program.errors
+    assert program.told[0] == {
+        "ask": "rotation",
+        "pairs": [{"pair": ["a1", "a2"], "orthogonal": "a4"}, {"pair": ["a3", "a4"], "orthogonal": "a1"}],
+        "turns": 12,
+        "prompt": "Let the stage turn steadily, with its axis inclined.",
+    }
+    turns = program.events("turn")
+    assert [turn["turn"] for turn in turns] == sorted({turn["turn"] for turn in turns})
+    assert turns[-1]["turn"] == turns[-1]["of"] == 12
+    assert set(turns[-1]["p"]) == set(turns[-1]["u_q"]) == {"a1_a2", "a3_a4"}
+    (accepted,) = program.events("accepted")
+    assert accepted["q"]["a1_a2"] == pytest.approx(disk.truth()[1], abs=1e-4)
+    assert program.told[-1] == {"event": "done", "calibrations": ["pair.yaml"], "journal": JOURNAL}
+    require_truth(tmp_path / "pair.yaml")
+    require_replay(tmp_path)
+    written = read_pair(tmp_path / "pair.yaml")
+    assert written.phase == "theta"
+    assert written.provenance["made_by"] == "measurement"
+    assert written.provenance["bench"]["sensors"][0]["serial"] == "G-1"
+    assert written.provenance["journal"]["name"] == JOURNAL
+    checked = tiltcal("check", "pair.yaml", cwd=tmp_path)
+    assert checked.stdout == "pair.yaml: pair calibration, good\n"
+
+
+def test_match_finds_the_same_in_the_same_lines(tmp_path: Path) -> None:
+    with on_a_pty(LINES) as path:
+        program = Program(tmp_path, serial(path))
+    assert program.exit_code == 0, program.errors
+    (tmp_path / "heard.csv").write_text(log_of(tmp_path / JOURNAL))
+    matched = tiltcal(
+        *("match", "heard.csv", "--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "-o", "matched.yaml"),
+        cwd=tmp_path,
+    )
+    assert matched.returncode == 0, matched.stderr
+    at_bench, from_log = (read_pair(tmp_path / name).matchings[0] for name in ("pair.yaml", "matched.yaml"))
+    # The log also has the lines before the first whole sector, a twentieth of all.
+    assert at_bench.p == pytest.approx(from_log.p, abs=from_log.u_p)
+    assert at_bench.q == pytest.approx(from_log.q, abs=from_log.u_q)
+    assert at_bench.u_p == pytest.approx(from_log.u_p, rel=0.1)
+
+
+def test_apply_uses_the_file(tmp_path: Path) -> None:
+    with on_a_pty(LINES) as path:
+        assert Program(tmp_path, serial(path)).exit_code == 0
+    RECORD.write(tmp_path / "disk.csv")
+    applied = tiltcal("apply", "pair.yaml", "disk.csv", "-o", "matched.csv", cwd=tmp_path)
+    assert applied.returncode == 0, applied.stderr
+    header = (tmp_path / "matched.csv").read_text().splitlines()[0]
+    assert header.startswith("time,theta,a1,a2,a3,a4,matched_a1_a2,matched_a3_a4,gradient")
+
+
+def test_the_program_says_stop_without_being_asked(tmp_path: Path) -> None:
+    def hear(said: dict[str, Any]) -> str | None:
+        return "stop" if said.get("turn") in (1, 4) else None
+
+    with on_a_pty(LINES) as path:
+        program = Program(tmp_path, serial(path), hear=hear)
+    assert program.exit_code == 0, program.errors
+    (refused,) = program.events("refused")
+    assert "at least 2 are needed before it can stop" in refused["why"]
+    # The word is heard at the end of a block, and the line is much faster than a stage.
+    assert 4 <= program.events("turn")[-1]["turn"] < 12
+    assert read_pair(tmp_path / "pair.yaml").provenance["stopped"] == "the operator stopped"
+    require_truth(tmp_path / "pair.yaml")
+    require_replay(tmp_path)
+
+
+def test_quit_keeps_the_journal_and_the_session_goes_on(tmp_path: Path) -> None:
+    with on_a_pty(LINES) as path:
+        program = Program(tmp_path, serial(path), hear=lambda said: "quit" if said.get("turn") == 3 else None)
+        assert program.exit_code == 130
+        assert f"--resume {JOURNAL}" in program.errors
+        assert not (tmp_path / "pair.yaml").exists()
+        resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+    assert '"why": "the session was interrupted here; what was collected before counts"' in resumed.stdout
+    require_truth(tmp_path / "pair.yaml")
+    require_replay(tmp_path)
+
+
+def test_what_is_no_answer_is_refused_and_it_goes_on(tmp_path: Path) -> None:
+    with on_a_pty(LINES) as path:
+        program = Program(tmp_path, serial(path), hear=lambda said: "accept" if said.get("turn") == 1 else None)
+    assert program.exit_code == 0, program.errors
+    assert [said["why"] for said in program.events("refused")] == ["answer 'accept' is none of stop, quit"]
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_killed_at_a_random_moment_on_a_real_line(number: int, tmp_path: Path) -> None:
+    size = random.Random(number).randrange(1500, 90_000)
+    (tmp_path / "own.yaml").write_text(OWN)
+    with on_a_pty(LINES) as path:
+        with subprocess.Popen(
+            [*TILTCAL, *options(serial(path), "json")],
+            cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        ) as process:  # fmt: skip
+            if process.stdin is None:
+                raise RuntimeError("no pipe")
+            process.stdin.write(b'{"answer": "ready"}\n')
+            process.stdin.flush()
+            journal = tmp_path / JOURNAL
+            while process.poll() is None and not (journal.exists() and journal.stat().st_size >= size):
+                pass
+            process.send_signal(signal.SIGKILL)
+        resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path, said='{"answer": "ready"}\n')
+    assert resumed.returncode == 0, resumed.stderr
+    require_truth(tmp_path / "pair.yaml")
+    require_replay(tmp_path)
+
+
+def test_interrupted_by_the_keyboard(tmp_path: Path) -> None:
+    with on_a_pty(LINES) as path:
+        program = Program(tmp_path, serial(path), interrupt_at=3)
+        assert program.exit_code == 130
+        assert f"tiltcal: interrupted; what was measured is kept; go on with: tiltcal measure --resume {JOURNAL}" in (
+            program.errors
+        )
+        resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+    first = next(json.loads(line) for line in resumed.stdout.splitlines() if '"turn"' in line)
+    # The last turn that was told may be told again.
+    assert first["turn"] in (3, 4)
+    require_truth(tmp_path / "pair.yaml")
+    require_replay(tmp_path)
+
+
+def test_noise_on_the_line_is_counted_and_never_read(tmp_path: Path) -> None:
+    draw = random.Random(5)
+    noisy = list(LINES)
+    for number in range(100, len(noisy), 40):
+        place = draw.randrange(3, len(noisy[number]) - 3)
+        noisy[number] = noisy[number][:place] + b"\xff\x00\x81" + noisy[number][place + 1 :]
+    with on_a_pty(noisy) as path:
+        program = Program(tmp_path, serial(path))
+    assert program.exit_code == 0, program.errors
+    require_truth(tmp_path / "pair.yaml")
+    link_statistics = read_pair(tmp_path / "pair.yaml").provenance["link_statistics"]["G-1"]
+    assert 5 < link_statistics["damaged"] < 0.05 * link_statistics["lines"]
+    assert any("damaged or lost on the line" in said["why"] for said in program.events("held"))
+
+
+def test_a_stage_that_stands_is_refused_and_asked_for_again(tmp_path: Path) -> None:
+    with on_a_pty([LINES[0]]) as path:
+        asks: list[dict[str, Any]] = []
+
+        def hear(said: dict[str, Any]) -> str | None:
+            asks.extend([said] if "ask" in said else [])
+            return "quit" if len(asks) == 2 else None
+
+        program = Program(tmp_path, serial(path), hear=hear)
+    assert program.exit_code == 130
+    (refused,) = program.events("refused")
+    assert "the stage does not turn" in refused["why"]
+
+
+def test_a_stage_that_stops_on_its_way(tmp_path: Path) -> None:
+    stopping = [*LINES[:700], *[LINES[699]] * 800, *LINES[700:]]
+    with on_a_pty(stopping) as path:
+        program = Program(tmp_path, serial(path))
+    assert program.exit_code == 0, program.errors
+    assert [said["why"] for said in program.events("held")] == ["the stage stands still"]
+    assert len(program.events("resumed")) == 1
+    require_truth(tmp_path / "pair.yaml")
+    require_replay(tmp_path)
+
+
+def test_a_device_that_lacks_a_channel_matches_the_pair_that_is_there(tmp_path: Path) -> None:
+    with on_a_pty(LINES) as path:
+        program = Program(tmp_path, serial(path).replace("a3,", "-,"))
+    assert program.exit_code == 0, program.errors
+    assert "a3 and a4 are not matched: there is no a3" in program.errors
+    written = read_pair(tmp_path / "pair.yaml")
+    assert [matching.pair.name for matching in written.matchings] == ["a1_a2"]
+    assert written.provenance["not_matched"] == ["a3 and a4 are not matched: there is no a3"]
+
+
+# On the virtual stage
+
+
+VIRTUAL = [
+    *("measure", "rotation", "--sensor", "gradiometer", "--address", "sim:?seed=3", "--serial", "G-1"),
+    *("-o", "pair.yaml", "--operator", "sim", "--turns", "3"),
+]
+
+
+@pytest.fixture(scope="module")
+def never_stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("never-stopped")
+    done = tiltcal(*VIRTUAL, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_killed_at_a_random_moment_on_the_virtual_stage(number: int, never_stopped: Path, tmp_path: Path) -> None:
+    whole = (never_stopped / JOURNAL).read_bytes()
+    size = random.Random(number).randrange(1, len(whole))
+    with subprocess.Popen([*TILTCAL, *VIRTUAL], cwd=tmp_path, stderr=subprocess.DEVNULL) as process:
+        journal = tmp_path / JOURNAL
+        while process.poll() is None:
+            if journal.exists() and journal.stat().st_size >= size:
+                process.send_signal(signal.SIGKILL)
+                break
+    resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+    assert (tmp_path / "pair.yaml").read_bytes() == (never_stopped / "pair.yaml").read_bytes()
+    assert (tmp_path / JOURNAL).read_bytes() == whole
+
+
+def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
+    from tiltcal.bench.operators.sim import SimOperator
+    from tiltcal.bench.session import Session
+    from tiltcal.bench.session_plan import SessionPlan
+    from tiltcal.files.journal import read_journal
+
+    whole = (never_stopped / JOURNAL).read_bytes()
+    golden = (never_stopped / "pair.yaml").read_bytes()
+    header = whole.index(b"\n") + 1
+    for place in [header, header + 1, len(whole) - 1, *random.Random(7).sample(range(header, len(whole)), 12)]:
+        path = tmp_path / JOURNAL
+        path.write_bytes(whole[:place])
+        captured = read_journal(path)
+        Session(SessionPlan.from_journal(captured), path, captured).measure(SimOperator(lambda line: None))
+        assert (tmp_path / "pair.yaml").read_bytes() == golden, place
+        assert path.read_bytes() == whole, place
+
+
+def test_several_devices_of_a_bench_are_named_as_record_names_them(tmp_path: Path) -> None:
+    sensors = "".join(
+        f'  - {{serial: {serial}, model: gradiometer, address: "sim:columns={channel}"}}\n'
+        for serial, channel in (("table", "theta"), ("S1", "a1"), ("S2", "a2"), ("S4", "a4"))
+    )
+    (tmp_path / "bench.yaml").write_text(f"tiltcal: 1\nkind: bench\noperator: A. Person\nsensors:\n{sensors}")
+    done = tiltcal(
+        *("measure", "rotation", "--bench", "bench.yaml", "--operator", "sim", "--turns", "3", "-o", "pair.yaml"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    written = read_pair(tmp_path / "pair.yaml")
+    assert [matching.pair.channels for matching in written.matchings] == [("S1_a1", "S2_a2", "S4_a4")]
+    assert written.phase == "table_theta"
+    assert written.provenance["operator"] == "A. Person"
+    recorded = tiltcal("record", "--bench", "bench.yaml", "--rows", "9", "-o", "log.csv", cwd=tmp_path)
+    assert recorded.returncode == 0, recorded.stderr
+    assert tiltcal("apply", "pair.yaml", "log.csv", "-o", "out.csv", cwd=tmp_path).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [
+        ("sim:columns=a1,a2,a4", "no device has the stage angle 'theta' (there are a1, a2, a4)"),
+        ("sim:columns=theta,a1,a2,a3", "no pair has its channels"),
+    ],
+)
+def test_a_device_that_lacks_too_much_is_refused(address: str, why: str, tmp_path: Path) -> None:
+    done = tiltcal(*VIRTUAL, "--address", address, cwd=tmp_path)
+    assert done.returncode == 2
+    assert why in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [
+        ("measure plane --sensor gradiometer --address sim: --serial G -o g.yaml", "reads theta, a1, a2, a3, a4 there"),
+        ("plan plane --sensor gradiometer", "takes tilt sensors, which read x, y and z"),
+        ("fit plane log.csv --segments s.csv --sensor gradiometer --serial G -o g.yaml", "takes tilt sensors"),
+        ("fit rotation log.csv --serial G --unit g -o g.yaml", "with `tiltcal match`"),
+        ("measure plane --sensor sca100t-d02 --address sim: --serial G -o g.yaml --turns 3", "leave --turns out"),
+        ("measure rotation --sensor gradiometer --address sim: --serial G -o g.yaml --turns 1", "at least 2"),
+        ("measure rotation --sensor gradiometer --address sim: --serial G -o g.yaml --samples 9", "leave --samples"),
+        ("measure rotation --sensor gradiometer --address sim: --serial G -o g.yaml --tilt 9", "no angle free"),
+        (
+            "measure rotation --sensor gradiometer --address sim: --serial G -o g.yaml --typical-temperature",
+            "needs no --typical-temperature",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(command: str, why: str, tmp_path: Path) -> None:
+    done = tiltcal(*command.split(), cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert why in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_verify_names_match(tmp_path: Path) -> None:
+    fixture = FIXTURES / "plane.yaml"
+    done = tiltcal("verify", fixture, "--procedure", "rotation", "--address", "sim:", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "`tiltcal match`" in done.stderr
+
+
+def test_plan_says_why_there_is_nothing_to_predict() -> None:
+    done = tiltcal("plan", "rotation", "--sensor", "gradiometer")
+    assert done.returncode == 0
+    assert "a1 and a2, orthogonal a4, in up to 100 turns" in done.stdout
+    assert "nothing to predict before the stage turns" in done.stdout
+
+
+def test_in_plain_lines_what_waits_for_the_last_question_is_left_for_it(tmp_path: Path) -> None:
+    done = tiltcal(*VIRTUAL, "--operator", "terminal", "--plain", cwd=tmp_path, said="\n\n")
+    assert done.returncode == 0, done.stderr
+    assert "turn 3 of 3" in done.stderr
+    assert (tmp_path / "pair.yaml").exists()
+
+
+@pytest.mark.parametrize("key", ["s", "q"])
+def test_a_person_stops_it_with_a_key(key: str, tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text(OWN.replace("turns: 12", "turns: 100000"))
+    with on_a_pty(printed(disk.record(seconds=4000.0, rate=25.0, spin=0.5))) as path:
+        command, *arguments = [*TILTCAL, *options(serial(path), "terminal")]
+        person = pexpect.spawn(
+            command, arguments, cwd=str(tmp_path), encoding="utf-8", timeout=60, dimensions=(24, 200)
+        )
+        person.expect("Let the stage turn steadily")
+        person.send("\r")
+        person.expect("turn 3 of 100000")
+        person.send(key)
+        if key == "s":
+            person.expect("matched")
+            person.expect("Write pair.yaml")
+            person.send("\r")
+            person.expect("wrote")
+        person.expect(pexpect.EOF)
+        person.close()
+    assert person.exitstatus == (0 if key == "s" else 130)
+    assert (tmp_path / "pair.yaml").exists() == (key == "s")
+    if key == "s":
+        require_truth(tmp_path / "pair.yaml")
+        require_replay(tmp_path)

@@ -1,0 +1,192 @@
+"""An SCA100T that was written apart from ours, behind /dev/spidev0.0, is led through procedures by a program.
+
+The bounds are those of a bench with 0.6 count of noise and a 0.01° jig: offsets within 0.5 count and sensitivities
+within 0.9 count/g of the part's truth.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import signal
+import sys
+from math import cos, radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.emulated.bench import Bench, Part, run_on_spi
+
+from tiltcal.bench.operators.sim import SimOperator
+from tiltcal.bench.session import Session
+from tiltcal.bench.session_plan import SessionPlan
+from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.journal import read_journal
+
+pytest.importorskip("spidev", reason="the spidev package is not installed")
+
+FLAT = Part(sensitivity=((817.4, 11.2, 0.0), (-7.9, 821.6, 0.0)))
+
+
+def program(procedure: str, folder: Path, *options: str) -> list[str]:
+    return [
+        *(sys.executable, "-m", "tiltcal", "measure", procedure, "--sensor", "sca100t-d02"),
+        *("--address", "spi:///dev/spidev0.0", "--serial", "S-0042", "-o", str(folder / "S-0042.yaml")),
+        *("--operator", "json", "--settle", "0.4", *options),
+    ]
+
+
+def led(procedure: str, folder: Path, part: Part) -> Calibration:
+    with run_on_spi(program(procedure, folder), part) as bench:
+        told = bench.lead()
+        assert bench.exit_code == 0, bench.errors()
+    assert told[-1]["event"] == "done"
+    assert told[-1]["calibrations"] == [str(folder / "S-0042.yaml")]
+    return read_calibration(folder / "S-0042.yaml")
+
+
+def test_plane(tmp_path: Path) -> None:
+    found = led("plane", tmp_path, FLAT).coefficients
+    np.testing.assert_allclose(found.offset, FLAT.offset, atol=0.5)
+    np.testing.assert_allclose(found.sensitivity, np.array(FLAT.sensitivity)[:, :2], atol=0.9)
+
+
+def test_plane_takes_the_z_sensitivity_at_its_tilt_for_offset(tmp_path: Path) -> None:
+    """All four positions share g_z = cos 30°, so what z adds there cannot be told from the offset."""
+    part = Part()
+    found = led("plane", tmp_path, part).coefficients
+    seen = np.array(part.offset) + np.array(part.sensitivity)[:, 2] * cos(radians(30.0))
+    np.testing.assert_allclose(found.offset, seen, atol=0.5)
+
+
+def test_cross_axis(tmp_path: Path) -> None:
+    part = Part()
+    calibration = led("cross-axis", tmp_path, part)
+    np.testing.assert_allclose(calibration.coefficients.offset, part.offset, atol=0.5)
+    np.testing.assert_allclose(calibration.coefficients.sensitivity, part.sensitivity, atol=0.9)
+    # Eq. 1 on the part's truth: sqrt(11.2² + 3.5²) / 817.4 and sqrt(7.9² + 5.1²) / 821.6.
+    assert calibration.derived["cross_axis_percent"]["x"] == pytest.approx(1.4356, abs=0.15)
+    assert calibration.derived["cross_axis_percent"]["y"] == pytest.approx(1.1445, abs=0.15)
+
+
+def answer(bench: Bench, line: str, wrong: tuple[float, float, float] | None = None) -> dict[str, object]:
+    ask = json.loads(line)
+    bench.pose(wrong or ask["gravity"], ask.get("temperature"))
+    bench.say(json.dumps({"answer": "ready"}))
+    return ask
+
+
+def read_line(bench: Bench) -> dict[str, object]:
+    line = bench.process.stdout.readline()
+    assert line, bench.errors()
+    return json.loads(line)
+
+
+def test_a_wrong_position_is_refused_and_asked_for_again(tmp_path: Path) -> None:
+    with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
+        first = read_line(bench)
+        answer(bench, json.dumps(first), wrong=(-0.5, 0.0, 0.866025404))
+        refused = read_line(bench)
+        assert refused["event"] == "refused"
+        assert refused["position"] == "x-tilt1"
+        assert "x-tilt2" in str(refused["why"])
+        again = read_line(bench)
+        assert again == first
+        answer(bench, json.dumps(again))
+        told = bench.lead()
+        assert bench.exit_code == 0, bench.errors()
+    assert told[0]["event"] == "accepted"
+
+
+def test_unplugged_in_mid_session_and_plugged_in_again(tmp_path: Path) -> None:
+    with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
+        answer(bench, json.dumps(read_line(bench)))
+        assert read_line(bench)["event"] == "accepted"
+        bench.fail(errno.EIO)
+        answer(bench, json.dumps(read_line(bench)))
+        refused = read_line(bench)
+        assert refused["event"] == "refused"
+        assert "/dev/spidev0.0" in str(refused["why"])
+        bench.fail(0)
+        bench.lead()
+        assert bench.exit_code == 0, bench.errors()
+    found = read_calibration(tmp_path / "S-0042.yaml").coefficients
+    np.testing.assert_allclose(found.offset, FLAT.offset, atol=0.7)
+    # What went wrong on the bus is in the journal, and replays.
+    events = read_journal(tmp_path / "S-0042.journal.jsonl").events
+    assert any(event.kind == "!" for event in events)
+
+
+def test_a_part_that_stays_away_ends_the_session_and_keeps_it(tmp_path: Path) -> None:
+    with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
+        answer(bench, json.dumps(read_line(bench)))
+        assert read_line(bench)["event"] == "accepted"
+        bench.fail(errno.ENODEV)
+        bench.lead()
+        assert bench.exit_code == 3
+        assert "--resume" in bench.errors()
+    assert not (tmp_path / "S-0042.yaml").exists()
+    assert read_journal(tmp_path / "S-0042.journal.jsonl").end is None
+
+
+def test_the_parts_fault_signal_is_refused(tmp_path: Path) -> None:
+    with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
+        ask = read_line(bench)
+        bench.break_part()
+        answer(bench, json.dumps(ask))
+        assert "102" in str(read_line(bench)["why"])
+        bench.break_part(False)
+        bench.lead()
+        assert bench.exit_code == 0
+
+
+def test_a_faulty_part_is_told_before_the_first_prompt(tmp_path: Path) -> None:
+    part = Part(offset=(10.0, 10.0), noise=0.0)
+    with run_on_spi(program("plane", tmp_path), part) as bench:
+        told = bench.lead()
+        assert bench.exit_code == 3
+        assert "fault signal" in bench.errors()
+    assert told == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_such_device(tmp_path: Path) -> None:
+    options = [option.replace("spidev0.0", "spidev7.3") for option in program("plane", tmp_path)]
+    with run_on_spi(options, FLAT) as bench:
+        assert bench.lead() == []
+        assert bench.exit_code == 3
+        assert "/dev/spidev7.3" in bench.errors()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_captured_real_session_replays_to_the_byte(tmp_path: Path) -> None:
+    led("plane", tmp_path, FLAT)
+    with run_on_spi([sys.executable, "-m", "tiltcal", "replay", str(tmp_path / "S-0042.journal.jsonl")]) as bench:
+        text = bench.process.stdout.read()
+    assert text.encode() == (tmp_path / "S-0042.yaml").read_bytes()
+
+
+def test_killed_on_the_real_bus_and_resumed(tmp_path: Path) -> None:
+    with run_on_spi(program("plane", tmp_path, "--samples", "30"), FLAT) as bench:
+        for _ in range(2):
+            answer(bench, json.dumps(read_line(bench)))
+            assert read_line(bench)["event"] == "accepted"
+        answer(bench, json.dumps(read_line(bench)))
+        bench.kill(signal.SIGKILL)
+        assert bench.exit_code == 128 + signal.SIGKILL
+    journal = tmp_path / "S-0042.journal.jsonl"
+    before = journal.read_bytes()
+    with run_on_spi([sys.executable, "-m", "tiltcal", "measure", "--resume", str(journal)], FLAT) as bench:
+        told = bench.lead()
+        assert bench.exit_code == 0, bench.errors()
+    # The third position was being measured; nobody knows how the bench stands now, so it is asked for again.
+    assert [message["position"] for message in told if "ask" in message] == ["y-tilt1", "y-tilt2"]
+    assert told[-1]["event"] == "done"
+    assert journal.read_bytes()[: before.rfind(b"\n") + 1] == before[: before.rfind(b"\n") + 1]
+    found = read_calibration(tmp_path / "S-0042.yaml").coefficients
+    np.testing.assert_allclose(found.offset, FLAT.offset, atol=0.7)
+    assert [event.kind for event in read_journal(journal).events].count("resumed") == 1
+    texts = Session(SessionPlan.from_journal(read_journal(journal)), journal, read_journal(journal)).replay(
+        SimOperator(print)
+    )
+    assert next(iter(texts.texts.values())).encode() == (tmp_path / "S-0042.yaml").read_bytes()

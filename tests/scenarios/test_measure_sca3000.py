@@ -1,0 +1,114 @@
+"""An SCA3000 that was written apart from ours, on SPI and on I2C, is led through ``six-face`` by a program.
+
+The bounds are those of a bench with 1.5 count of noise and a 0.01° jig: offsets within 0.9 count and sensitivities
+within 0.9 count/g of the part's truth.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.command import tiltcal
+from support.emulated.bench import Bench, Sca3000, run_on_i2c, run_on_spi
+
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.journal import read_journal
+
+ON_SPI = ("sca3000-d01", "spi:///dev/spidev0.0")
+ON_I2C = ("sca3000-i2c", "i2c:///dev/i2c-1?address=0x1d&counts_per_g=1333&rate=250")
+
+
+def program(sensor: str, address: str, folder: Path, *options: str) -> list[str]:
+    return [
+        *(sys.executable, "-m", "tiltcal", "measure", "six-face", "--sensor", sensor, "--address", address),
+        *("--serial", "A-3000", "-o", str(folder / "A-3000.yaml"), "--operator", "json", "--settle", "0.4", *options),
+    ]
+
+
+def require_true(told: list[dict[str, object]], folder: Path, part: Sca3000) -> None:
+    assert told[-1]["event"] == "done"
+    found = read_calibration(folder / "A-3000.yaml").coefficients
+    np.testing.assert_allclose(found.offset, part.offset, atol=0.9)
+    np.testing.assert_allclose(found.sensitivity, part.sensitivity, atol=0.9)
+
+
+def test_six_face_on_spi(tmp_path: Path) -> None:
+    pytest.importorskip("spidev", reason="the spidev package is not installed")
+    with run_on_spi(program(*ON_SPI, tmp_path), Sca3000()) as bench:
+        told = bench.lead()
+        assert bench.exit_code == 0, bench.errors()
+    require_true(told, tmp_path, Sca3000())
+    positions = read_calibration(tmp_path / "A-3000.yaml").positions
+    # The part's own thermometer: 24 °C is raw 257.8, sent as 258, read as 24.1 °C.
+    assert [position["temperature"] for position in positions] == pytest.approx([24.11] * 6, abs=0.01)
+
+
+def test_six_face_on_i2c(tmp_path: Path) -> None:
+    pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
+    part = Sca3000(thermometer=False, seed=2)
+    with run_on_i2c(program(*ON_I2C, tmp_path), part, 0x1D) as bench:
+        told = bench.lead()
+        assert bench.exit_code == 0, bench.errors()
+    require_true(told, tmp_path, part)
+
+
+def test_a_session_captured_on_i2c_replays_to_the_byte_with_no_bus(tmp_path: Path) -> None:
+    pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
+    with run_on_i2c(program(*ON_I2C, tmp_path, "--samples", "20"), Sca3000(thermometer=False), 0x1D) as bench:
+        assert bench.lead()[-1]["event"] == "done"
+    again = tiltcal("replay", tmp_path / "A-3000.journal.jsonl")
+    assert again.stdout.encode() == (tmp_path / "A-3000.yaml").read_bytes()
+
+
+def test_unplugged_on_i2c_in_mid_session_and_plugged_in_again(tmp_path: Path) -> None:
+    pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
+    part = Sca3000(thermometer=False)
+    with run_on_i2c(program(*ON_I2C, tmp_path, "--samples", "20"), part, 0x1D) as bench:
+        take_position(bench)
+        assert read_line(bench)["event"] == "accepted"
+        bench.fail(errno.EREMOTEIO)
+        take_position(bench)
+        refused = read_line(bench)
+        assert refused["event"] == "refused"
+        assert "nobody acknowledges at address 0x1d on /dev/i2c-1" in str(refused["why"])
+        bench.fail(0)
+        assert bench.lead()[-1]["event"] == "done"
+        assert bench.exit_code == 0, bench.errors()
+    assert any(event.kind == "!" for event in read_journal(tmp_path / "A-3000.journal.jsonl").events)
+
+
+def test_a_faulty_part_is_told_before_the_first_prompt(tmp_path: Path) -> None:
+    pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
+    address = ON_I2C[1].replace("0x1d", "0x1e")
+    with run_on_i2c(program("sca3000-i2c", address, tmp_path), Sca3000(), 0x1D) as bench:
+        assert bench.lead() == []
+        assert bench.exit_code == 3
+        assert "nobody acknowledges at address 0x1e" in bench.errors()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_twin_file_with_too_few_channels_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "flat.yaml").write_text(
+        "tiltcal: 1\nkind: twin\ntruth:\n  offset: {x: 10.0, y: 11.0}\n"
+        "  sensitivity: {x: {x: 1333.0, y: 0.0}, y: {x: 0.0, y: 1333.0}}\n"
+    )
+    refused = tiltcal("probe", "--sensor", "sca3000-d01", "--address", "sim:twin=flat.yaml", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "the twin file has no z, which a sca3000-d01 reads" in refused.stderr
+
+
+def take_position(bench: Bench) -> None:
+    ask = read_line(bench)
+    bench.pose(ask["gravity"], ask.get("temperature"))
+    bench.say(json.dumps({"answer": "ready"}))
+
+
+def read_line(bench: Bench) -> dict[str, object]:
+    line = bench.process.stdout.readline()
+    assert line, bench.errors()
+    return json.loads(line)

@@ -1,0 +1,184 @@
+"""``tiltcal measure mounting`` and Wahba's problem beneath it."""
+
+from __future__ import annotations
+
+from math import degrees, pi, radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from support.command import tiltcal
+from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
+
+from tiltcal.calibration.calibrate import Measurement
+from tiltcal.calibration.mounting import mount
+from tiltcal.calibration.results import rounded, uncertainty_record
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+from tiltcal.core.compensation import Compensation
+from tiltcal.core.estimation.estimate import estimate_jointly
+from tiltcal.core.model import Mounting
+from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.wahba import solve_mounting
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import Calibration, SensorIdentity, read_calibration
+from tiltcal.files.uncertainty import stated_uncertainty
+
+POSITIONS = np.array([[0, 0, 1], [0.5, 0, 0.866], [-0.5, 0, 0.866], [0, 0.5, 0.866], [0, -0.5, 0.866]])
+KNOWN = POSITIONS / np.linalg.norm(POSITIONS, axis=1, keepdims=True)
+
+
+@settings(max_examples=200)
+@given(st.floats(-pi + 1e-6, pi), st.floats(-1.5, 1.5), st.floats(-pi + 1e-6, pi))
+def test_exact_directions_give_the_mounting_over_the_full_range(roll: float, pitch: float, yaw: float) -> None:
+    matrix = mounting_matrix(Mounting(roll, pitch, yaw))
+    found = solve_mounting(KNOWN @ matrix, KNOWN)
+    assert not found.gimbal_lock
+    np.testing.assert_allclose(mounting_matrix(found.mounting), matrix, atol=1e-9)
+    turns = np.array([found.mounting.roll - roll, found.mounting.pitch - pitch, found.mounting.yaw - yaw])
+    np.testing.assert_allclose(np.angle(np.exp(1j * turns)), 0.0, atol=1e-6)
+
+
+def noisy(rng: np.random.Generator, matrix: np.ndarray, sigma: float) -> np.ndarray:
+    turned = [Rotation.from_rotvec(rng.normal(0.0, sigma, 3)).apply(known) for known in KNOWN]
+    return np.array(turned) @ matrix
+
+
+def test_the_stated_uncertainty_covers_the_truth() -> None:
+    """Over random mountings each angle lies within 1.96 of its stated standard uncertainty in 95 % of the cases."""
+    rng = np.random.default_rng(11)
+    sigma, inside, total = radians(0.2), 0, 0
+    for _ in range(700):
+        truth = Mounting(rng.uniform(-pi, pi), rng.uniform(-1.3, 1.3), rng.uniform(-pi, pi))
+        found = solve_mounting(noisy(rng, mounting_matrix(truth), sigma), KNOWN, np.full(len(KNOWN), sigma))
+        assert found.u is not None
+        for name in ("roll", "pitch", "yaw"):
+            error = getattr(found.mounting, name) - getattr(truth, name)
+            inside += abs(np.angle(np.exp(1j * error))) < 1.96 * getattr(found.u, name)
+            total += 1
+    assert inside / total == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / total))
+
+
+def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
+    """Base and mounting err together: 250 sensors are calibrated on one jig and mounted on another, both of 0.2°."""
+    rng = np.random.default_rng(31)
+    plan, sigma, inside, scatter = plan_of(12, noise=1e-4, jig=0.2), radians(0.2), [], []
+    for _ in range(250):
+        truth, turned = part(rng), mounting_matrix(Mounting(*rng.uniform(-1.2, 1.2, 3)))
+        (found,) = estimate_jointly(fixture(measured(rng, plan, [truth]), design(plan, jig=0.2)))
+        identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
+        base = Calibration(identity, rounded(found), uncertainty_record(found, {}))
+        read = truth.reading(noisy(rng, turned, sigma), np.zeros(len(KNOWN)))
+        mounted = mount(base, [_measured(known, row) for known, row in zip(KNOWN, read, strict=True)], jig=0.2)
+        doubt = stated_uncertainty(mounted.uncertainty, mounted.coefficients, reading_noise=0.0).doubt
+        kernel = CompensationWithUncertainty(Compensation(mounted.coefficients), mounted.coefficients, doubt)
+        gravity = Rotation.from_euler("xy", rng.uniform(-40.0, 40.0, (20, 2)), degrees=True).apply([0.0, 0.0, 1.0])
+        result = kernel(truth.reading(gravity @ turned, np.zeros(20)), np.zeros(20))
+        error = result.compensated.tilt[:, :2] - np.degrees(np.arcsin(gravity[:, :2]))
+        inside.append(np.mean(np.abs(error) <= result.expanded[:, :2]))
+        scatter.append(np.mean((error / result.standard[:, :2]) ** 2))
+    assert np.mean(inside) == pytest.approx(0.95, abs=3 * np.std(inside) / np.sqrt(len(inside)) + 0.005)
+    assert np.sqrt(np.mean(scatter)) == pytest.approx(1.0, abs=0.07)
+
+
+def _measured(gravity: np.ndarray, readings: np.ndarray) -> Measurement:
+    summaries = {c: SampleSummary(float(value), 0.0, 1, 0.0) for c, value in zip(XYZ, readings, strict=True)}
+    x, y, z = gravity.tolist()
+    return Measurement("here", (x, y, z), None, None, summaries)
+
+
+def test_one_direction_leaves_the_turn_about_it_undetermined() -> None:
+    with pytest.raises(EstimateError, match="turn about it is undetermined"):
+        solve_mounting(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]]))
+    with pytest.raises(EstimateError, match="undetermined"):
+        solve_mounting(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
+
+
+def test_gimbal_lock_is_reported() -> None:
+    found = solve_mounting(KNOWN @ mounting_matrix(Mounting(0.4, pi / 2, 0.0)), KNOWN)
+    assert found.gimbal_lock
+    assert found.u is None
+    assert degrees(found.mounting.pitch) == pytest.approx(90.0)
+    assert found.mounting.roll == pytest.approx(0.4, abs=1e-6)
+
+
+TWIN = """\
+tiltcal: 1
+kind: twin
+model: {model}
+seed: 4
+truth:
+  offset: {offset}
+  sensitivity: {sensitivity}
+  noise: {noise}
+  jig: 0.01
+  mounting: {mounting}
+"""
+SCA3000 = {
+    "model": "sca3000-d01",
+    "offset": "{x: 20, y: -15, z: 8}",
+    "sensitivity": "{x: {x: 1330, y: 9, z: -4}, y: {x: 5, y: 1341, z: 2}, z: {x: -7, y: 3, z: 1325}}",
+    "noise": "{x: 1.5, y: 1.5, z: 1.5}",
+}
+SCA100T = {
+    "model": "sca100t-d02",
+    "offset": "{x: 1026, y: 1021}",
+    "sensitivity": "{x: {x: 817, y: 9, z: 0}, y: {x: -5, y: 821, z: 0}}",
+    "noise": "{x: 0.6, y: 0.6}",
+}
+
+
+def mounted(folder: Path, facts: dict[str, str], procedure: str, mounting: str) -> Path:
+    """Calibrate a part straight on the jig, then mount it and find how."""
+    (folder / "straight.yaml").write_text(TWIN.format(**facts, mounting="{}"))
+    (folder / "mounted.yaml").write_text(TWIN.format(**facts, mounting=mounting))
+    options = ["--sensor", facts["model"], "--serial", "M-1", "--operator", "sim", "--samples", "60"]
+    first = tiltcal(
+        "measure", procedure, *options, "--address", "sim:?twin=straight.yaml", "-o", "M-1.yaml", cwd=folder
+    )
+    assert first.returncode == 0, first.stderr
+    second = tiltcal(
+        *("measure", "mounting", *options, "--address", "sim:?twin=mounted.yaml"),
+        *("--base", "M-1.yaml", "--jig", "0.02", "-o", "M-1-mounted.yaml"),
+        cwd=folder,
+    )
+    assert second.returncode == 0, second.stderr
+    return folder / "M-1-mounted.yaml"
+
+
+@pytest.mark.parametrize("angles", [(10.0, -20.0, 30.0), (170.0, 40.0, -120.0), (-90.0, 0.0, 0.0)])
+def test_a_three_axis_sensor_in_any_mounting(angles: tuple[float, float, float], tmp_path: Path) -> None:
+    path = mounted(tmp_path, SCA3000, "six-face", "{{roll: {}, pitch: {}, yaw: {}}}".format(*angles))
+    found = read_calibration(path)
+    mounting = found.coefficients.mounting
+    assert mounting is not None
+    assert np.degrees([mounting.roll, mounting.pitch, mounting.yaw]) == pytest.approx(angles, abs=0.12)
+    assert set(found.uncertainty["mounting"]) == {"roll", "pitch", "yaw"}
+    before = read_calibration(tmp_path / "M-1.yaml")
+    np.testing.assert_array_equal(found.coefficients.sensitivity, before.coefficients.sensitivity)
+    replayed = tiltcal("replay", "M-1-mounted.journal.jsonl", "--golden", "M-1-mounted.yaml", cwd=tmp_path)
+    assert replayed.returncode == 0, replayed.stderr
+
+
+@pytest.mark.parametrize("angles", [(3.0, -5.0, 60.0), (180.0, 0.0, 0.0)])
+def test_a_two_axis_sensor_upright_or_inverted(angles: tuple[float, float, float], tmp_path: Path) -> None:
+    """The meter hangs upside down and the sensor is not calibrated again."""
+    path = mounted(tmp_path, SCA100T, "plane", "{{roll: {}, pitch: {}, yaw: {}}}".format(*angles))
+    mounting = read_calibration(path).coefficients.mounting
+    assert mounting is not None
+    truth = mounting_matrix(Mounting(*map(radians, angles)))
+    np.testing.assert_allclose(mounting_matrix(mounting), truth, atol=radians(0.25))
+
+
+def test_the_base_must_be_of_the_same_sensor(tmp_path: Path) -> None:
+    mounted(tmp_path, SCA100T, "plane", "{roll: 3}")
+    options = ["--sensor", "sca100t-d02", "--address", "sim:?twin=mounted.yaml", "--operator", "sim", "-o", "x.yaml"]
+    other = tiltcal("measure", "mounting", *options, "--serial", "M-2", "--base", "M-1.yaml", cwd=tmp_path)
+    assert other.returncode == 2
+    assert "M-1.yaml is of M-1" in other.stderr
+    without = tiltcal("measure", "mounting", *options, "--serial", "M-1", cwd=tmp_path)
+    assert without.returncode == 2
+    assert "--base" in without.stderr

@@ -1,0 +1,207 @@
+"""The session on the virtual bench: what is refused, what is waited for, what is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.command import measure, tiltcal
+
+from tiltcal.bench.operators.answer import OperatorAnswer
+from tiltcal.bench.operators.sim import SimOperator
+from tiltcal.bench.session import Session
+from tiltcal.bench.session_plan import SessionPlan, plan_session, single
+from tiltcal.errors import HardwareError
+from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.journal import read_journal
+from tiltcal.files.procedure import Position, find_procedure
+
+TWIN = """\
+tiltcal: 1
+kind: twin
+model: sca100t-d02
+seed: 5
+truth:
+  offset: {x: 1026.0, y: 1021.0}
+  sensitivity: {x: {x: 817.4, y: 11.2, z: 0.0}, y: {x: -7.9, y: 821.6, z: 0.0}}
+  temperature: {reference: 24.0, offset: {x: [0.4], y: [-0.1]}}
+  noise: {x: 0.6, y: 0.6}
+"""
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("twin.yaml").write_text(TWIN)
+    return tmp_path
+
+
+def session(procedure: str = "plane", **options: float) -> Session:
+    plan = plan_session(
+        find_procedure(procedure),
+        single("sca100t-d02", "S-1", "sim:?twin=twin.yaml"),
+        [Path("S-1.yaml")],
+        Path("S-1.journal.jsonl"),
+        lead="sim",
+        **options,  # type: ignore[arg-type]
+    )
+    return Session(plan, Path("S-1.journal.jsonl"))
+
+
+def run(
+    procedure: str = "plane", operator: SimOperator | None = None, **options: float
+) -> tuple[Calibration, list[str]]:
+    said: list[str] = []
+    live = session(procedure, **options)
+    live.preflight()
+    live.measure(operator or SimOperator(said.append))
+    return read_calibration("S-1.yaml"), said
+
+
+def twin_with(line: str) -> None:
+    Path("twin.yaml").write_text(TWIN + f"  {line}\n")
+
+
+def test_plane_finds_the_twin(bench: Path) -> None:
+    found = run()[0].coefficients
+    assert found.offset == pytest.approx([1026.0, 1021.0], abs=0.3)
+    assert found.sensitivity.ravel() == pytest.approx([817.4, 11.2, -7.9, 821.6], abs=0.6)
+
+
+def test_two_temperatures_find_the_drift_and_take_the_nominal_sensitivity(bench: Path) -> None:
+    calibration, _ = run("two-temperature")
+    thermal = calibration.coefficients.thermal
+    assert thermal is not None
+    assert thermal.drift.ravel() == pytest.approx([0.4, -0.1], abs=0.05)
+    assert calibration.coefficients.sensitivity.tolist() == [[819.0, 0.0], [0.0, 819.0]]
+    assert calibration.derived["assumed"] == ["sensitivity: nominal of the model"]
+
+
+class Clumsy(SimOperator):
+    """Types, at the second position, the angle of the first one: the sensor is where it was."""
+
+    def __init__(self, said: list[str]) -> None:
+        super().__init__(said.append)
+        self.clumsy = True
+
+    def position(self, position: Position, number: int, live: object) -> OperatorAnswer:
+        if position.name == "x-tilt2" and self.clumsy:
+            self.clumsy = False
+            return OperatorAnswer("ready", gravity=(0.0, 0.0, 1.0))
+        return OperatorAnswer("ready")
+
+
+def test_what_was_typed_is_what_is_judged(bench: Path) -> None:
+    """Level typed for a position, and level taken: odd, but consistent, so it counts as typed."""
+    said: list[str] = []
+    calibration, _ = run("plane", Clumsy(said))
+    assert calibration.procedure["set"]["x-tilt2"] == {"gravity": [0.0, 0.0, 1.0]}
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [("parity", "102"), ("silent", "stuck high"), ("unplugged", "unplugged")],
+)
+def test_a_fault_that_passes_costs_a_redo(kind: str, why: str, bench: Path) -> None:
+    """The first position takes about 3 s; the fault begins in the second."""
+    twin_with(f"faults: [{{kind: {kind}, start: 5.0, end: 5.2}}]")
+    calibration, said = run()
+    refused = [line for line in said if "refused" in line]
+    assert refused
+    assert all(why in line for line in refused)
+    assert calibration.coefficients.offset == pytest.approx([1026.0, 1021.0], abs=0.3)
+
+
+def test_a_stuck_reading_is_refused_as_a_wrong_position(bench: Path) -> None:
+    twin_with("faults: [{kind: stuck, start: 3.05, end: 6.2}]")
+    _, said = run()
+    assert any("x-tilt2 refused" in line for line in said)
+
+
+def test_a_fault_that_stays_ends_the_session(bench: Path) -> None:
+    twin_with("faults: [{kind: unplugged, start: 5.0, end: 1.0e+9}]")
+    live = session()
+    live.preflight()
+    with pytest.raises(HardwareError, match="unplugged"):
+        live.measure(SimOperator(lambda line: None))
+    assert not Path("S-1.yaml").exists()
+    assert Path("S-1.journal.jsonl").exists()
+
+
+def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone(bench: Path) -> None:
+    twin_with("faults: [{kind: unplugged, start: 5.0, end: 11.0}]")
+    live = session()
+    live.preflight()
+    with pytest.raises(HardwareError, match="unplugged"):
+        live.measure(SimOperator(lambda line: None))
+    journal = read_journal("S-1.journal.jsonl")
+    resumed = Session(SessionPlan.from_journal(journal), journal.path, journal).measure(SimOperator(lambda line: None))
+    captured = read_journal("S-1.journal.jsonl")
+    assert captured.end is not None
+    again = Session(SessionPlan.from_journal(captured), captured.path, captured).replay(SimOperator(lambda line: None))
+    assert again.texts == resumed.texts
+
+
+def test_a_slow_chamber_is_waited_for(bench: Path) -> None:
+    """From 24 °C to within 2 °C of 5.5 °C with a time constant of ten minutes takes 600 ln(18.5 / 2) = 1335 s; the
+    thermometer's step of 0.92 °C lets it be thought there half a step, 154 s, too early."""
+    twin_with("time_constant: 600.0")
+    calibration, _ = run("two-temperature")
+    warm, cold = calibration.positions
+    assert _seconds(cold["time"]) - _seconds(warm["time"]) > 1335.0 - 154.0
+    assert cold["temperature"] == pytest.approx(5.5, abs=2.0 + 0.92)
+
+
+def test_a_thermometer_that_is_far_off_is_believed_once_it_holds(bench: Path) -> None:
+    """A sensor's own thermometer is not trimmed: 6 °C off, it must hold for ten windows of 20 s."""
+    twin_with("thermometer_error: 6.0")
+    calibration, _ = run("two-temperature")
+    warm, cold = calibration.positions
+    assert _seconds(cold["time"]) - _seconds(warm["time"]) > 200.0
+    assert cold["temperature"] == pytest.approx(11.5, abs=0.6)
+
+
+def _seconds(stamp: str) -> float:
+    hours, minutes, seconds = stamp.rstrip("Z").split("T")[1].split(":")
+    return 3600 * int(hours) + 60 * int(minutes) + float(seconds)
+
+
+class TestBeforeTheFirstPrompt:
+    def test_output_in_a_folder_that_takes_no_file(self, tmp_path: Path) -> None:
+        result = measure("-o", "/proc/S-1.yaml", "--journal", "S-1.jsonl", cwd=tmp_path)
+        assert result.returncode == 2
+        assert "/proc/S-1.yaml" in result.stderr
+        assert "1/4" not in result.stderr
+        assert list(tmp_path.iterdir()) == []
+
+    def test_output_in_a_folder_that_is_not_there(self, tmp_path: Path) -> None:
+        result = measure("-o", "there/S-1.yaml", cwd=tmp_path)
+        assert result.returncode == 2
+        assert "no folder" in result.stderr
+        assert list(tmp_path.iterdir()) == []
+
+    def test_serial_is_asked_for(self, tmp_path: Path) -> None:
+        result = tiltcal(
+            *("measure", "plane", "--sensor", "sca100t-d02", "--address", "sim:", "-o", "a.yaml", "--operator", "sim"),
+            cwd=tmp_path,
+        )
+        assert result.returncode == 2
+        assert "--serial" in result.stderr
+
+    def test_near_names_are_offered(self, tmp_path: Path) -> None:
+        unknown = measure(procedure="plain", cwd=tmp_path)
+        assert unknown.returncode == 2
+        assert "'plane'" in unknown.stderr
+        unknown = measure("--sensor", "sca100t-d2", cwd=tmp_path)
+        assert unknown.returncode == 2
+        assert "sca100t-d02" in unknown.stderr
+
+    def test_an_angle_beyond_the_sensors_range(self, tmp_path: Path) -> None:
+        result = measure("--sensor", "sca100t-d01", "--tilt", "45", cwd=tmp_path)
+        assert result.returncode == 2
+        assert "outside the range of sca100t-d01" in result.stderr
+
+    def test_the_virtual_jig_moves_no_real_sensor(self, tmp_path: Path) -> None:
+        result = measure("--address", "spi:///dev/spidev9.9", cwd=tmp_path)
+        assert result.returncode in (2, 3)
+        assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,61 @@
+"""The page in Chromium: nothing to complain of, nothing to fetch, and paper in A4."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from support import FIXTURES
+
+from tiltcal.cli.main import run
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+QUIET = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--enable-logging=stderr",
+    "--no-pdf-header-footer",
+)
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: apt install chromium")
+
+
+def printed(page: Path, folder: Path) -> tuple[bytes, list[str], str]:
+    """The page as PDF, what the browser's console says, and the log of its network."""
+    pdf, net = folder / "page.pdf", folder / "net.json"
+    places = [f"--user-data-dir={folder / 'profile'}", f"--log-net-log={net}", f"--print-to-pdf={pdf}"]
+    done = subprocess.run(
+        [str(CHROMIUM), *QUIET, *places, page.as_uri()], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert pdf.exists(), done.stderr
+    console = [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
+    return pdf.read_bytes(), console, net.read_text(encoding="utf-8")
+
+
+def test_it_is_quiet_complete_in_itself_and_prints_on_a4(tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    assert run(["report", str(FIXTURES / "complete.yaml"), "-o", str(page)]) == 0
+    pdf, console, net = printed(page, tmp_path)
+    assert console == []
+    assert "[internally: file://]" not in net  # as it stands with every request that a page on the disk makes
+    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 5
+    sizes = {tuple(map(float, box.split()[2:])) for box in re.findall(rb"/MediaBox\s*\[([^\]]*)\]", pdf)}
+    assert all(abs(width - 595.3) < 1 and abs(height - 841.9) < 1 for width, height in sizes)
+    assert sizes
+
+
+def test_a_page_that_fetches_and_complains_would_be_seen(tmp_path: Path) -> None:
+    page = tmp_path / "bad.html"
+    page.write_text('<img src="http://x.invalid/x.png"><script>console.error("no")</script>', encoding="utf-8")
+    _, console, net = printed(page, tmp_path)
+    assert len(console) == 1
+    assert "[internally: file://]" in net

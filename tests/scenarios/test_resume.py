@@ -1,0 +1,101 @@
+"""A session that is killed at any point ends, resumed, in the same file as one that was never stopped."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+from support.command import TILTCAL, measure, tiltcal
+
+OPTIONS = [
+    *("measure", "complete", "--sensor", "sca100t-d02", "--address", "sim:?seed=1", "--serial", "S-1"),
+    *("-o", "S-1.yaml", "--operator", "sim", "--samples", "60"),
+]
+JOURNAL = "S-1.journal.jsonl"
+
+
+@pytest.fixture(scope="module")
+def never_stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("never-stopped")
+    assert tiltcal(*OPTIONS, cwd=folder).returncode == 0
+    return folder
+
+
+def killed_when(folder: Path, size: int) -> None:
+    """Start the session and kill it, without a word, when its journal has grown to ``size``."""
+    process = subprocess.Popen([*TILTCAL, *OPTIONS], cwd=folder, stderr=subprocess.DEVNULL)
+    journal = folder / JOURNAL
+    while process.poll() is None:
+        if journal.exists() and journal.stat().st_size >= size:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            return
+
+
+@pytest.mark.parametrize("number", range(50))
+def test_killed_at_a_random_moment(number: int, never_stopped: Path, tmp_path: Path) -> None:
+    whole = (never_stopped / JOURNAL).read_bytes()
+    killed_when(tmp_path, random.Random(number).randrange(1, len(whole)))
+    resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+    assert (tmp_path / "S-1.yaml").read_bytes() == (never_stopped / "S-1.yaml").read_bytes()
+    assert (tmp_path / JOURNAL).read_bytes() == whole
+
+
+def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
+    """Within one process, at many more places than can be hit by killing: torn lines, the end record, its edges."""
+    from tiltcal.bench.operators.sim import SimOperator
+    from tiltcal.bench.session import Session
+    from tiltcal.bench.session_plan import SessionPlan
+    from tiltcal.files.journal import read_journal
+
+    whole = (never_stopped / JOURNAL).read_bytes()
+    golden = (never_stopped / "S-1.yaml").read_bytes()
+    header = whole.index(b"\n") + 1
+    places = [header, header + 1, len(whole) - 1, whole.rindex(b"\n", 0, -1) + 1]
+    places += random.Random(7).sample(range(header, len(whole)), 40)
+    for place in places:
+        path = tmp_path / JOURNAL
+        path.write_bytes(whole[:place])
+        captured = read_journal(path)
+        Session(SessionPlan.from_journal(captured), path, captured).measure(SimOperator(lambda line: None))
+        assert (tmp_path / "S-1.yaml").read_bytes() == golden, place
+        assert path.read_bytes() == whole, place
+
+
+def test_killed_before_the_calibration_was_written(never_stopped: Path, tmp_path: Path) -> None:
+    """The journal has its end record, the file is not there: resuming writes it."""
+    (tmp_path / JOURNAL).write_bytes((never_stopped / JOURNAL).read_bytes())
+    assert tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path).returncode == 0
+    assert (tmp_path / "S-1.yaml").read_bytes() == (never_stopped / "S-1.yaml").read_bytes()
+
+
+def test_resume_of_nothing_says_so(tmp_path: Path) -> None:
+    result = tiltcal("measure", "--resume", "no.journal.jsonl", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "no.journal.jsonl: no such journal" in result.stderr
+
+
+def test_a_torn_line_is_dropped_with_a_warning(never_stopped: Path, tmp_path: Path) -> None:
+    (tmp_path / JOURNAL).write_bytes((never_stopped / JOURNAL).read_bytes()[:5000])
+    result = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
+    assert result.returncode == 0
+    assert "torn" in result.stderr
+
+
+def test_an_interrupted_journal_is_not_replayed_as_if_it_were_whole(never_stopped: Path, tmp_path: Path) -> None:
+    (tmp_path / JOURNAL).write_bytes((never_stopped / JOURNAL).read_bytes()[:5000])
+    result = tiltcal("replay", JOURNAL, cwd=tmp_path)
+    assert result.returncode == 2
+    assert f"measure --resume {JOURNAL}" in result.stderr
+
+
+def test_a_second_session_leaves_the_first_journal_alone(tmp_path: Path) -> None:
+    assert measure(cwd=tmp_path).returncode == 0
+    first = (tmp_path / JOURNAL).read_bytes()
+    assert measure(cwd=tmp_path).returncode == 0
+    assert (tmp_path / JOURNAL).read_bytes() == first
+    assert (tmp_path / "S-1.2.journal.jsonl").exists()

@@ -1,0 +1,182 @@
+"""A board of sensors, one thermometer, one journal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from support.command import tiltcal
+
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.journal import read_journal
+
+HEADER = "tiltcal: 1\nkind: bench\noperator: A. Technician\njig: 0.01\n"
+
+TRUTH = """\
+tiltcal: 1
+kind: twin
+model: sca100t-d02
+seed: {seed}
+truth:
+  offset: {{x: {x}, y: 1021.0}}
+  sensitivity: {{x: {{x: 817.4, y: 11.2, z: 0.0}}, y: {{x: -7.9, y: 821.6, z: 0.0}}}}
+  temperature: {{reference: 24.0, offset: {{x: [0.4], y: [-0.1]}}}}
+  noise: {{x: 0.6, y: 0.6}}
+{more}"""
+
+
+def twin(folder: Path, number: int, more: str = "") -> str:
+    name = f"twin-{number}.yaml"
+    (folder / name).write_text(TRUTH.format(seed=number, x=1020 + number, more=more))
+    return f"sim:?twin={name}"
+
+
+def bench(folder: Path, *sensors: str, more: str = "") -> None:
+    (folder / "bench.yaml").write_text(HEADER + more + "sensors:\n" + "".join(f"  - {{{one}}}\n" for one in sensors))
+
+
+def measured(folder: Path, *options: str, procedure: str = "plane") -> dict[str, object]:
+    result = tiltcal(
+        *("measure", procedure, "--bench", "bench.yaml", "--operator", "sim", "--samples", "30", *options), cwd=folder
+    )
+    assert result.returncode == 0, result.stderr
+    return {"said": result.stderr}
+
+
+def test_six_sensors_twelve_axes_one_thermometer(tmp_path: Path) -> None:
+    """The paper's board, overnight: six calibration files from one journal that replays to the byte."""
+    models = ["adxl202", "adxl202e", "adxl202", "adxl202-analog", "sca100t-d02", "sca100t-d02-analog"]
+    bench(
+        tmp_path,
+        *(f'serial: A-{n}, model: {model}, address: "sim:?seed={n}"' for n, model in enumerate(models)),
+        more='thermometer: {model: thermistor, address: "sim:"}\n',
+    )
+    measured(tmp_path, procedure="mavs")
+    files = sorted(path.name for path in tmp_path.glob("A-*.yaml"))
+    assert files == [f"A-{n}.yaml" for n in range(6)]
+    calibration = read_calibration(tmp_path / "A-0.yaml")
+    assert calibration.provenance["operator"] == "A. Technician"
+    assert calibration.provenance["bench"]["thermometer"] == "sim:"
+    temperatures = {path.name: read_calibration(path).positions[3]["temperature"] for path in tmp_path.glob("A-*.yaml")}
+    assert len(set(temperatures.values())) == 1, "one thermometer stands for all"
+    journals = list(tmp_path.glob("*.journal.jsonl"))
+    assert [path.name for path in journals] == ["bench.journal.jsonl"]
+    (tmp_path / "again").mkdir()
+    replayed = tiltcal("replay", "bench.journal.jsonl", "-o", "again", cwd=tmp_path)
+    assert replayed.returncode == 0, replayed.stderr
+    for name in files:
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / name).read_bytes()
+
+
+def test_a_sensor_that_sits_askew_is_calibrated_in_its_own_frame(tmp_path: Path) -> None:
+    """The same part twice, straight and turned by a quarter and over: the same coefficients."""
+    address = twin(tmp_path, 3)
+    bench(
+        tmp_path,
+        f'serial: S, model: sca100t-d02, address: "{address}"',
+        f'serial: T, model: sca100t-d02, address: "{address}", axes: [-y, x]',
+    )
+    measured(tmp_path)
+    straight, turned = (read_calibration(tmp_path / f"{name}.yaml") for name in "ST")
+    for one in (straight, turned):
+        assert one.coefficients.offset == pytest.approx([1023.0, 1021.0], abs=0.5)
+        assert one.coefficients.sensitivity.ravel() == pytest.approx([817.4, 11.2, -7.9, 821.6], abs=0.9)
+    assert turned.provenance["bench"]["axes"] == ["-y", "x", "z"]
+
+
+def test_a_sensor_that_fails_is_reported_and_the_others_go_on(tmp_path: Path) -> None:
+    """Its twin is unplugged for good in the second position; each attempt costs a second."""
+    good, bad = twin(tmp_path, 1), twin(tmp_path, 2, "  faults: [{kind: unplugged, start: 4.5, end: 1.0e+9}]\n")
+    bench(
+        tmp_path,
+        f'serial: GOOD, model: sca100t-d02, address: "{good}"',
+        f'serial: BAD, model: sca100t-d02, address: "{bad}"',
+    )
+    result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", "--samples", "30", cwd=tmp_path)
+    assert result.returncode == 3
+    assert "BAD is given up, the others go on" in result.stderr
+    assert "no calibration file for BAD" in result.stderr
+    assert "--resume" not in result.stderr, "the session is complete"
+    assert read_calibration(tmp_path / "GOOD.yaml").coefficients.offset == pytest.approx([1021.0, 1021.0], abs=0.5)
+    assert not (tmp_path / "BAD.yaml").exists()
+    replayed = tiltcal("replay", "bench.journal.jsonl", "--golden", "GOOD.yaml", cwd=tmp_path)
+    assert replayed.returncode == 0, replayed.stderr
+
+
+def test_a_program_is_told_of_every_sensor(tmp_path: Path) -> None:
+    bench(
+        tmp_path,
+        f'serial: A, model: sca100t-d02, address: "{twin(tmp_path, 1)}"',
+        f'serial: B, model: sca100t-d02, address: "{twin(tmp_path, 2)}"',
+    )
+    result = tiltcal(
+        *("measure", "plane", "--bench", "bench.yaml", "--operator", "json", "--samples", "30"),
+        cwd=tmp_path,
+        said='{"answer": "ready"}\n' * 4,
+    )
+    assert result.returncode == 0, result.stderr
+    told = [json.loads(line) for line in result.stdout.splitlines()]
+    accepted = [message for message in told if message.get("event") == "accepted"]
+    assert set(accepted[0]["sensors"]) == {"A", "B"}
+    assert told[-1]["calibrations"] == ["A.yaml", "B.yaml"]
+
+
+def test_resumed_it_is_the_same_six_files(tmp_path: Path) -> None:
+    bench(
+        tmp_path,
+        f'serial: A, model: sca100t-d02, address: "{twin(tmp_path, 1)}"',
+        'serial: B, model: sca3000-d01, address: "sim:?seed=2"',
+    )
+    measured(tmp_path)
+    journal = tmp_path / "bench.journal.jsonl"
+    whole, texts = journal.read_bytes(), {name: (tmp_path / f"{name}.yaml").read_bytes() for name in "AB"}
+    for share in (0.1, 0.5, 0.9):
+        journal.write_bytes(whole[: int(share * len(whole))])
+        for name in "AB":
+            (tmp_path / f"{name}.yaml").unlink()
+        assert tiltcal("measure", "--resume", journal.name, cwd=tmp_path).returncode == 0
+        assert journal.read_bytes() == whole
+        assert {name: (tmp_path / f"{name}.yaml").read_bytes() for name in "AB"} == texts
+
+
+def test_the_events_name_their_device(tmp_path: Path) -> None:
+    bench(
+        tmp_path,
+        f'serial: A, model: sca100t-d02, address: "{twin(tmp_path, 1)}"',
+        f'serial: B, model: sca100t-d02, address: "{twin(tmp_path, 2)}"',
+    )
+    measured(tmp_path)
+    events = [event for event in read_journal(tmp_path / "bench.journal.jsonl").events if event.kind == "s"]
+    assert {event.payload[2:] for event in events} == {(), (1,)}
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "told"),
+    [
+        (HEADER + "sensors: []\n", 5, "at least one sensor"),
+        (HEADER + 'sensors:\n  - {serial: A, model: m, adress: "sim:"}\n', 6, "'address'"),
+        (HEADER + 'sensors:\n  - {serial: a/b, model: m, address: "sim:"}\n', 6, "names a file"),
+        (HEADER + 'sensors:\n  - {serial: A, model: sca100t-d02, address: "sim:", axes: [x, x]}\n', 6, "two or three"),
+        (HEADER + 2 * 'sensors:\n  - {serial: A, model: sca100t-d02, address: "sim:"}\n', 7, "sensors"),
+        (HEADER.replace("0.01", "-1") + 'sensors:\n  - {serial: A, model: m, address: "sim:"}\n', 4, "jig"),
+    ],
+)
+def test_a_wrong_bench_file(text: str, line: int, told: str, tmp_path: Path) -> None:
+    (tmp_path / "bench.yaml").write_text(text)
+    result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", cwd=tmp_path)
+    assert result.returncode == 2
+    assert f"bench.yaml:{line}: " in result.stderr
+    assert told in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["bench.yaml"]
+
+
+def test_a_thermometer_must_have_a_temperature(tmp_path: Path) -> None:
+    bench(
+        tmp_path,
+        'serial: A, model: sca100t-d02, address: "sim:"',
+        more='thermometer: {model: sca3000-e05, address: "sim:"}\n',
+    )
+    result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "reports no temperature" in result.stderr

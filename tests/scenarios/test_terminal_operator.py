@@ -1,0 +1,144 @@
+"""A person at a real terminal (a pty): prompts, live reading, keys."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pexpect
+import pytest
+from support.command import measure, tiltcal
+
+from tiltcal.files.calibration import read_calibration
+
+
+def start(folder: Path, *options: str, procedure: str = "zero-45") -> pexpect.spawn:
+    arguments = [
+        *("-m", "tiltcal", "measure", procedure, "--sensor", "sca100t-d02", "--address", "sim:?seed=1"),
+        *("--serial", "S-1", "-o", "S-1.yaml", "--samples", "20", *options),
+    ]
+    return pexpect.spawn(sys.executable, arguments, cwd=str(folder), encoding="utf-8", timeout=20, dimensions=(40, 120))
+
+
+def accept(terminal: pexpect.spawn, position: str) -> None:
+    terminal.expect(position)
+    terminal.expect("live")
+    terminal.send("\r")
+    terminal.expect("Enter.* accept")
+    terminal.send("\r")
+    terminal.expect("accepted")
+
+
+def test_the_whole_way(tmp_path: Path) -> None:
+    terminal = start(tmp_path)
+    for position in ("1/3  level", "2/3  x-45", "3/3  y-45"):
+        accept(terminal, position)
+    terminal.expect(r"Write S-1\.yaml\?")
+    assert not (tmp_path / "S-1.yaml").exists()
+    terminal.send("\r")
+    terminal.expect(r"wrote.* S-1\.yaml")
+    terminal.expect(pexpect.EOF)
+    terminal.close()
+    assert terminal.exitstatus == 0
+    read_calibration(tmp_path / "S-1.yaml")
+    # Live readings that were shown while it waited are in the journal, and replay.
+    replayed = tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml", cwd=tmp_path)
+    assert replayed.returncode == 0, replayed.stderr
+
+
+def test_the_angle_actually_set_the_temperature_and_a_redo(tmp_path: Path) -> None:
+    terminal = start(tmp_path)
+    accept(terminal, "level")
+    terminal.expect("x-45")
+    terminal.expect("live")
+    terminal.send("a")
+    terminal.expect("tilt of x actually set")
+    terminal.sendline("lots")
+    terminal.expect("will not do")
+    terminal.sendline("44.9")
+    terminal.expect("live")
+    terminal.send("t")
+    terminal.expect("temperature")
+    terminal.sendline("21.5")
+    terminal.expect("live")
+    terminal.send("\r")
+    terminal.expect("21.5")
+    terminal.expect("Enter.* accept")
+    terminal.send("r")
+    accept(terminal, "2/3  x-45")
+    accept(terminal, "y-45")
+    terminal.expect("Write")
+    terminal.send("y")
+    terminal.expect(pexpect.EOF)
+    terminal.close()
+    assert terminal.exitstatus == 0
+
+
+def test_stop_and_keep(tmp_path: Path) -> None:
+    terminal = start(tmp_path)
+    accept(terminal, "level")
+    terminal.expect("x-45")
+    terminal.expect("live")
+    terminal.send("q")
+    terminal.expect(r"--resume S-1\.journal\.jsonl")
+    terminal.expect(pexpect.EOF)
+    terminal.close()
+    assert terminal.exitstatus == 130
+    assert not (tmp_path / "S-1.yaml").exists()
+    resumed = pexpect.spawn(
+        *(sys.executable, ["-m", "tiltcal", "measure", "--resume", "S-1.journal.jsonl"]),
+        cwd=str(tmp_path),
+        encoding="utf-8",
+        timeout=20,
+    )
+    accept(resumed, "2/3  x-45")
+    resumed.close(force=True)
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
+    terminal = start(tmp_path)
+    accept(terminal, "level")
+    terminal.expect("x-45")
+    terminal.expect("live")
+    terminal.sendintr()
+    terminal.expect(r"interrupted.*--resume S-1\.journal\.jsonl")
+    terminal.expect(pexpect.EOF)
+    terminal.close()
+    assert terminal.exitstatus == 130
+
+
+def test_not_written_when_the_operator_says_no(tmp_path: Path) -> None:
+    terminal = start(tmp_path)
+    for position in ("level", "x-45", "y-45"):
+        accept(terminal, position)
+    terminal.expect("Write")
+    terminal.send("n")
+    terminal.expect("--resume")
+    terminal.expect(pexpect.EOF)
+    terminal.close()
+    assert terminal.exitstatus == 130
+    assert not (tmp_path / "S-1.yaml").exists()
+
+
+def test_plain_lines_need_no_terminal(tmp_path: Path) -> None:
+    """Enter per position and per review, and one to write: seven lines. No escape sequence is written."""
+    result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="zero-45", said="\n" * 7)
+    assert result.returncode == 0, result.stderr
+    assert "\x1b" not in result.stderr
+    assert result.stdout == ""
+    assert (tmp_path / "S-1.yaml").exists()
+
+
+def test_input_that_ends_is_a_stop(tmp_path: Path) -> None:
+    result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="zero-45", said="\n\n")
+    assert result.returncode == 130
+    assert "--resume" in result.stderr
+
+
+@pytest.mark.parametrize("key", ["b", "r"])
+def test_back_and_redo_at_the_prompt(key: str, tmp_path: Path) -> None:
+    said = f"\n\n{key}\n" + "\n" * 7
+    result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="zero-45", said=said)
+    assert result.returncode in (0, 130), result.stderr
+    asked = [line.split()[1] for line in result.stderr.splitlines() if line[:3] in ("1/3", "2/3", "3/3")]
+    assert asked[:3] == (["level", "x-45", "level"] if key == "b" else ["level", "x-45", "x-45"])

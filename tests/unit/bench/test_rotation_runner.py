@@ -1,0 +1,294 @@
+"""A rotation at the bench: what is used, what is held, when it ends, and what the operator hears of it."""
+
+from __future__ import annotations
+
+import tracemalloc
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import accelerometer_disk as disk
+from support.stage_bench import A1_A2, A3_A4, Attendant, Line, line, lines, regressed, turned
+
+from tiltcal.bench.rotation_runner import ALL_TURNS, CONVERGED, STOPPED
+from tiltcal.core.pair.matching import Matching
+from tiltcal.errors import BusError, HardwareError, JournalError, Stopped
+
+# 100 lines a turn at 50 a second.
+RECORD = disk.record(seconds=80.0, rate=50.0, spin=0.5, noise=3e-4, offset=(0.2, -0.1, 0.3, 0.0))
+PER_TURN = 100
+
+
+def near(matching: Matching, truth: tuple[float, float], sigmas: float = 4.0) -> bool:
+    return abs(matching.p - truth[0]) < sigmas * matching.u_p and abs(matching.q - truth[1]) < sigmas * matching.u_q
+
+
+def test_both_pairs_find_the_truth_and_agree_with_a_regression() -> None:
+    attendant = Attendant()
+    found = turned(lines(RECORD), attendant, pairs=(A1_A2, A3_A4), turns=30)
+    assert found.ended == ALL_TURNS
+    assert found.turns == pytest.approx(30.0, abs=0.5)
+    assert found.frequency == pytest.approx(0.5, rel=1e-3)
+    for matching, indices in zip(found.matchings, ((0, 1, 3), (2, 3, 0)), strict=True):
+        assert near(matching, disk.truth(pair=indices))
+        used = RECORD.rows(slice(0, 30 * PER_TURN))
+        assert regressed(used, indices) == pytest.approx((matching.p, matching.q), abs=matching.u_p)
+        # 2 s / (A sqrt(n)), the amplitude being that of the first accelerometer
+        amplitude = float(np.hypot(*disk.judged(used, used.readings[:, indices[0]])))
+        assert matching.u_p == pytest.approx(2 * 3e-4 / amplitude / 3000**0.5, rel=0.2)
+    assert tuple(attendant.matchings) == found.matchings
+
+
+def test_every_turn_is_told_with_what_is_known_by_then() -> None:
+    attendant = Attendant()
+    turned(lines(RECORD), attendant, turns=6)
+    assert [(turn.number, turn.of) for turn in attendant.turns] == [(number, 6) for number in range(1, 7)]
+    uncertainties = [turn.pairs["a1_a2"].u_p for turn in attendant.turns]
+    assert uncertainties == sorted(uncertainties, reverse=True)
+    assert attendant.told == []
+
+
+def test_it_stops_where_p_and_q_are_known_as_asked() -> None:
+    attendant = Attendant()
+    found = turned(lines(RECORD), attendant, turns=40, converged=8e-6)
+    assert found.ended == CONVERGED
+    assert found.matchings[0].u_p <= 8e-6
+    # 2 * 3e-4 / (3.383 * sqrt(100 n)) is 8e-6 after 4.9 turns
+    assert len(attendant.turns) in (5, 6, 7)
+
+
+def test_after_an_interruption_all_that_counts_says_when_it_is_enough() -> None:
+    """2 * 3e-4 / (3.383 sqrt(100 n)) is 4.5e-6 after 15.5 turns; the line is gone after ten."""
+    printed: list[Line] = lines(RECORD)
+    printed[1000:1000] = [BusError("has gone")]
+    found = turned(printed, Attendant(), turns=40, converged=4.5e-6)
+    assert found.ended == CONVERGED
+    assert 13.0 < found.turns < 19.0
+    assert found.matchings[0].u_p <= 4.5e-6
+
+
+def test_noise_that_is_not_white_keeps_it_from_stopping_early() -> None:
+    """Amplitudes that wander by themselves scatter from turn to turn, which no white noise within a turn shows."""
+    wild = disk.record(seconds=80.0, rate=50.0, spin=0.5, noise=1e-5)
+    draw = np.random.default_rng(1)
+    wild.readings[:, 1] *= 1.0 + 1e-3 * np.repeat(draw.standard_normal(40), PER_TURN)
+    found = turned(lines(wild), Attendant(), turns=30, converged=1e-5)
+    assert found.ended == ALL_TURNS
+    assert found.matchings[0].u_p > 5e-5
+
+
+def test_the_word_stop_ends_it_with_what_is_there() -> None:
+    found = turned(lines(RECORD), Attendant(stop_after=[40]), turns=100)
+    assert found.ended == STOPPED
+    assert 2.0 < found.turns < 5.0
+    assert near(found.matchings[0], disk.truth())
+
+
+def test_too_early_a_stop_is_refused_and_it_goes_on() -> None:
+    attendant = Attendant(stop_after=[5])
+    found = turned(lines(RECORD), attendant, turns=4)
+    assert found.ended == ALL_TURNS
+    (refused,) = attendant.told
+    assert refused.startswith("refused: the stage has made ")
+    assert "at least 2 are needed" in refused
+
+
+def test_a_stage_that_never_turns_is_refused_after_its_patience_and_asked_for_again() -> None:
+    still = [line(12.0, (1.0, -1.0, 0.1, -0.1))] * (50 * 70)
+    attendant = Attendant(readies=2)
+    found = turned(chain(still, lines(RECORD)), attendant, turns=4)
+    assert near(found.matchings[0], disk.truth())
+    (refused,) = attendant.told
+    assert "the stage does not turn: start it, and see that the encoder counts (waited for 60 s)" in refused
+    with pytest.raises(Stopped, match="enough"):
+        turned(still, Attendant(readies=1))
+
+
+def test_a_stage_that_turns_the_wrong_way_is_refused() -> None:
+    wrong = disk.Record(RECORD.time, -RECORD.theta % 360, RECORD.readings)
+    attendant = Attendant(readies=1)
+    with pytest.raises(Stopped, match="enough"):
+        turned(lines(wrong), attendant)
+    assert attendant.told[0] == "the stage runs backwards"
+    assert "the stage turns backwards: its angle is to count up" in attendant.told[-1]
+
+
+def test_angles_too_far_apart_to_follow_are_refused() -> None:
+    attendant = Attendant(readies=1)
+    with pytest.raises(Stopped, match="enough"):
+        turned(lines(RECORD)[::30], attendant, interval=0.6)
+    assert "the stage turns, and nothing of it can be used" in attendant.told[-1]
+
+
+def test_a_slow_stage_is_waited_for() -> None:
+    """A sixth of a turn a minute: longer than the patience to the first eighth."""
+    slow = disk.record(seconds=4000.0, rate=0.5, spin=1 / 360, noise=3e-4)
+    found = turned(lines(slow), Attendant(), turns=5, interval=2.0)
+    assert near(found.matchings[0], disk.truth())
+
+
+def stopped_for(seconds: float) -> list[Line]:
+    """Ten turns, a stop, and ten turns more."""
+    before, after = RECORD.rows(slice(0, 1030)), RECORD.rows(slice(1030, 2200))
+    held = [line(float(before.theta[-1]), before.readings[-1].tolist())] * round(50 * seconds)
+    return [*lines(before), *held, *lines(after)]
+
+
+def test_a_stop_of_the_stage_is_held_told_once_and_gone_on_from() -> None:
+    attendant = Attendant()
+    found = turned(stopped_for(60.0), attendant, turns=19)
+    assert attendant.told == ["the stage stands still", "goes on"]
+    assert near(found.matchings[0], disk.truth())
+    assert found.frequency == pytest.approx(0.5, rel=0.03)
+    # A sector of 12.5 lines counts as a stop when it has lasted four times that.
+    assert 50 * 60 - 100 < found.left_out < 50 * 60 + 100
+
+
+def test_a_gap_is_held_and_what_was_before_counts() -> None:
+    attendant = Attendant()
+    printed = [*lines(RECORD.rows(slice(0, 730))), *lines(RECORD.rows(slice(765, 2000)))]
+    found = turned(printed, attendant, turns=15)
+    assert attendant.told == ["the stream has a gap", "goes on"]
+    assert found.samples > 1400
+    assert near(found.matchings[0], disk.truth())
+
+
+@pytest.mark.parametrize("off", [3.0, 123.0, 180.0])
+def test_an_encoder_that_lost_its_zero_while_the_line_was_gone_changes_neither_p_nor_q(off: float) -> None:
+    """Nor do offsets that step meanwhile."""
+    before, after = RECORD.rows(slice(0, 1000)), RECORD.rows(slice(1040, 4000))
+    moved = disk.Record(after.time, (after.theta + off) % 360, after.readings + np.array([0.5, -0.2, 0.1, 0.3]))
+    found = turned([*lines(before), BusError("has gone"), *lines(moved)], Attendant(), turns=30)
+    undisturbed = turned(lines(RECORD), Attendant(), turns=30)
+    assert near(found.matchings[0], disk.truth())
+    assert found.matchings[0].u_p == pytest.approx(undisturbed.matchings[0].u_p, rel=0.15)
+    assert found.samples > 2900
+
+
+def test_a_stage_that_turns_back_is_held() -> None:
+    attendant = Attendant()
+    back = RECORD.rows(slice(500, 700))
+    printed = [*lines(RECORD.rows(slice(0, 700))), *reversed(lines(back)), *lines(RECORD.rows(slice(500, 2500)))]
+    found = turned(printed, attendant, turns=15)
+    assert attendant.told == ["the stage runs backwards", "goes on"]
+    assert near(found.matchings[0], disk.truth())
+
+
+def test_a_damaged_line_is_left_out_and_told_once_a_turn() -> None:
+    printed = lines(RECORD)
+    printed[150] = b"12.0,3.1,4.1\r\n"
+    printed[175] = b"12.0,3.1,x,4,5\r\n"
+    attendant = Attendant()
+    found = turned(printed, attendant, turns=5)
+    assert attendant.told == ["1 damaged or lost on the line, and left out", "goes on"]
+    assert found.left_out == 2
+    assert near(found.matchings[0], disk.truth())
+
+
+def test_a_line_that_fails_for_a_while_is_told_and_gone_on_from() -> None:
+    printed = lines(RECORD)
+    printed[520:520] = [BusError("has gone"), BusError("has gone"), BusError("has gone")]
+    attendant = Attendant()
+    found = turned(printed, attendant, turns=12)
+    assert attendant.told == ["has gone; what was collected before counts", "goes on"]
+    assert found.turns == pytest.approx(12.0, abs=0.5)
+    assert near(found.matchings[0], disk.truth())
+
+
+def test_turns_too_few_to_tell_their_phase_do_not_survive_an_interruption() -> None:
+    printed = lines(RECORD)
+    printed[150:150] = [BusError("has gone")]
+    attendant = Attendant()
+    found = turned(printed, attendant, turns=6)
+    assert "samples of fewer turns than 2 are left out" in attendant.told[0]
+    assert found.left_out > 80
+    assert found.turns == pytest.approx(6.0, abs=0.5)
+    assert near(found.matchings[0], disk.truth())
+
+
+def test_a_line_that_stays_away_ends_the_session_which_goes_on_once_it_is_back(tmp_path: Path) -> None:
+    journal = tmp_path / "j.journal.jsonl"
+    printed = [*lines(RECORD)[:520], *(BusError("has gone") for _ in range(9))]
+    with pytest.raises(HardwareError, match="has gone"):
+        turned(printed, Attendant(), turns=8, journal=journal)
+    with pytest.raises(HardwareError, match="has gone"):
+        turned(printed[-9:], Attendant(), turns=8, journal=journal, resume=True)
+    attendant = Attendant()
+    found = turned(lines(RECORD)[745:], attendant, turns=8, journal=journal, resume=True)
+    assert attendant.turns[0].number > 5
+    assert near(found.matchings[0], disk.truth())
+    assert turned([], Attendant(), turns=8, journal=journal, replay=True) == found
+
+
+def test_pairs_without_a_signal_are_left_out_with_the_reason() -> None:
+    dead = disk.record(seconds=40.0, rate=50.0, spin=0.5)
+    dead.readings[:, 2] = 0.5 + 1e-4 * np.random.default_rng(2).standard_normal(len(dead.time))
+    attendant = Attendant()
+    found = turned(lines(dead), attendant, pairs=(A1_A2, A3_A4), turns=6)
+    assert [matching.pair for matching in found.matchings] == [A1_A2]
+    (why,) = found.unmatched
+    assert "a3 has no clear signal at the turning" in why
+    assert "a3 has no clear signal at the turning" in attendant.turns[-1].unknown["a3_a4"]
+    assert list(attendant.turns[-1].pairs) == ["a1_a2"]
+    assert attendant.told == [why]
+
+
+def test_where_no_pair_has_a_signal_it_is_asked_for_again() -> None:
+    flat = disk.record(seconds=40.0, rate=50.0, spin=0.5)
+    flat.readings[:] = 1e-4 * np.random.default_rng(3).standard_normal(flat.readings.shape)
+    attendant = Attendant(readies=1)
+    with pytest.raises(Stopped, match="enough"):
+        turned(lines(flat), attendant, turns=3)
+    assert "incline the spin axis" in attendant.told[-1]
+
+
+def test_what_was_captured_is_played_again_with_the_word_stop_at_its_place(tmp_path: Path) -> None:
+    journal = tmp_path / "j.journal.jsonl"
+    found = turned(lines(RECORD), Attendant(stop_after=[5, 60]), turns=100, journal=journal)
+    assert found.ended == STOPPED
+    again = turned([], Attendant(), turns=100, journal=journal, replay=True)
+    assert again == found
+
+
+@pytest.mark.parametrize("looks", range(9, 15))
+def test_the_word_stop_has_its_place_even_between_the_lines_of_one_message(looks: int, tmp_path: Path) -> None:
+    """64 lines come at once, which is four blocks."""
+    said = lines(RECORD)
+    messages = [b"".join(said[n : n + 64]) for n in range(0, len(said), 64)]  # type: ignore[arg-type]
+    journal = tmp_path / "j.journal.jsonl"
+    found = turned(messages, Attendant(stop_after=[2 * looks]), turns=100, journal=journal)
+    assert found.ended == STOPPED
+    assert turned([], Attendant(), turns=100, journal=journal, replay=True) == found
+
+
+def test_a_journal_that_breaks_off_is_no_session(tmp_path: Path) -> None:
+    journal = tmp_path / "j.journal.jsonl"
+    turned(lines(RECORD), Attendant(), turns=3, journal=journal)
+    whole = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(whole[:100]))
+    with pytest.raises(JournalError, match="interrupted here"):
+        turned([], Attendant(), turns=3, journal=journal, replay=True)
+
+
+class Forgetful(Attendant):
+    """Keeps nothing of the turns."""
+
+    def turned(self, turn: object) -> None:
+        pass
+
+
+def test_memory_does_not_grow_with_the_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tiltcal.core.pair.demodulate.MOST_BLOCKS", 16)
+    printed = lines(disk.record(seconds=1000.0, rate=8.0, spin=0.5))
+
+    def peak(turns: int) -> int:
+        tracemalloc.start()
+        turned(iter(printed), Forgetful(), turns=turns)
+        _, highest = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return highest
+
+    # The first one also loads what is loaded when it is needed; the recursive estimators remember 200 turns.
+    _, short, long = peak(60), peak(220), peak(460)
+    assert long < 1.3 * short

@@ -1,0 +1,108 @@
+"""The temperature sweep chooses its order; the reversal cancels the table's lean. Readings are made here, by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import cos, radians, sin
+
+import numpy as np
+import pytest
+
+from tiltcal.calibration.calibrate import MeasuredSensor, Measurement, Nominal, calibrate_jointly
+from tiltcal.calibration.temperature_order import choose_order, swept, with_order
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import Calibration, SensorIdentity
+from tiltcal.files.procedure import Procedure, find_procedure
+
+SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
+NOMINAL = Nominal(819.0, 2.4, (101.0, 2047.0))
+NOISE = 0.06
+
+
+def measurement(name: str, temperature: float | None, x: float, y: float, heading: float | None = None) -> Measurement:
+    summaries = {c: SampleSummary(value, 0.6, 100, NOISE, 0.0, 9.0) for c, value in (("x", x), ("y", y))}
+    return Measurement(name, (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, temperature, summaries, heading=heading)
+
+
+def calibrated(procedure: Procedure, measured: list[Measurement], jig: float) -> Calibration:
+    return calibrate_jointly([MeasuredSensor(SENSOR, measured, NOMINAL)], procedure, jig=jig)[0]
+
+
+def sweep(drift: tuple[float, ...], seed: int, loop: float = 0.0) -> tuple[Procedure, list[Measurement]]:
+    """Readings along the shipped sweep of a part with this drift; on the way up they are higher by ``loop``."""
+    rng = np.random.default_rng(seed)
+    procedure = find_procedure("temperature-sweep")
+    measured = []
+    for position in procedure.positions:
+        dt = float(position.temperature or 0.0) - 24.0
+        curve = sum(k * dt**power for power, k in enumerate(drift, start=1))
+        curve += loop if position.name.startswith("up") else 0.0
+        values = 1024.0 + curve + rng.normal(0.0, NOISE, 2)
+        measured.append(measurement(position.name, position.temperature, *values))
+    return procedure, measured
+
+
+@pytest.mark.parametrize(
+    ("drift", "order"),
+    [((0.2,), 1), ((0.2, 0.004), 2), ((-0.1, 0.003, 0.0004), 3)],
+    ids=["a line", "a parabola", "a cubic"],
+)
+def test_the_order_is_the_parts_own(drift: tuple[float, ...], order: int) -> None:
+    """Over twenty noisy sweeps, nearly always."""
+    chosen = []
+    for seed in range(20):
+        procedure, measured = sweep(drift, seed)
+        chosen.append(choose_order([MeasuredSensor(SENSOR, measured, NOMINAL)], procedure).order)
+    assert chosen.count(order) >= 17
+    assert min(chosen) >= order, "an order that is too low leaves the curve"
+
+
+def test_the_chosen_coefficients_are_the_parts() -> None:
+    procedure, measured = sweep((0.2, 0.004), seed=3)
+    found = calibrated(with_order(procedure, 2), measured, jig=0.0)
+    thermal = found.coefficients.thermal
+    assert thermal is not None
+    u = found.uncertainty["temperature"]["offset"]["x"]
+    assert thermal.drift[0] == pytest.approx([0.2, 0.004], abs=4 * max(u))
+
+
+def test_hysteresis_is_reported() -> None:
+    procedure, measured = sweep((0.2,), 1, loop=2.0)
+    subject = MeasuredSensor(SENSOR, measured, NOMINAL)
+    choice = choose_order([subject], procedure)
+    found = calibrated(with_order(procedure, choice.order), measured, jig=0.0)
+    loop = swept(found, measured, choice).fit["hysteresis"]["x"]
+    assert abs(loop["difference"]) == pytest.approx(2.0, abs=0.4)
+    assert sorted(name.split("-")[0] for name in loop["between"]) in (["back", "up"], ["down", "up"])
+
+
+def test_means_without_an_uncertainty_choose_an_order_too() -> None:
+    """A table may leave it out; the orders are then compared by how far off they foretell."""
+    procedure, measured = sweep((0.2, 0.02), seed=5)
+    bare = [
+        replace(one, summaries={c: SampleSummary(summary.mean, 0.0, 1, 0.0) for c, summary in one.summaries.items()})
+        for one in measured
+    ]
+    assert choose_order([MeasuredSensor(SENSOR, bare, NOMINAL)], procedure).order == 2
+
+
+def test_too_few_temperatures_to_leave_one_out() -> None:
+    procedure, measured = sweep((0.2,), 1)
+    with pytest.raises(EstimateError, match="add"):
+        choose_order([MeasuredSensor(SENSOR, measured[:2], NOMINAL)], procedure)
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.5, 2.0])
+def test_reversal_cancels_the_lean_of_the_table(lean: float) -> None:
+    """The table leans about an axis of its own; turned by its heading the sensor feels it from all sides."""
+    rng = np.random.default_rng(4)
+    tilt, toward = sin(radians(lean)), radians(35.0)
+    measured = []
+    for position in find_procedure("reversal").positions:
+        heading = radians(position.heading or 0.0)
+        g_x, g_y = tilt * cos(toward - heading), tilt * sin(toward - heading)
+        x, y = 1026.0 + 819.0 * g_x + rng.normal(0, NOISE), 1019.0 + 819.0 * g_y + rng.normal(0, NOISE)
+        measured.append(measurement(position.name, None, x, y, position.heading))
+    found = calibrated(find_procedure("reversal"), measured, jig=0.001)
+    assert found.coefficients.offset == pytest.approx([1026.0, 1019.0], abs=0.15)

@@ -1,0 +1,322 @@
+"""What is said of an uncertainty is true: against formulas by hand, and against many simulated benches."""
+
+from __future__ import annotations
+
+import sys
+from math import cos, degrees, radians, sin, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from scipy.spatial.transform import Rotation
+from support import ROOT
+from support.simulated_bench import FACES, XYZ, design, fixture, measured, part, plan_of
+
+from tiltcal.core.budget import coverage_factor, welch_satterthwaite
+from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
+from tiltcal.core.estimation.design import Design, Observation
+from tiltcal.core.estimation.estimate import estimate, estimate_jointly
+from tiltcal.core.estimation.pooling import pooled
+from tiltcal.core.estimation.prediction import PlannedPosition, predicted_covariance
+from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.core.intrinsic import intrinsic, separated
+from tiltcal.core.model import Coefficients, Mounting
+from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.propagation import propagated
+from tiltcal.errors import EstimateError
+
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+from coverage import Regime, simulate, sweep, two_temperatures
+
+LEVEL = np.array([0.0, 0.0, 1.0])
+
+
+class TestBudgetByHand:
+    """One channel of 819 count/g, worked with a pencil."""
+
+    S, NOISE, STEP, JIG = 819.0, 0.12, 0.05, 0.1
+
+    def pair(self, angle: float) -> list[Observation]:
+        u, adc = np.array([np.hypot(self.NOISE, self.STEP)]), np.array([self.STEP])
+        return [
+            Observation(
+                f"{sign:+d}",
+                np.array(gravity_from_tilt({"x": sign * angle})),
+                np.array([1024.0 + sign * self.S * sin(radians(angle))]),
+                u,
+                adc=adc,
+            )
+            for sign in (1, -1)
+        ]
+
+    def test_a_pair_of_tilts(self) -> None:
+        """S = (u1 - u2) / (2 sin a): noise and step by sqrt(2) / (2 sin a), each angle by S cos a / (2 sin a)."""
+        found = estimate(self.pair(30.0), Design(("x",), ("x",), jig=self.JIG))
+        by_noise = self.NOISE * sqrt(2) / (2 * sin(radians(30)))
+        by_step = self.STEP * sqrt(2) / (2 * sin(radians(30)))
+        by_jig = sqrt(2) * self.S * cos(radians(30)) * radians(self.JIG) / (2 * sin(radians(30)))
+        assert found.uncertainty()["sensitivity.x.x"] == pytest.approx(sqrt(by_noise**2 + by_step**2 + by_jig**2), 1e-4)
+        variance = {source: part[1] for source, part in found.budget.variance.items()}
+        assert variance["noise"] == pytest.approx(by_noise**2, rel=1e-6)
+        assert variance["adc"] == pytest.approx(by_step**2, rel=1e-6)
+        assert variance["jig"] == pytest.approx(by_jig**2, rel=1e-4)
+
+    def test_two_temperatures(self) -> None:
+        """drift = (u1 - u2) / dT: noise by sqrt(2) / dT, each temperature by drift / dT."""
+        drift, spread, thermometer = 2.5, 18.5, 0.3
+        levels = [
+            Observation(f"{t}", LEVEL, np.array([1024.0 + drift * (t - 24.0)]), np.array([self.NOISE]), t, held=t < 24)
+            for t in (24.0, 24.0 - spread)
+        ]
+        found = estimate(levels, Design(("x",), (), drift=1, reference=24.0, jig=self.JIG, thermometer=thermometer))
+        shares = {source: share[1] for source, share in found.budget.shares.items()}
+        by_noise, by_warmth = self.NOISE * sqrt(2) / spread, sqrt(2) * drift * thermometer / spread
+        assert found.uncertainty()["temperature.offset.x.1"] == pytest.approx(np.hypot(by_noise, by_warmth), rel=1e-6)
+        assert shares["thermometer"] == pytest.approx(by_warmth**2 / (by_noise**2 + by_warmth**2), rel=1e-6)
+
+    def test_straight_up_an_angle_error_only_lowers(self) -> None:
+        """At ±90° the reading falls by S a²/2, on average S jig² for two angles: it is put back, and counts."""
+        found = estimate(self.pair(90.0), Design(("x",), ("x",), jig=1.0))
+        square = self.S * radians(1.0) ** 2
+        assert found.coefficients.sensitivity[0, 0] == pytest.approx(self.S + square, rel=1e-6)
+        assert found.uncertainty()["sensitivity.x.x"] == pytest.approx(
+            sqrt((self.NOISE**2 + self.STEP**2) / 2 + square**2), rel=1e-6
+        )
+
+    def test_residuals_of_one_channel_are_the_textbooks(self) -> None:
+        """Noise alone, nothing stated: s / sqrt(sum of squares) with Student's t, as scipy's regression has it."""
+        rng = np.random.default_rng(40)
+        angles = np.radians(np.linspace(-40, 40, 9))
+        mean = 3.0 + 2.0 * np.sin(angles) + 0.01 * rng.standard_normal(9)
+        observations = [
+            # No attitude: the axis of the turn is the only one that the channel sees.
+            Observation(f"{k}", np.array([sin(a), 0.0, cos(a)]), mean[k : k + 1], np.array([1e-9]))
+            for k, a in enumerate(angles)
+        ]
+        found = estimate(observations, Design(("x",), ("x",)))
+        line = stats.linregress(np.sin(angles), mean)
+        assert found.coefficients.sensitivity[0, 0] == pytest.approx(line.slope, rel=1e-9)
+        # The attitudes' lever is cos a, all but the same for all of these.
+        assert found.uncertainty()["sensitivity.x.x"] == pytest.approx(line.stderr, rel=0.25)
+        assert found.coverage_factors()["sensitivity.x.x"] == pytest.approx(stats.t.ppf(0.975, 7), rel=0.05)
+
+
+class TestCoverageFactor:
+    def test_it_is_students_t(self) -> None:
+        dof = np.array([1.0, 2.0, 7.0, 30.0, np.inf])
+        expected = [*stats.t.ppf(0.975, dof[:-1]), stats.norm.ppf(0.975)]
+        np.testing.assert_allclose(coverage_factor(dof), expected, rtol=1e-9)
+
+    def test_an_error_that_is_wholly_among_its_residuals(self) -> None:
+        """error² over the mean of six squares, one of them its own, is six times a beta variable."""
+        expected = sqrt(6 * stats.beta.ppf(0.95, 0.5, 2.5))
+        assert coverage_factor(np.array([6.0]), np.array([1.0]))[0] == pytest.approx(expected, rel=0.01)
+
+    @pytest.mark.parametrize(("dof", "explained"), [(4, 0.3), (6, 0.6), (12, 0.9)])
+    def test_an_error_that_is_partly_among_its_residuals(self, dof: int, explained: float) -> None:
+        rng = np.random.default_rng(41)
+        z = rng.standard_normal((200_000, dof))
+        error = sqrt(explained) * z[:, 0] + sqrt(1 - explained) * rng.standard_normal(len(z))
+        factor = coverage_factor(np.array([float(dof)]), np.array([explained]))[0]
+        assert np.mean(np.abs(error) <= factor * np.sqrt(np.mean(z**2, axis=1))) == pytest.approx(0.95, abs=0.002)
+
+    def test_welch_satterthwaite_as_the_gum_works_it(self) -> None:
+        """GUM H.1.6, the end gauge: 1002 nm²; parts of 25, 9.7, 2.9, 16.6 nm with 18, 25.6, 50, 2 give 16.7."""
+        parts = [(np.array([u**2]), dof) for u, dof in ((25.0, 18.0), (9.7, 25.6), (2.9, 50.0), (16.6, 2.0))]
+        assert welch_satterthwaite(np.array([1002.0]), parts)[0] == pytest.approx(16.7, abs=0.1)
+
+
+class TestChiSquare:
+    def test_it_has_its_distribution_where_what_was_stated_is_true(self) -> None:
+        rng = np.random.default_rng(42)
+        plan = plan_of(12, noise=1e-4, jig=0.1)
+        p = [estimate(measured(rng, plan, [part(rng)])[0], design(plan, jig=0.1)).p for _ in range(200)]
+        assert stats.kstest(p, "uniform").pvalue > 0.01
+
+    def test_a_position_set_wrong_by_degrees_is_named(self) -> None:
+        """One of eighteen positions is 3° off, the jig is stated as 0.2°."""
+        rng = np.random.default_rng(43)
+        plan = plan_of(18, noise=1e-4, jig=0.2)
+        one = part(rng)
+        observations = measured(rng, plan, [one])[0]
+        wrong = Rotation.from_rotvec([0.0, radians(3.0), 0.0]).apply(plan.gravity[4])
+        observations[4] = Observation("p4", plan.gravity[4], one.offset + one.sensitivity @ wrong, np.full(3, 1e-4))
+        found = estimate(observations, design(plan, jig=0.2))
+        assert found.p is not None
+        assert found.p < 1e-6
+        suspects = found.suspects()
+        assert suspects[0].position == "p4"
+        assert np.linalg.norm(suspects[0].turn) == pytest.approx(3.0, abs=0.7)
+
+    def test_it_never_scales_the_uncertainty(self) -> None:
+        """A record ten times worse than stated has the same stated uncertainty, and a chi-square that tells."""
+        rng = np.random.default_rng(44)
+        good, bad = (measured(rng, plan_of(12, noise=1e-4, jig=jig), [part(rng)])[0] for jig in (0.1, 1.0))
+        found = [estimate(one, design(plan_of(12, noise=1e-4, jig=0.1), jig=0.1)) for one in (good, bad)]
+        assert found[1].p is not None
+        assert found[1].p < 1e-6
+        np.testing.assert_allclose(found[0].budget.u, found[1].budget.u, rtol=0.3)
+
+
+@pytest.mark.parametrize(
+    ("regime", "calibrations"),
+    [
+        (Regime("faces", plan_of(6, noise=1e-4, jig=0.5), 1, True), 500),
+        (Regime("faces", plan_of(6, noise=1e-4, jig=0.5), 1, False), 500),
+        (Regime("faces", plan_of(6, noise=1e-4, jig=0.0), 1, False), 500),
+        (Regime("edges", plan_of(12, noise=1e-4, jig=0.02), 6, True), 600),
+        (Regime("two temperatures", two_temperatures(1e-4, 0.5), 1, True), 300),
+        (Regime("sweep", sweep(1e-4, 0.02), 1, True), 300),
+    ],
+    ids=["stated", "not stated", "perfect, not stated", "six sensors", "two temperatures", "sweep"],
+)
+def test_the_truth_is_in_95_percent_of_the_intervals(regime: Regime, calibrations: int) -> None:
+    """94 to 96 % within three Monte Carlo standard deviations; `benchmarks/coverage.py` is the long run."""
+    tally = simulate(regime, calibrations, seed=7)
+    for name in tally.inside:
+        share, error = tally.percent(name)
+        assert 94.0 - 3 * error <= share <= 96.0 + 3 * error, name
+
+
+class TestPooling:
+    def test_one_noise_is_pooled_to_one(self) -> None:
+        rng = np.random.default_rng(45)
+        variance, dof = pooled(4.0 * rng.chisquare(9, 12) / 9, np.full(12, 9.0))
+        assert np.all(variance == variance[0])
+        assert np.all(dof == 108)
+
+    def test_a_shaken_position_keeps_most_of_its_own(self) -> None:
+        rng = np.random.default_rng(46)
+        drawn = rng.chisquare(9, 12) / 9
+        drawn[3] *= 400.0
+        variance, dof = pooled(drawn, np.full(12, 9.0))
+        assert variance[3] > 50 * np.median(variance)
+        assert np.all(np.isfinite(dof))
+
+    def test_what_is_known_stays(self) -> None:
+        variance, dof = pooled(np.array([1.0, 2.0]), np.full(2, np.inf))
+        assert variance.tolist() == [1.0, 2.0]
+        assert np.all(np.isinf(dof))
+
+
+class TestIntrinsic:
+    """The nine numbers that no mounting changes."""
+
+    TRIANGULAR = np.array([[1.02, 0.03, -0.02], [0.0, 0.97, 0.05], [0.0, 0.0, 1.01]])
+    NAMES = tuple(f"{name}" for c in XYZ for name in (f"offset.{c}", *(f"sensitivity.{c}.{a}" for a in XYZ)))
+
+    def coefficients(self, rotation: np.ndarray) -> Coefficients:
+        return Coefficients(XYZ, XYZ, np.array([0.1, -0.2, 0.3]), self.TRIANGULAR @ rotation)
+
+    @settings(max_examples=50, deadline=None)
+    @given(st.tuples(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1)))
+    def test_any_mounting_is_told_from_the_sensor(self, angles) -> None:
+        rotation = mounting_matrix(Mounting(*angles))
+        triangular, found = separated(self.TRIANGULAR @ rotation)
+        np.testing.assert_allclose(triangular, self.TRIANGULAR, atol=1e-12)
+        np.testing.assert_allclose(found, rotation, atol=1e-12)
+
+    def test_lengths_and_angles_by_hand(self) -> None:
+        own = intrinsic(self.coefficients(np.eye(3)), self.NAMES, 1e-12 * np.eye(12))
+        assert own.sensitivity["x"].value == pytest.approx(sqrt(1.02**2 + 0.03**2 + 0.02**2))
+        assert own.sensitivity["z"].value == pytest.approx(1.01)
+        assert own.angle["yz"].value == pytest.approx(degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
+        assert own.offset["y"].value == -0.2
+
+    def test_a_common_turn_is_uncertain_in_the_mounting_alone(self) -> None:
+        """An error that turns all rows alike, by 0.1° about z, is the yaw's and nobody else's."""
+        turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+        shift = np.hstack([np.zeros((3, 1)), self.TRIANGULAR @ turn]).ravel() * radians(0.1)
+        own = intrinsic(self.coefficients(np.eye(3)), self.NAMES, np.outer(shift, shift))
+        assert own.mounting["yaw"].u == pytest.approx(0.1, rel=1e-3)
+        assert own.mounting["roll"].u < 1e-3
+        assert own.sensitivity["x"].u < 1e-5
+        assert own.angle["xy"].u < 1e-3
+
+    def test_a_mirror_image_is_refused(self) -> None:
+        with pytest.raises(EstimateError, match="left-handed"):
+            separated(np.diag([1.0, 1.0, -1.0]))
+
+    def test_a_mirror_image_has_its_nine_numbers_all_the_same(self) -> None:
+        """A channel that is wired the other way round: lengths stay, and its angles with the others are 180° less."""
+        mirrored = Coefficients(XYZ, XYZ, np.zeros(3), self.TRIANGULAR * np.array([[1.0], [-1.0], [1.0]]))
+        own = intrinsic(mirrored, self.NAMES, 1e-12 * np.eye(12))
+        assert own.sensitivity["y"].value == pytest.approx(sqrt(0.97**2 + 0.05**2))
+        assert own.angle["yz"].value == pytest.approx(180.0 - degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
+        assert own.mounting == {}
+        assert "left-handed" in own.left_handed
+
+
+def test_cross_axis_and_misalignment_with_their_uncertainty() -> None:
+    """S_X = 2, S_Y = 0.06, S_Z = 0.08: 5 %; du = (0.6 du_Y + 0.8 du_Z) / 2, for both of 0.01: 0.5 %."""
+    known = Coefficients(("x",), XYZ, np.zeros(1), np.array([[2.0, 0.06, 0.08]]))
+    names, covariance = ("sensitivity.x.y", "sensitivity.x.z"), 1e-4 * np.eye(2)
+    assert cross_axis(known)["x"] == pytest.approx(5.0)
+    assert derived_uncertainty(cross_axis, known, names, covariance)["x"] == pytest.approx(0.5, rel=0.01)
+    angle = degrees(np.arctan(0.05))
+    assert misalignment(known)["x"] == pytest.approx(angle)
+    assert derived_uncertainty(misalignment, known, names, covariance)["x"] == pytest.approx(
+        degrees(0.005 / (1 + 0.05**2)), rel=0.01
+    )
+
+
+def test_propagation_is_exact_for_a_straight_function() -> None:
+    matrix = np.array([[1.0, -2.0], [0.5, 3.0], [0.0, 1.0]])
+    covariance = np.array([[2.0, 0.7], [0.7, 1.0]])
+    u = propagated(lambda v: matrix @ v, np.array([1.0, 2.0]), covariance)
+    np.testing.assert_allclose(u, np.sqrt(np.diag(matrix @ covariance @ matrix.T)), rtol=1e-12)
+
+
+class TestPrediction:
+    FACES = tuple(PlannedPosition(f"p{k}", tuple(g)) for k, g in enumerate(FACES.tolist()))
+
+    def test_it_is_what_the_estimate_then_states(self) -> None:
+        """The plan alone, and the same bench measured: within the per cent by which a part differs from nominal."""
+        rng = np.random.default_rng(50)
+        predicted = predicted_covariance(Design(XYZ, XYZ, jig=0.1), self.FACES, 1e-3)
+        plan = plan_of(6, noise=1e-3, jig=0.1)
+        found = estimate_jointly(fixture(measured(rng, plan, [part(rng)]), design(plan, jig=0.1)))[0]
+        np.testing.assert_allclose(predicted.budget.u, found.budget.u, rtol=0.1)
+        assert predicted.dof == found.dof
+
+    def test_a_pair_by_hand(self) -> None:
+        tilts = [PlannedPosition(f"{a}", gravity_from_tilt({"x": float(a)})) for a in (30, -30)]
+        predicted = predicted_covariance(Design(("x",), ("x",), jig=0.0), tilts, 0.1, sensitivity=819.0)
+        assert predicted.uncertainty()["sensitivity.x.x"] == pytest.approx(0.1 * sqrt(2), rel=1e-9)
+
+    def test_level_and_45_know_little_apart(self) -> None:
+        """{0°, 45°}: nothing left over, and the other side would help most."""
+        plan = [PlannedPosition("level", (0.0, 0.0, 1.0)), PlannedPosition("x-45", gravity_from_tilt({"x": 45.0}))]
+        predicted = predicted_covariance(Design(("x",), ("x",), jig=0.3), plan, 0.1, sensitivity=819.0)
+        assert predicted.dof == 0
+        assert predicted.worth_adding[0][0] == "+x straight down"
+
+    def test_strong_correlations_are_named(self) -> None:
+        """Level and two small tilts to one side: what is added to the sensitivity is taken from the offset."""
+        plan = [PlannedPosition(f"{a}", gravity_from_tilt({"x": float(a)})) for a in (40, 45, 50)]
+        predicted = predicted_covariance(Design(("x",), ("x",), jig=0.1), plan, 0.1, sensitivity=819.0)
+        first, second, correlation = predicted.correlations[0]
+        assert {first, second} == {"offset.x", "sensitivity.x.x"}
+        assert correlation < -0.99
+
+    def test_three_faces_are_refused_with_what_to_add(self) -> None:
+        with pytest.raises(EstimateError, match="add the position"):
+            predicted_covariance(Design(XYZ, XYZ, jig=0.1), self.FACES[::2], 1e-3)
+
+    def test_one_temperature_is_refused_with_another_to_add(self) -> None:
+        plan = [PlannedPosition(f"{a}", gravity_from_tilt({"x": float(a)}), 24.0) for a in (0, 45)]
+        with pytest.raises(EstimateError, match=r"temperature\.offset\.x\.1.*temperature"):
+            predicted_covariance(Design(("x",), ("x",), drift=1, jig=0.1), plan, 0.1)
+
+    def test_free_positions_that_do_not_do_are_refused(self) -> None:
+        with pytest.raises(EstimateError, match="at least nine positions"):
+            predicted_covariance(Design(XYZ, XYZ, jig=np.inf), self.FACES, 1e-3)
+        flat = [
+            PlannedPosition(f"{a}", (float(np.cos(np.radians(a))), float(np.sin(np.radians(a))), 0.0))
+            for a in range(0, 360, 20)
+        ]
+        with pytest.raises(EstimateError, match="do not determine"):
+            predicted_covariance(Design(XYZ, XYZ, jig=np.inf), flat, 1e-3)

@@ -1,0 +1,373 @@
+"""The estimator against published results, the documents' closed forms, and scipy's own optimiser."""
+
+from __future__ import annotations
+
+import csv
+from math import cos, inf, radians, sin
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from support import DATA
+
+from tiltcal.core.closed_forms import (
+    scale_from_tilt,
+    sensitivity_from_pair,
+    tempco_from_two_temperatures,
+)
+from tiltcal.core.estimation.estimate import Design, Observation, Prior, estimate
+from tiltcal.core.estimation.unit_gravity import directions_from_readings
+from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.errors import EstimateError
+
+needs_recorded_data = pytest.mark.skipif(
+    not (DATA / "ferraris_session.csv").exists(), reason="the recorded data are not in ../shared/data"
+)
+
+
+def observe(name: str, gravity: tuple[float, float, float], *mean: float, u: float = 0.1, t: float | None = None):
+    return Observation(name, np.array(gravity), np.array(mean), np.full(len(mean), u), t)
+
+
+@pytest.fixture
+def observations() -> list[Observation]:
+    with open(DATA / "ferraris_session.csv") as log:
+        rows = np.array([[float(row[f"acc_{axis}"]) for axis in "xyz"] for row in csv.DictReader(log)])
+    with open(DATA / "ferraris_segments.csv") as segments:
+        return [
+            Observation(
+                row["position"],
+                np.array([float(row["gx"]), float(row["gy"]), float(row["gz"])]),
+                (still := rows[int(row["start"]) : int(row["end"])]).mean(axis=0),
+                still.std(axis=0) / np.sqrt(len(still)),
+            )
+            for row in csv.DictReader(segments)
+        ]
+
+
+@needs_recorded_data
+class TestRecordedSession:
+    """imucal's six-face session: least squares over all six known faces (data/README.md)."""
+
+    OFFSET = (0.55114, -0.61973, 0.38564)
+    SENSITIVITY = (
+        (9.77673, -0.14501, -0.07316),
+        (0.08434, 9.83353, 0.01813),
+        (0.13384, 0.02012, 10.03860),
+    )
+    TWO_FACE_OFFSET = (0.5371, -0.6162, 0.3989)
+
+    def test_unstated_jig_gives_the_published_least_squares(self, observations) -> None:
+        found = estimate(observations, Design(("x", "y", "z"), ("x", "y", "z")))
+        np.testing.assert_allclose(found.coefficients.offset, self.OFFSET, atol=5.1e-6)
+        np.testing.assert_allclose(found.coefficients.sensitivity, self.SENSITIVITY, atol=5.1e-6)
+        assert np.abs(found.residuals).max() == pytest.approx(0.026, abs=5e-4)
+
+    def test_with_a_stated_placement_the_published_offsets_are_inside_the_95_percent_intervals(
+        self, observations
+    ) -> None:
+        """With the angles in doubt the face pair along an axis says its offset, as in imucal's formula."""
+        found = estimate(observations, Design(("x", "y", "z"), ("x", "y", "z"), jig=0.2))
+        u, factors = found.uncertainty(), found.coverage_factors()
+        for axis, offset, published in zip("xyz", found.coefficients.offset, self.TWO_FACE_OFFSET, strict=True):
+            assert abs(offset - published) < factors[f"offset.{axis}"] * u[f"offset.{axis}"]
+            assert u[f"offset.{axis}"] < 0.001
+
+
+@needs_recorded_data
+class TestPlacement:
+    """What the same session says of the hands that placed the faces."""
+
+    def test_a_stated_placement_leaves_the_residuals_to_the_attitudes(self, observations) -> None:
+        """Two hundredths of m/s² as set, next to nothing once each face stands where it stood; and no one is blamed."""
+        found = estimate(observations, Design(("x", "y", "z"), ("x", "y", "z"), jig=0.2))
+        assert np.abs(found.residuals).max() > 0.02
+        assert np.abs(found.remainders).max() < 0.002
+        assert found.p is not None
+        assert found.p > 0.05
+        assert found.suspects() == []
+
+    def test_the_placement_that_the_residuals_show(self, observations) -> None:
+        """0.026 m/s² in 9.8 m/s²/g is 0.15°; the six faces together are about as far off."""
+        found = estimate(observations, Design(("x", "y", "z"), ("x", "y", "z")))
+        assert found.scatter_jig is not None
+        assert 0.05 < found.scatter_jig < 0.25
+        assert not found.stated
+
+
+class TestClosedForms:
+    """Where the positions leave no freedom the estimator must give what the documents' formulas give."""
+
+    def test_pair_of_tilts(self) -> None:
+        """Cross-axis Compensation, eq. 2, with unequal tilts."""
+        readings = {30.0: 2.9, -29.0: 1.1}
+        found = estimate(
+            [observe(str(tilt), gravity_from_tilt({"x": tilt}), u) for tilt, u in readings.items()],
+            Design(("x",), ("x",)),
+        )
+        expected = sensitivity_from_pair(2.9, 1.1, radians(30.0), radians(29.0))
+        assert found.coefficients.sensitivity[0, 0] == pytest.approx(expected, rel=1e-12)
+
+    def test_level_and_45(self) -> None:
+        """The tilt meter paper's scale, with the angle actually set."""
+        found = estimate(
+            [
+                observe("level", (0, 0, 1), 1020.0, 1030.0),
+                observe("x", gravity_from_tilt({"x": 44.8}), 1600.0, 1033.0),
+                observe("y", gravity_from_tilt({"y": 45.1}), 1018.0, 1611.0),
+            ],
+            Design(("x", "y"), ("x", "y")),
+        )
+        s = found.coefficients.sensitivity
+        assert found.coefficients.offset == pytest.approx([1020.0, 1030.0], rel=1e-12)
+        assert s[0, 0] == pytest.approx(scale_from_tilt(1600.0, 1020.0, radians(44.8)), rel=1e-12)
+        assert s[1, 1] == pytest.approx(scale_from_tilt(1611.0, 1030.0, radians(45.1)), rel=1e-12)
+
+    def test_two_temperatures(self) -> None:
+        """The paper's one linear coefficient per axis."""
+        found = estimate(
+            [observe("warm", (0, 0, 1), 2510.0, t=24.0), observe("cold", (0, 0, 1), 2450.0, t=5.5)],
+            Design(("x",), (), drift=1, reference=24.0),
+        )
+        assert found.coefficients.thermal is not None
+        drift = found.coefficients.thermal.drift[0, 0]
+        assert drift == pytest.approx(tempco_from_two_temperatures(2510.0, 2450.0, 24.0, 5.5), rel=1e-12)
+        assert drift == pytest.approx(60.0 / 18.5, rel=1e-12)
+
+
+directions = st.tuples(st.floats(-180, 180), st.floats(-90, 90)).map(
+    lambda angles: (
+        cos(radians(angles[1])) * cos(radians(angles[0])),
+        cos(radians(angles[1])) * sin(radians(angles[0])),
+        sin(radians(angles[1])),
+    )
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    extra=st.lists(directions, max_size=8),
+    offset=st.floats(-3000, 3000),
+    row=st.tuples(st.floats(200, 2000), st.floats(-60, 60), st.floats(-60, 60)),
+    drift=st.floats(-5, 5),
+    gain=st.floats(-2e-3, 2e-3),
+)
+def test_recovers_any_coefficients_from_exact_readings(extra, offset, row, drift, gain) -> None:
+    """Without noise the truth is the only minimum, whatever the positions beyond the necessary ones."""
+    faces = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    conditions = [(g, 20.0) for g in [*faces, *extra]] + [((1, 0, 0), 45.0), ((-1, 0, 0), 45.0)]
+    observations = []
+    for number, (g, t) in enumerate(conditions):
+        dt = t - 25.0
+        reading = (
+            offset + drift * dt + (1 + gain * dt) * sum(s * component for s, component in zip(row, g, strict=True))
+        )
+        observations.append(observe(str(number), g, reading, t=t))
+    found = estimate(observations, Design(("x",), ("x", "y", "z"), drift=1, gain=1, reference=25.0))
+    assert found.coefficients.thermal is not None
+    assert found.coefficients.offset[0] == pytest.approx(offset, rel=1e-9, abs=1e-8)
+    assert found.coefficients.sensitivity[0] == pytest.approx(row, rel=1e-9, abs=1e-8)
+    assert found.coefficients.thermal.drift[0, 0] == pytest.approx(drift, abs=1e-8)
+    assert found.coefficients.thermal.gain[0, 0] == pytest.approx(gain, abs=1e-11)
+
+
+def test_weights_and_covariance_agree_with_scipy() -> None:
+    """Unequal stated uncertainties: scipy's general optimiser finds the same minimum and the same covariance."""
+    rng = np.random.default_rng(5)
+    gravity = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0.6, 0.8, 0], [0.6, -0.8, 0]], dtype=float)
+    sigma = np.array([0.1, 0.2, 0.4, 0.1, 0.3, 0.2])
+    mean = 5.0 + gravity @ [9.8, 0.2, 0.0] + sigma * rng.standard_normal(6)
+    observations = [Observation(str(i), g, mean[i : i + 1], sigma[i : i + 1]) for i, g in enumerate(gravity)]
+    found = estimate(observations, Design(("x",), ("x", "y"), jig=0.0))
+    peer = least_squares(lambda p: (p[0] + gravity[:, :2] @ p[1:] - mean) / sigma, [0.0, 1.0, 0.0], xtol=1e-15)
+    theta = [found.coefficients.offset[0], *found.coefficients.sensitivity[0]]
+    np.testing.assert_allclose(theta, peer.x, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(peer.jac.T @ peer.jac), rtol=1e-6)
+    assert found.chi_square == pytest.approx(2 * peer.cost, rel=1e-8)
+    assert found.dof == 3
+
+
+FACES = {
+    "x-up": (1, 0, 0),
+    "x-down": (-1, 0, 0),
+    "y-up": (0, 1, 0),
+    "y-down": (0, -1, 0),
+    "z-up": (0, 0, 1),
+    "z-down": (0, 0, -1),
+}
+
+
+def test_the_joint_minimum_is_scipys() -> None:
+    """Attitudes, coefficients and temperatures together: the same least sum of squares by a general optimiser."""
+    rng = np.random.default_rng(8)
+    gravity = np.array([*FACES.values(), (0.6, 0.8, 0), (0, 0.6, 0.8)], dtype=float)
+    temperature = np.array([5.0, 5.5, 34.0, 35.0, 20.0, 20.5, 5.0, 34.0])
+    jig, thermometer, noise = radians(0.4), 0.3, 2e-3
+    turned = Rotation.from_rotvec(rng.normal(0.0, jig, (8, 3))).apply(gravity)
+    truth = np.array([[0.1, 1.0, 0.02, -0.01, 2e-3], [-0.2, 0.01, 0.98, 0.03, -1e-3]])
+
+    def model(theta, g, t):
+        return theta[:, 0] + g @ theta[:, 1:4].T + np.outer(t - 20.0, theta[:, 4])
+
+    mean = model(truth, turned, temperature) + noise * rng.standard_normal((8, 2))
+
+    def residual(p):
+        turns, warmth = p[10:34].reshape(8, 3), p[34:]
+        g = Rotation.from_rotvec(turns).apply(gravity)
+        # A turn about gravity moves nothing; its prior keeps it at zero.
+        misfit = (mean - model(p[:10].reshape(2, 5), g, temperature + warmth)) / noise
+        return np.concatenate([misfit.ravel(), p[10:34] / jig, warmth / thermometer])
+
+    peer = least_squares(residual, np.concatenate([truth.ravel(), np.zeros(32)]), xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    observations = [observe(str(k), tuple(g), *mean[k], u=noise, t=temperature[k]) for k, g in enumerate(gravity)]
+    wanted = Design(("x", "y"), ("x", "y", "z"), drift=1, reference=20.0, jig=0.4, thermometer=thermometer)
+    found = estimate(observations, wanted)
+    assert found.chi_square == pytest.approx(2 * peer.cost, rel=1e-6)
+    assert found.dof == 16 - 10
+    known = found.coefficients
+    theta = np.column_stack([known.offset, known.sensitivity, known.thermal.drift])
+    # What is taken off for the squares of the attitudes is of their size, 0.4° squared.
+    np.testing.assert_allclose(theta, peer.x[:10].reshape(2, 5), atol=jig**2)
+    peer_u = np.sqrt(np.diag(np.linalg.inv(peer.jac.T @ peer.jac)))[:10]
+    np.testing.assert_allclose(found.budget.u, peer_u, rtol=0.01)
+
+
+def test_a_jig_that_goes_to_zero_is_least_squares() -> None:
+    """One code path: 1e-9 degrees and a perfect jig are the same bench."""
+    rng = np.random.default_rng(9)
+    observations = [observe(name, g, 5 + 9.8 * g[0] + rng.normal(0, 0.1), u=0.1) for name, g in FACES.items()]
+    exact, nearly = (estimate(observations, Design(("x",), ("x", "y", "z"), jig=jig)) for jig in (0.0, 1e-9))
+    np.testing.assert_allclose(nearly.coefficients.offset, exact.coefficients.offset, rtol=1e-10)
+    np.testing.assert_allclose(nearly.coefficients.sensitivity, exact.coefficients.sensitivity, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(nearly.covariance, exact.covariance, rtol=1e-6, atol=1e-12)
+    assert nearly.dof == exact.dof
+
+
+class TestUnitGravityAlone:
+    """Directions that nobody set: the ellipsoid's nine numbers, and no mounting."""
+
+    S = np.array([[1.02, 0.03, -0.02], [0.0, 0.97, 0.05], [0.0, 0.0, 1.01]])
+    OFFSET = np.array([0.1, -0.3, 0.2])
+    FREE = Design(("x", "y", "z"), ("x", "y", "z"), jig=inf)
+
+    def observations(self, count: int, noise: float = 0.0) -> list[Observation]:
+        rng = np.random.default_rng(12)
+        up = rng.normal(size=(count, 3))
+        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        mean = self.OFFSET + up @ self.S.T + noise * rng.standard_normal((count, 3))
+        guess = directions_from_readings(mean)
+        return [observe(str(k), tuple(g), *mean[k], u=max(noise, 1e-6)) for k, g in enumerate(guess)]
+
+    def test_the_truth_from_exact_readings(self) -> None:
+        found = estimate(self.observations(14), self.FREE)
+        np.testing.assert_allclose(found.coefficients.offset, self.OFFSET, atol=1e-9)
+        np.testing.assert_allclose(found.coefficients.sensitivity, self.S, atol=1e-9)
+        assert found.dof == 14 - 9
+
+    def test_the_residuals_say_the_uncertainty(self) -> None:
+        """30 positions for nine unknowns: 21 are left over."""
+        found = estimate(self.observations(30, 1e-3), self.FREE)
+        assert np.all(found.budget.dof == found.dof)
+        assert found.dof == 21
+        error = np.abs(found.coefficients.offset - self.OFFSET)
+        assert np.all(error < 4 * found.budget.u[[0, 4, 8]])
+        assert np.all(found.budget.u[[0, 4, 8]] < 1e-3)
+
+    def test_it_says_that_the_mounting_is_undetermined(self) -> None:
+        assert any("mounting" in note for note in estimate(self.observations(14), self.FREE).notes)
+
+    def test_nine_positions_for_nine_unknowns_are_told(self) -> None:
+        found = estimate(self.observations(9), self.FREE)
+        assert found.dof == 0
+        assert any("no degree of freedom" in note for note in found.notes)
+
+    def test_eight_are_refused(self) -> None:
+        with pytest.raises(EstimateError, match="nine"):
+            estimate(self.observations(12)[:8], self.FREE)
+
+    def test_positions_on_one_circle_are_refused(self) -> None:
+        tilt, turns = radians(30.0), np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
+        up = [(sin(tilt) * cos(turn), sin(tilt) * sin(turn), cos(tilt)) for turn in turns]
+        observations = [observe(str(k), g, *(self.OFFSET + self.S @ g), u=1e-6) for k, g in enumerate(up)]
+        with pytest.raises(EstimateError, match="add"):
+            estimate(observations, self.FREE)
+
+
+def test_a_square_and_a_cube_are_recovered() -> None:
+    """Angles from -90 to 90°; the line bends by 2 % and 0.5 % of 1 g."""
+    own = 820.0
+    observations = []
+    for angle in np.radians(np.arange(-90.0, 91.0, 15.0)):
+        a = sin(angle)
+        bent = a + 0.02 * a**2 - 0.005 * a**3
+        observations.append(observe(f"{angle:.3f}", (a, 0.0, cos(angle)), 1024.0 + own * bent))
+    found = estimate(observations, Design(("x",), ("x",), jig=0.0, nonlinearity=2)).coefficients
+    assert found.nonlinearity is not None
+    assert found.nonlinearity[0] == pytest.approx([0.02, -0.005], abs=1e-9)
+    assert found.sensitivity[0, 0] == pytest.approx(own, rel=1e-9)
+    gravity = np.array([observation.gravity for observation in observations])
+    np.testing.assert_allclose(found.predict(gravity)[:, 0], [o.mean[0] for o in observations], rtol=1e-12)
+
+
+def test_what_is_known_before_is_kept_and_counts() -> None:
+    """Level alone says nothing of the sensitivity: the prior stays, and the jig's error reaches the offset by it."""
+    found = estimate(
+        [observe("level", (0, 0, 1), 1024.3, u=0.1)],
+        Design(("x",), ("x",), jig=0.1, priors={"sensitivity.x.x": Prior(819.0, 2.4)}),
+    )
+    assert found.coefficients.sensitivity[0, 0] == pytest.approx(819.0)
+    assert found.uncertainty()["sensitivity.x.x"] == pytest.approx(2.4)
+    assert found.uncertainty()["offset.x"] == pytest.approx(np.hypot(0.1, 819.0 * radians(0.1)), rel=1e-4)
+
+
+class TestRefused:
+    def test_three_faces_only(self) -> None:
+        faces = [observe(name, g, 1.0) for name, g in zip("xyz", [(1, 0, 0), (0, 1, 0), (0, 0, 1)], strict=True)]
+        with pytest.raises(EstimateError, match=r"cannot tell offset\.x"):
+            estimate(faces, Design(("x",), ("x", "y", "z")))
+
+    def test_an_axis_that_no_position_excites_is_named(self) -> None:
+        level = [observe("a", (0, 0, 1), 1.0), observe("b", (0, 0, -1), -1.0)]
+        with pytest.raises(EstimateError, match=r"nothing|says anything of sensitivity\.x\.x"):
+            estimate(level, Design(("x",), ("x", "z")))
+
+    def test_a_missing_temperature_names_its_position(self) -> None:
+        with pytest.raises(EstimateError, match="level-cold"):
+            estimate(
+                [observe("level-warm", (0, 0, 1), 1.0, t=24.0), observe("level-cold", (0, 0, 1), 1.0)],
+                Design(("x",), (), drift=1),
+            )
+
+    def test_one_temperature_for_a_drift(self) -> None:
+        with pytest.raises(EstimateError, match=r"temperature\.offset\.x\.1"):
+            estimate(
+                [observe("a", (0, 0, 1), 1.0, t=24.0), observe("b", (0, 0, 1), 1.0, t=24.0)],
+                Design(("x",), (), drift=1, reference=24.0),
+            )
+
+    def test_three_faces_are_told_what_to_add(self) -> None:
+        faces = [observe(name, FACES[name], 1.0) for name in ("x-up", "y-up", "z-up")]
+        with pytest.raises(EstimateError, match="add the position upside down"):
+            estimate(faces, Design(("x",), ("x", "y", "z"), jig=0.3))
+
+    def test_level_and_45_with_the_mounting_unknown(self) -> None:
+        """An unknown angle of mounting is a sensitivity to z: three unknowns of each channel, two positions."""
+        tilted = [observe("level", (0, 0, 1), 1.0), observe("x-45", gravity_from_tilt({"x": 45.0}), 1.7)]
+        with pytest.raises(EstimateError, match=r"offset\.x.*sensitivity\.x\.z.*add the position"):
+            estimate(tilted, Design(("x",), ("x", "z"), jig=0.3))
+
+    def test_two_temperatures_for_curvature(self) -> None:
+        levels = [observe(f"{t}-{k}", (0, 0, 1), 1.0 + t, t=t) for k, t in enumerate((24.0, 5.0, 24.0))]
+        with pytest.raises(EstimateError, match=r"temperature\.offset\.x\.2.*add the position .*temperature"):
+            estimate(levels, Design(("x",), (), drift=2, reference=20.0))
+
+    def test_a_position_that_is_there_twice(self) -> None:
+        with pytest.raises(EstimateError, match="twice"):
+            estimate([observe("a", (0, 0, 1), 1.0)] * 2, Design(("x",), ("z",)))
+
+    def test_a_prior_for_nothing(self) -> None:
+        with pytest.raises(EstimateError, match=r"sensitivity\.y\.y"):
+            estimate([observe("a", (0, 0, 1), 1.0)], Design(("x",), ("z",), priors={"sensitivity.y.y": Prior(1.0)}))

@@ -1,0 +1,337 @@
+"""The noise of readings at rest, against other programs, published values and noise of known kind."""
+
+from __future__ import annotations
+
+from math import log, pi, sqrt
+
+import allantools
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support import coloured_noise as coloured
+
+from tiltcal.core.noise.allan import AllanVariance, Kind, Octaves, degrees_of_freedom, limits
+from tiltcal.core.noise.averages import Averager, decades
+from tiltcal.core.noise.characterise import ChannelNoise, Characteriser
+from tiltcal.core.noise.disturbances import Disturbances, RowRange
+from tiltcal.core.noise.quantisation import Quantisation
+from tiltcal.core.noise.sample_size import advise
+
+DT = 0.01
+"""Seconds between samples."""
+
+
+def rng(seed: int = 1) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def allan(samples: coloured.Samples, cuts: list[int] | None = None) -> AllanVariance:
+    octaves = Octaves(1)
+    for part in np.split(samples[:, None], cuts or []):
+        octaves.add(np.nan_to_num(part), np.isfinite(part))
+    return octaves.result()
+
+
+def noise_of(samples: coloured.Samples, *sizes: int) -> ChannelNoise:
+    found = Characteriser(1, sizes)
+    found.add(samples[:, None])
+    return found.channel(0, DT)
+
+
+class TestAllanDeviation:
+    def test_against_allantools(self) -> None:
+        samples = coloured.flicker(rng(), 20_000, 1.0) + 100.0
+        found = allan(samples - 100.0)
+        _, deviation, _, _ = allantools.oadev(samples, data_type="freq", taus=found.factor.astype(float))
+        ours = np.sqrt(found.variance[:, 0])
+        assert found.factor.tolist() == [2**k for k in range(13)]
+        # Up to 32 samples every start counts; beyond, one in many, which changes less than the statistics leave open.
+        assert ours[:6] == pytest.approx(deviation[:6], rel=1e-12)
+        assert ours[6:] == pytest.approx(deviation[6:], rel=0.02)
+
+    def test_the_published_set_of_1000_numbers(self) -> None:
+        """NIST Special Publication 1065, 12.4: its pseudo-random numbers and their deviation for single samples."""
+        numbers = [1234567890]
+        while len(numbers) < 1000:
+            numbers.append(16807 * numbers[-1] % 2147483647)
+        found = allan(np.array(numbers) / 2147483647)
+        assert sqrt(found.variance[0, 0]) == pytest.approx(2.922319e-1, rel=1e-6)
+
+    @given(st.lists(st.integers(0, 700), max_size=8), st.integers(0, 50))
+    def test_it_does_not_matter_how_the_record_is_cut(self, cuts: list[int], seed: int) -> None:
+        samples = coloured.walk(rng(seed), 700, 1.0)
+        samples[rng(seed).integers(0, 700, 40)] = np.nan
+        assert allan(samples, sorted(cuts)).variance == pytest.approx(allan(samples).variance, rel=1e-9)
+
+    def test_a_gap_joins_nothing(self) -> None:
+        """Two quiet stretches at different readings: the step between them is in no difference."""
+        samples = coloured.white(rng(), 9000, 1.0)
+        samples[6000:] += 1000.0
+        samples[4000:6000] = np.nan
+        found = allan(samples)
+        short = found.factor <= 512
+        assert found.variance[short, 0] * found.factor[short] == pytest.approx(1.0, rel=0.5)
+
+    def test_a_few_missing_values_change_little(self) -> None:
+        samples = coloured.white(rng(), 20_000, 1.0)
+        samples[rng(2).integers(0, 20_000, 1000)] = np.nan
+        found = allan(samples)
+        assert (found.variance[:8, 0] * found.factor[:8]).tolist() == pytest.approx([1.0] * 8, rel=0.12)
+
+    @pytest.mark.parametrize("kind", ["white", "flicker", "walk"])
+    def test_degrees_of_freedom(self, kind: Kind) -> None:
+        """By Greenhall and Riley's sums, in allantools, and by the scatter of 300 records."""
+        exponent = {"white": 0, "flicker": -1, "walk": -2}[kind]
+        made = {"white": coloured.white, "flicker": coloured.flicker, "walk": coloured.walk}[kind]
+        many = np.array([allan(made(rng(seed), 1024, 1.0)).variance[:, 0] for seed in range(300)])
+        shown = 2.0 * many.mean(axis=0) ** 2 / many.var(axis=0)
+        for factor, dof in zip(2 ** np.arange(9), shown.tolist(), strict=True):
+            ours = degrees_of_freedom(kind, 1024, float(factor))
+            greenhall = allantools.edf_greenhall(exponent, 2, int(factor), 1025, overlapping=True)
+            assert ours == pytest.approx(dof, rel=0.35)
+            if factor > 2:  # below, the approximation for many samples per average does not hold
+                assert ours == pytest.approx(greenhall, rel=0.16)
+
+    def test_the_limits_hold_the_truth(self) -> None:
+        """95 % of 400 records, at every averaging time."""
+        inside = np.zeros(8)
+        for seed in range(400):
+            found = allan(coloured.white(rng(seed), 1024, 1.0))
+            dof = np.array([degrees_of_freedom("white", 1024, float(factor)) for factor in found.factor])
+            low, high = limits(found.variance[:, 0], dof)
+            truth = 1.0 / np.sqrt(found.factor)
+            inside += ((low <= truth) & (truth <= high))[:8]
+        # Four standard deviations of a share of 95 % in 400 are 4.4 %.
+        assert (inside / 400).tolist() == pytest.approx([0.95] * 8, abs=0.045)
+
+
+class TestKindsOfNoise:
+    def test_white(self) -> None:
+        """sigma/√m, and the one-sided density is 2 sigma² dt."""
+        terms = noise_of(coloured.white(rng(), 100_000, 0.6)).terms
+        assert set(terms.value) == {"N"}
+        assert terms.value["N"] == pytest.approx(0.6 * sqrt(DT), abs=4 * terms.u["N"])
+        assert terms.u["N"] < 0.02 * terms.value["N"]
+        assert terms.follows
+        assert terms.first == 0
+
+    def test_flicker(self) -> None:
+        terms = noise_of(coloured.white(rng(), 400_000, 0.6) + coloured.flicker(rng(2), 400_000, 0.05)).terms
+        assert set(terms.value) == {"N", "B"}
+        # The deviation of both is √(2 ln 2 / π), times sigma and times B.
+        assert terms.value["B"] == pytest.approx(0.05, abs=4 * terms.u["B"])
+        assert terms.u["B"] < 0.1 * terms.value["B"]
+
+    def test_random_walk(self) -> None:
+        """A single record tells it to a tenth at best, and may look like a drift; many tell the factor 1/3 from 1/2."""
+        records = [
+            noise_of(coloured.white(rng(seed), 200_000, 0.6) + coloured.walk(rng(seed + 99), 200_000, 2e-3)).terms
+            for seed in range(16)
+        ]
+        found = [terms for terms in records if set(terms.value) == {"N", "K"}]
+        assert len(found) >= 13
+        for terms in found:
+            assert terms.value["K"] == pytest.approx(2e-3 / sqrt(DT), abs=4 * terms.u["K"])
+            assert terms.u["K"] < 0.15 * terms.value["K"]
+        assert np.mean([terms.value["K"] for terms in found]) == pytest.approx(2e-3 / sqrt(DT), rel=0.07)
+
+    def test_drift(self) -> None:
+        terms = noise_of(coloured.white(rng(), 100_000, 0.6) + coloured.ramp(100_000, 1e-4)).terms
+        assert set(terms.value) == {"N", "R"}
+        assert terms.value["R"] == pytest.approx(1e-4 / DT, rel=0.03)
+
+    def test_what_is_not_there_is_seldom_found(self) -> None:
+        found = [set(noise_of(coloured.white(rng(seed), 8192, 1.0)).terms.value) for seed in range(60)]
+        assert sum(kinds != {"N"} for kinds in found) <= 3
+
+    def test_the_stated_uncertainty_is_the_scatter(self) -> None:
+        terms = [noise_of(coloured.white(rng(seed), 8192, 1.0)).terms for seed in range(100)]
+        scatter = np.std([one.value["N"] for one in terms])
+        assert np.median([one.u["N"] for one in terms]) == pytest.approx(scatter, rel=0.35)
+
+    def test_filtered_samples_are_not_taken_for_independent(self) -> None:
+        """A mean over ten samples, running: white from some multiple of it on, with the density of its input."""
+        driven = coloured.white(rng(), 100_009, 1.0)
+        running = np.convolve(driven, np.full(10, 0.1), "valid")
+        noise = noise_of(running)
+        assert noise.tau[noise.terms.first] >= 10 * DT
+        assert noise.terms.value["N"] == pytest.approx(sqrt(DT), rel=0.08)
+        assert noise.terms.follows
+
+    def test_a_vibration_is_none_of_them(self) -> None:
+        n = 50_000
+        swaying = np.sin(2.0 * pi * 0.05 * DT * np.arange(n))
+        assert not noise_of(coloured.white(rng(), n, 0.1) + swaying).terms.follows
+
+    def test_the_lowest_deviation(self) -> None:
+        """Of white noise and a random walk: √(2 N K/√3) at √3 N/K."""
+        n, k = 0.6 * sqrt(DT), 0.002 / sqrt(DT)
+        noise = noise_of(coloured.white(rng(), 400_000, 0.6) + coloured.walk(rng(2), 400_000, 0.002))
+        tau, deviation = noise.lowest
+        assert tau == pytest.approx(sqrt(3.0) * n / k, rel=0.2)
+        assert deviation == pytest.approx(sqrt(2.0 * n * k / sqrt(3.0)), rel=0.1)
+
+
+class TestAverages:
+    @given(st.integers(1, 9), st.lists(st.integers(0, 103), max_size=6))
+    def test_against_numpy(self, size: int, cuts: list[int]) -> None:
+        samples = coloured.walk(rng(size), 103, 1.0)
+        averager = Averager(size, 1)
+        for part in np.split(samples[:, None], sorted(cuts)):
+            averager.add(part, np.isfinite(part))
+        found = averager.result()
+        means = samples[: 103 // size * size].reshape(-1, size).mean(axis=1)
+        assert found.count[0] == len(means)
+        assert found.std[0] == pytest.approx(np.std(means, ddof=1), rel=1e-9)
+        assert found.range[0] == pytest.approx(np.ptp(means), rel=1e-9)
+
+    def test_an_average_of_which_most_is_missing_does_not_count(self) -> None:
+        samples = np.array([[1.0], [3.0], [np.nan], [np.nan], [8.0], [np.nan], [5.0], [7.0]])
+        averager = Averager(2, 1)
+        averager.add(np.nan_to_num(samples), np.isfinite(samples))
+        found = averager.result()
+        assert found.count[0] == 3
+        assert found.range[0] == 6.0
+
+    def test_the_sizes_go_as_far_as_the_record(self) -> None:
+        assert decades(4999, 5) == [1, 10, 100]
+        assert decades(5000, 5) == [1, 10, 100, 1000]
+
+    def test_white_noise_averages_by_the_root(self) -> None:
+        noise = noise_of(coloured.white(rng(), 100_000, 2.0), 25)
+        table = {one.samples: one for one in noise.averages}
+        assert list(table) == [1, 10, 25, 100, 1000, 10_000]
+        for size in (1, 10, 25, 100):
+            assert table[size].std == pytest.approx(2.0 / sqrt(size), rel=0.06)
+            assert table[size].white == pytest.approx(2.0 / sqrt(size), rel=0.02)
+
+
+class TestUnrest:
+    def unrest(self, samples: coloured.Samples, chunk: int = 1000) -> Disturbances:
+        found = Disturbances(1)
+        for part in np.split(samples[:, None], range(chunk, len(samples), chunk)):
+            found.add(np.nan_to_num(part), np.isfinite(part))
+        return found
+
+    def test_noise_is_still(self) -> None:
+        for made in (coloured.white, coloured.flicker, coloured.walk):
+            for seed in range(10):
+                assert self.unrest(made(rng(seed), 5000, 1.0)).moved(np.zeros(1)) == []
+
+    def test_a_turn_is_motion(self) -> None:
+        samples = coloured.white(rng(), 5000, 1.0)
+        samples[3000:] += 20.0
+        (moved,) = self.unrest(samples).moved(np.zeros(1))
+        assert moved.start <= 3000 < moved.end
+        assert moved.end - moved.start <= 48
+
+    def test_a_knock_is_motion(self) -> None:
+        samples = coloured.white(rng(), 5000, 1.0)
+        samples[2000:2010] += 30.0 * np.array([1, -1] * 5)
+        (moved,) = self.unrest(samples).moved(np.zeros(1))
+        assert moved.start <= 2000
+        assert moved.end >= 2010
+
+    def test_motion_in_a_long_record(self) -> None:
+        """Longer than its blocks are kept singly."""
+        samples = coloured.white(rng(), 3_000_000, 1.0)
+        samples[2_000_000:] += 20.0
+        (moved,) = self.unrest(samples, 100_000).moved(np.zeros(1))
+        assert moved.start - 200 <= 2_000_000 <= moved.end + 200
+
+    def test_a_rounded_reading_that_flips_is_still(self) -> None:
+        samples = np.round(coloured.white(rng(), 5000, 0.18))
+        assert self.unrest(samples).moved(np.ones(1)) == []
+
+    def test_a_reading_that_hangs(self) -> None:
+        samples = np.round(coloured.white(rng(), 5000, 2.0))
+        samples[1500:1700] = samples[1500]
+        hung = self.unrest(samples, 77).hung()
+        assert hung is not None
+        assert hung.start <= 1500 < 1700 <= hung.end
+        assert hung.end - hung.start < 210
+
+    def test_coarse_rounding_does_not_hang(self) -> None:
+        assert self.unrest(np.round(coloured.white(rng(), 50_000, 0.25))).hung() is None
+        assert self.unrest(coloured.white(rng(), 5000, 1.0)).hung() is None
+
+    def test_rows_are_counted_across_the_parts(self) -> None:
+        samples = np.round(coloured.white(rng(3), 300, 50.0))
+        samples[90:130] = 7.0
+        assert self.unrest(samples, 1).hung() == RowRange(90, 130)
+
+
+class TestSteps:
+    def step(self, samples: coloured.Samples) -> float:
+        steps = Quantisation()
+        steps.add(samples)
+        return steps.result()
+
+    def test_a_converter(self) -> None:
+        volts = np.round(coloured.white(rng(), 3000, 0.01) / 187.5e-6) * 187.5e-6
+        assert self.step(np.round(volts, 7)) == pytest.approx(187.5e-6, rel=1e-3)
+
+    def test_a_continuous_reading(self) -> None:
+        assert self.step(coloured.white(rng(), 3000, 1.0)) == 0.0
+        assert self.step(coloured.white(rng(), 30_000, 1.0)) == 0.0
+
+
+class TestAdvice:
+    def test_white_noise_meets_a_target_by_the_root(self) -> None:
+        noise = noise_of(coloured.white(rng(), 100_000, 1.0))
+        advice = advise(noise, DT, 0.1)
+        assert advice.met
+        assert advice.limit == "target"
+        assert advice.samples == pytest.approx(100, rel=0.03)
+        assert advice.uncertainty <= 0.1
+
+    def test_beyond_the_record_it_is_foretold_and_not_promised(self) -> None:
+        noise = noise_of(coloured.white(rng(), 10_000, 1.0))
+        advice = advise(noise, DT, 0.002)
+        assert advice.met is False
+        assert advice.limit == "record"
+        assert advice.useful is None
+        assert advice.predicted == pytest.approx(1.0 / 0.002**2, rel=0.05)
+
+    def test_flicker_noise_ends_it(self) -> None:
+        """White sigma/√n and flicker f make √(σ²/n + f²): twice n gains a tenth where σ²/n is f² 0.19/0.31."""
+        noise = noise_of(coloured.white(rng(), 400_000, 1.0) + coloured.flicker(rng(2), 400_000, 0.08))
+        floor = 0.08 * sqrt(2.0 * log(2.0) / pi)
+        advice = advise(noise, DT, 0.1 * floor)
+        assert advice.met is False
+        assert advice.limit == "flicker"
+        assert advice.predicted is None
+        assert advice.useful == pytest.approx(0.31 / 0.19 / floor**2, rel=0.25)
+        assert advice.uncertainty == pytest.approx(floor * sqrt(1.0 + 0.19 / 0.31), rel=0.1)
+
+    def test_drift_ends_it(self) -> None:
+        noise = noise_of(coloured.white(rng(), 100_000, 1.0) + coloured.ramp(100_000, 1e-4))
+        assert advise(noise, DT).limit == "drift"
+
+    def test_rounding_ends_it(self) -> None:
+        """Noise of 0.28 steps leaves step/√12 exp(-2 (π 0.28)²) however long it is averaged (Widrow)."""
+        left = exp_widrow(0.28)
+        noise = noise_of(np.round(coloured.white(rng(), 200_000, 0.28) + 0.25))
+        assert noise.step == 1.0
+        advice = advise(noise, DT, 0.1 * left)
+        assert advice.limit == "rounding"
+        assert advice.met is False
+        assert advice.uncertainty > left * 0.7
+
+    def test_behind_a_hump_it_must_be_better_than_before(self) -> None:
+        """A restless sensor: means wander off within seconds, and those of minutes are not as good as one sample."""
+        from scipy.signal import lfilter
+
+        samples = lfilter([1.0], [1.0, -0.999], coloured.white(rng(), 50_000, 1.0))
+        advice = advise(noise_of(samples), DT)
+        assert advice.useful == 1
+        assert advice.samples == 1
+
+    def test_more_samples_than_help_are_not_taken_for_a_target(self) -> None:
+        noise = noise_of(coloured.white(rng(), 100_000, 1.0))
+        assert advise(noise, DT, 5.0).samples == 1
+
+
+def exp_widrow(noise: float) -> float:
+    return float(np.exp(-2.0 * (pi * noise) ** 2) / sqrt(12.0))

@@ -1,0 +1,97 @@
+"""A stage without an encoder, and the spectra of what is matched."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import welch
+from support import accelerometer_disk as disk
+
+from tiltcal.core.pair.spectrum import Spectra
+from tiltcal.core.pair.spin import Spin, estimate_spin, followed_spin
+from tiltcal.errors import EstimateError
+
+
+class TestSpin:
+    def test_frequency_and_phase_are_as_good_as_the_noise_allows(self) -> None:
+        error = []
+        sigma = 3e-4
+        for seed in range(50):
+            taken = disk.record(seconds=80, start=70.0, misalignment=(0.0,) * 4, wander=0.0, noise=sigma, seed=seed)
+            spin = estimate_spin(taken.time, taken.readings)
+            error.append(((spin.frequency - 0.125) * 80, spin.phase - 70 / 360))
+        # The bound for a sine of known shape in four channels: 12 var / (n A² (2 pi T)²) * 2.
+        bound = sigma / 3.4 * np.sqrt(24 / (4 * 4000)) / (2 * np.pi)
+        assert 0.6 * bound < float(np.std(error, axis=0)[0]) < 1.4 * bound
+        assert abs(float(np.mean(error, axis=0)[1])) < 1e-5
+
+    @settings(max_examples=30)
+    @given(st.floats(2.2, 300.0), st.floats(0.0, 360.0), st.integers(0, 1000))
+    def test_any_number_of_turns_from_two_on(self, turns: float, start: float, seed: int) -> None:
+        taken = disk.record(seconds=160, rate=12.5, spin=turns / 160, start=start, noise=1e-3, wander=0.0, seed=seed)
+        spin = estimate_spin(taken.time, taken.readings)
+        assert spin.frequency * 160 == pytest.approx(turns, abs=1e-3)
+
+    def test_time_need_not_begin_at_zero_nor_be_even(self) -> None:
+        taken = disk.record(seconds=80)
+        jitter = np.random.default_rng(0).uniform(-0.005, 0.005, len(taken.time))
+        kept = np.random.default_rng(1).random(len(taken.time)) < 0.9
+        assert estimate_spin((taken.time + jitter)[kept] + 1e6, taken.readings[kept]).frequency == pytest.approx(
+            0.125, abs=1e-5
+        )
+
+    def test_the_angle_makes_the_first_channel_a_pure_sine(self) -> None:
+        taken = disk.record(seconds=80, noise=0.0, wander=0.0, start=222.0)
+        theta = np.deg2rad(estimate_spin(taken.time, taken.readings).theta(taken.time))
+        columns = np.stack([np.sin(theta), np.cos(theta)], axis=1)
+        sine, cosine = np.linalg.lstsq(columns, taken.readings[:, 0], rcond=None)[0]
+        assert sine == pytest.approx(3.383 * np.hypot(1, 0.022), abs=1e-9)
+        assert cosine == pytest.approx(0.0, abs=1e-9)
+
+    def test_a_speed_that_changes_is_followed_from_rows_to_rows(self) -> None:
+        """By a turn over 100, which a single frequency would take for no signal at all."""
+        time = np.arange(40_000) / 50.0
+        turned = 0.125 * time + (time / 800.0) ** 3
+        readings = 3.4 * np.sin(2 * np.pi * turned[:, None] + disk.PHASES)
+        spin, off = Spin(0.125, 0.0), []
+        for start in range(0, 40_000, 2000):
+            rows = slice(start, start + 2000)
+            spin = followed_spin(spin, time[rows], readings[rows])
+            away = spin.theta(time[rows]) / 360.0 - turned[rows]
+            off.append(float(np.max(np.abs(away - np.round(away)))))
+        assert max(off) < 2e-3
+
+    def test_rows_that_do_not_say_keep_the_spin_before(self) -> None:
+        known = Spin(0.125, 0.25)
+        taken = disk.record(seconds=80)
+        assert followed_spin(known, taken.time[:300], taken.readings[:300]) == known
+        noise = np.random.default_rng(2).standard_normal(taken.readings.shape)
+        assert abs(followed_spin(known, taken.time, noise).frequency - 0.125) < 0.5 / 80
+
+    @pytest.mark.parametrize(
+        ("taken", "said"),
+        [
+            (disk.record(seconds=80, scale=(0.0,) * 4), "no line stands out"),
+            (disk.record(seconds=10), "less than 2 turns"),
+            (disk.record(seconds=0.2), "too short"),
+        ],
+    )
+    def test_where_there_is_no_spin(self, taken: disk.Record, said: str) -> None:
+        with pytest.raises(EstimateError, match=said):
+            estimate_spin(taken.time, taken.readings)
+
+
+def test_spectra_are_those_of_welch_for_any_mix_and_any_blocks() -> None:
+    draw = np.random.default_rng(0)
+    readings = draw.standard_normal((5000, 3)) @ np.array([[1.0, 0.3, 0.0], [0.0, 2.0, 0.1], [0.5, 0.0, 1.0]])
+    spectra = Spectra(("a", "b", "c"), 512)
+    for start in range(0, 5000, 333):
+        spectra.add(readings[start : start + 333])
+    frequency, density = spectra.density({"a": 1.0, "c": -0.7}, rate=50.0)
+    expected_frequency, expected = welch(
+        readings[:, 0] - 0.7 * readings[:, 2], 50.0, nperseg=512, noverlap=256, detrend="constant"
+    )
+    assert frequency == pytest.approx(expected_frequency)
+    assert density == pytest.approx(expected, rel=1e-9)

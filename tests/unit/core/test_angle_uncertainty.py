@@ -1,0 +1,355 @@
+"""The uncertainty of every angle, against differences, against random draws and by hand.
+
+Differences and draws see the compensation from outside alone: they change coefficients and readings and look what comes
+out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import asin, cos, degrees, pi, radians, sqrt
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from tiltcal.core.angle_uncertainty import AngleUncertainty, CompensationWithUncertainty, UncertaintyInputs
+from tiltcal.core.compensation import Compensation
+from tiltcal.core.expanded_uncertainty import ExpandedUncertainty
+from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal
+from tiltcal.core.mounting import mounting_angles, mounting_matrix
+from tiltcal.core.propagation import vector_of, with_vector
+from tiltcal.core.quadratic_forms import QuadraticForms
+from tiltcal.errors import EstimateError
+
+Array = NDArray[np.float64]
+
+NORMAL = float(stats.norm.ppf(0.975))
+TURNED = Mounting(0.1, -0.25, 0.4)
+SPREAD = {"offset": 0.1, "sensitivity": 0.2, "nonlinearity": 2e-4, "mounting": 2e-4}
+NOISE, THERMOMETER = 0.6, 0.25
+
+
+def sensor(
+    channels: int, axes: int, *, drift: int = 0, gain: int = 0, bend: bool = False, mounting: Mounting | None = None
+) -> Coefficients:
+    rng = np.random.default_rng(3)
+    matrix = 800.0 * np.eye(3) + rng.normal(0.0, 12.0, (3, 3))
+    thermal = None
+    if drift or gain:
+        table = rng.normal(0.0, 0.3, (3, drift)) / 20.0 ** np.arange(drift)
+        factor = rng.normal(0.0, 3e-4, (3, gain)) / 20.0 ** np.arange(gain)
+        thermal = Thermal(24.0, None, table[:channels], factor[:channels])
+    return Coefficients(
+        AXES[:channels],
+        AXES[:axes],
+        np.array([1024.0, 1019.0, 1031.0])[:channels],
+        matrix[:channels, :axes],
+        thermal,
+        mounting,
+        np.array([[0.004, 0.012], [-0.003, 0.02], [0.002, -0.01]])[:channels] if bend else None,
+    )
+
+
+SENSORS = {
+    "one channel": sensor(1, 1),
+    "two channels": sensor(2, 2),
+    "two channels, drift": sensor(2, 2, drift=2),
+    "two channels, hidden third": sensor(2, 3, drift=1),
+    "two channels, everything": sensor(2, 3, drift=2, gain=2, bend=True, mounting=TURNED),
+    "two channels, mounted": sensor(2, 2, mounting=TURNED),
+    "two channels, mounted straight": sensor(2, 2, mounting=Mounting()),
+    "three channels": sensor(3, 3),
+    "three channels, bent": sensor(3, 3, bend=True),
+    "three channels, everything": sensor(3, 3, drift=1, gain=1, bend=True, mounting=TURNED),
+}
+
+
+def doubt_of(known: Coefficients, *, factors: float | None = None, seed: int = 1) -> UncertaintyInputs:
+    """Every coefficient uncertain, and strongly correlated with the others."""
+    names = [f"offset.{c}" for c in known.channels]
+    names += [f"sensitivity.{c}.{a}" for c in known.channels for a in known.axes]
+    if known.thermal is not None:
+        for what, table in (("offset", known.thermal.drift), ("sensitivity", known.thermal.gain)):
+            names += [f"temperature.{what}.{c}.{k + 1}" for c in known.channels for k in range(table.shape[1])]
+    if known.nonlinearity is not None:
+        names += [f"nonlinearity.{c}.{k}" for c in known.channels for k in (2, 3)]
+    if known.mounting is not None:
+        names += [f"mounting.turn.{axis}" for axis in AXES]
+    rng = np.random.default_rng(seed)
+    mixed = rng.normal(size=(len(names), 2 * len(names)))
+    covariance = mixed @ mixed.T
+    u = np.array([_spread(name) for name in names]) / np.sqrt(np.diag(covariance))
+    return UncertaintyInputs(
+        tuple(names),
+        covariance * np.outer(u, u),
+        np.full(len(names), factors or NORMAL),
+        np.full(len(known.channels), NOISE),
+        THERMOMETER if known.thermal is not None else 0.0,
+    )
+
+
+def _spread(name: str) -> float:
+    kind, *rest = name.split(".")
+    if kind == "temperature":
+        return (0.01 if rest[0] == "offset" else 1e-5) / 20.0 ** (int(rest[-1]) - 1)
+    return SPREAD[kind]
+
+
+def moved(known: Coefficients, names: tuple[str, ...], vector: Array) -> Coefficients:
+    """The coefficients with errors added, the mounting's as a turn behind it."""
+    own = [k for k, name in enumerate(names) if not name.startswith("mounting")]
+    some = tuple(names[k] for k in own)
+    found = with_vector(known, some, vector_of(known, some) + vector[own])
+    if known.mounting is None or len(own) == len(names):
+        return found
+    turned = Rotation.from_rotvec(vector[-3:]).as_matrix() @ mounting_matrix(known.mounting)
+    return replace(found, mounting=mounting_angles(turned).mounting)
+
+
+def angles(known: Coefficients, readings: Array, temperature: Array) -> Array:
+    """All angles that come out, shape (n, angles), degrees."""
+    kernel = Compensation(known)
+    table = kernel.table(kernel(readings, temperature))
+    return np.column_stack([table[name] for name in kernel.angles])
+
+
+def rows(known: Coefficients, count: int = 300) -> tuple[Array, Array]:
+    """Readings clear of the edges where a derivative says little, and temperatures."""
+    rng = np.random.default_rng(5)
+    gravity = rng.normal(size=(20 * count, 3))
+    gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
+    if len(known.channels) < 3:
+        gravity[:, 2] = np.abs(gravity[:, 2])
+    turned = gravity @ mounting_matrix(known.mounting or Mounting()).T
+    clear = (np.abs(turned).max(axis=1) < 0.9) & (np.abs(gravity[:, 2]) > 0.4)
+    gravity = gravity[clear][:count]
+    temperature = rng.uniform(0.0, 40.0, len(gravity))
+    return known.predict(gravity, temperature), temperature
+
+
+def result_of(known: Coefficients, doubt: UncertaintyInputs, readings: Array, temperature: Array) -> AngleUncertainty:
+    return CompensationWithUncertainty(Compensation(known), known, doubt)(readings, temperature)
+
+
+def by_differences(known: Coefficients, doubt: UncertaintyInputs, readings: Array, temperature: Array) -> Array:
+    """Standard uncertainty by the law of propagation, every derivative a central difference."""
+
+    def derivative(change: Callable[[float], Array], step: float) -> Array:
+        difference: Array = (change(step) - change(-step) + 180.0) % 360.0 - 180.0
+        return difference / (2.0 * step)
+
+    columns = []
+    for k in range(len(doubt.names)):
+        unit = np.eye(len(doubt.names))[k]
+        columns.append(
+            derivative(
+                lambda h, unit=unit: angles(moved(known, doubt.names, h * unit), readings, temperature),
+                1e-2 * sqrt(doubt.covariance[k, k]),
+            )
+        )
+    jacobian = np.array(columns)
+    variance = np.einsum("kna,kl,lna->na", jacobian, doubt.covariance, jacobian)
+    for channel, sigma in enumerate(doubt.readings):
+        unit = np.eye(len(known.channels))[channel]
+        variance += (
+            sigma * derivative(lambda h, unit=unit: angles(known, readings + h * unit, temperature), 1e-3)
+        ) ** 2
+    if doubt.temperature:
+        variance += (doubt.temperature * derivative(lambda h: angles(known, readings, temperature + h), 1e-3)) ** 2
+    return np.sqrt(variance)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_it_is_what_differences_give(name: str) -> None:
+    known = SENSORS[name]
+    doubt = doubt_of(known)
+    readings, temperature = rows(known)
+    found = result_of(known, doubt, readings, temperature)
+    np.testing.assert_allclose(
+        found.standard, by_differences(known, doubt, readings, temperature), rtol=0.01, err_msg=name
+    )
+    np.testing.assert_allclose(found.expanded, NORMAL * found.standard, rtol=1.5e-3)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_it_is_what_random_errors_scatter_by(name: str) -> None:
+    """4,000 draws of everything that is uncertain: the scatter of 4,000 is known to 1.1 %."""
+    known = SENSORS[name]
+    doubt = doubt_of(known)
+    readings, temperature = rows(known, 12)
+    found = result_of(known, doubt, readings, temperature)
+    rng = np.random.default_rng(11)
+    draws = []
+    for error in rng.multivariate_normal(np.zeros(len(doubt.names)), doubt.covariance, 4000):
+        off = angles(
+            moved(known, doubt.names, error),
+            readings + rng.normal(0.0, NOISE, readings.shape),
+            temperature + rng.normal(0.0, doubt.temperature, len(temperature)),
+        )
+        draws.append((off - angles(known, readings, temperature) + 180.0) % 360.0 - 180.0)
+    np.testing.assert_allclose(found.standard, np.std(draws, axis=0), rtol=0.05)
+    inside = np.mean(np.abs(draws) <= found.expanded, axis=0)
+    assert np.all(np.abs(inside - 0.95) < 0.015), inside
+
+
+class TestByHand:
+    ONE = Coefficients(("x",), ("x",), np.array([1024.0]), np.array([[819.0]]))
+
+    def u(self, covariance: Array, readings: list[float], noise: float = 0.0) -> Array:
+        doubt = UncertaintyInputs(("offset.x", "sensitivity.x.x"), covariance, np.full(2, NORMAL), np.array([noise]))
+        return result_of(self.ONE, doubt, np.array(readings)[:, None], np.zeros(len(readings))).standard[:, 0]
+
+    def test_level_and_30_degrees(self) -> None:
+        """Offset 0.3, sensitivity 0.5, reading 0.4 count: hypot(0.3, 0.4) / 819 near level."""
+        u = self.u(np.diag([0.3**2, 0.5**2]), [1024.0, 1024.0 + 819.0 / 2], noise=0.4)
+        assert u[0] == pytest.approx(degrees(0.5 / 819.0), rel=1e-3)
+        assert u[1] == pytest.approx(degrees(np.hypot(0.5, 0.5 * 0.5) / 819.0 / cos(radians(30))), rel=1e-3)
+
+    def test_correlations_count(self) -> None:
+        """Offset and sensitivity that err together cancel where the reading is below level."""
+        u = self.u(0.01 * np.ones((2, 2)), [1024.0 - 819.0 / 2, 1024.0 + 819.0 / 2])
+        assert u[0] == pytest.approx(degrees(0.5 * 0.1 / 819.0 / cos(radians(30))), rel=1e-3)
+        assert u[1] == pytest.approx(degrees(1.5 * 0.1 / 819.0 / cos(radians(30))), rel=1e-3)
+
+    def test_a_coefficient_that_is_not_there_is_named(self) -> None:
+        doubt = UncertaintyInputs(("offset.q",), np.eye(1), np.full(1, NORMAL), np.zeros(1))
+        with pytest.raises(EstimateError, match=r"offset\.q"):
+            result_of(self.ONE, doubt, np.array([[0.1]]), np.zeros(1))
+
+    def test_a_mounting_of_one_channel_is_refused(self) -> None:
+        doubt = UncertaintyInputs(("mounting.turn.z",), np.eye(1), np.full(1, NORMAL), np.zeros(1))
+        with pytest.raises(EstimateError, match="x and y"):
+            result_of(self.ONE, doubt, np.array([[0.1]]), np.zeros(1))
+
+
+class TestEdges:
+    """Where a derivative says nothing, the interval still holds the truth."""
+
+    LEVELLING = Coefficients(AXES, AXES, np.zeros(3), 1000.0 * np.eye(3))
+
+    def noisy(self, gravity: list[float], count: int = 4000) -> AngleUncertainty:
+        """Readings of one attitude with 2 counts of noise, which is all that is uncertain."""
+        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
+        readings = 1000.0 * np.array(gravity) + np.random.default_rng(8).normal(0.0, 2.0, (count, 3))
+        return result_of(self.LEVELLING, doubt, readings, np.zeros(count))
+
+    @pytest.mark.parametrize("tilt", [70.0, 85.0, 88.0, 89.5, 90.0])
+    def test_a_tilt_towards_90(self, tilt: float) -> None:
+        found = self.noisy([np.sin(radians(tilt)), cos(radians(tilt)), 0.0])
+        known = np.isfinite(found.expanded[:, 0])
+        assert np.mean(known) >= 0.96  # 2.5 % are beyond ±1 by more than their interval
+        inside = np.abs(found.compensated.tilt[known, 0] - tilt) <= found.expanded[known, 0]
+        assert np.mean(inside) >= 0.94
+        assert np.all(found.expanded[known, 0] < 10.0)
+
+    def test_an_argument_beyond_its_own_interval_has_no_uncertainty(self) -> None:
+        """1.01 with 0.002 of noise contradicts the calibration: it says nothing of how far."""
+        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
+        found = result_of(self.LEVELLING, doubt, np.array([[1010.0, 0.0, 0.0], [1003.0, 0.0, 0.0]]), np.zeros(2))
+        assert found.compensated.tilt[:, 0].tolist() == [90.0, 90.0]
+        assert np.isnan(found.expanded[0, 0])
+        expected = 90.0 - degrees(asin(1.003 - NORMAL * 0.002))
+        assert found.expanded[1, 0] == pytest.approx(expected, rel=1e-3)
+        assert found.standard[1, 0] == pytest.approx(expected / NORMAL, rel=1e-3)
+
+    @pytest.mark.parametrize("gravity", [[0.0, 0.0, 1.0], [1e-3, 0.0, 1.0], [0.02, 0.01, 1.0], [0.0, 0.0, -1.0]])
+    def test_inclination_of_a_level_sensor(self, gravity: list[float]) -> None:
+        """It cannot be below zero, and errors across it only make it more."""
+        found = self.noisy(gravity)
+        truth = degrees(np.arctan2(np.hypot(gravity[0], gravity[1]), gravity[2]))
+        inside = np.abs(found.compensated.inclination - truth) <= found.expanded[:, 5]
+        assert 0.94 <= np.mean(inside) <= 0.99
+        level = self.noisy([0.0, 0.0, 1.0], 1).expanded[0, 5]
+        assert level < 4 * degrees(0.002)
+
+    def test_exactly_level(self) -> None:
+        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
+        found = result_of(self.LEVELLING, doubt, np.array([[0.0, 0.0, 1000.0], [1000.0, 0.0, 0.0]]), np.zeros(2))
+        assert found.expanded[0, 5] == pytest.approx(NORMAL * sqrt(2) * degrees(0.002), rel=1e-3)
+        assert found.expanded[1, 3] == pytest.approx(NORMAL * sqrt(2) * degrees(0.002), rel=1e-3)
+
+    def test_roll_of_a_sensor_on_its_head_is_anything(self) -> None:
+        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
+        found = result_of(self.LEVELLING, doubt, np.array([[1000.0, 0.0, 0.0]]), np.zeros(1))
+        assert found.expanded[0, 4] == 180.0
+        assert found.standard[0, 4] == pytest.approx(degrees(pi / sqrt(3)), rel=1e-3)
+
+    @pytest.mark.parametrize("tilt", [60.0, 80.0, 87.0, 90.0])
+    def test_the_hidden_third_towards_the_horizon(self, tilt: float) -> None:
+        """Mounted askew, both tilts lean on a g_z that x and y leave; it is never less certain than they make it."""
+        known = sensor(2, 3, mounting=TURNED)
+        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(2, 2.0))
+        own = np.array([[np.sin(radians(tilt)), 0.0, cos(radians(tilt))]])
+        truth = np.degrees(np.arcsin(mounting_matrix(TURNED) @ own[0]))[:2]
+        readings = known.predict(own) + np.random.default_rng(8).normal(0.0, 2.0, (4000, 2))
+        found = result_of(known, doubt, readings, np.zeros(4000))
+        inside = np.abs(found.compensated.tilt - truth) <= found.expanded
+        assert np.all(np.mean(inside, axis=0) >= 0.93)
+        assert np.nanmax(found.expanded) < 30.0
+
+
+class TestRows:
+    def test_what_has_no_angle_to_use_has_no_uncertainty(self) -> None:
+        known = sensor(2, 2, drift=1)
+        kernel = CompensationWithUncertainty(
+            Compensation(known, Limits(temperature=(0.0, 30.0), reading={"x": (0.0, 2047.0)})), known, doubt_of(known)
+        )
+        level = known.offset
+        readings = np.array([level, [np.nan, level[1]], [2047.0, level[1]], level, level])
+        found = kernel(readings, np.array([20.0, 20.0, 20.0, np.nan, 40.0]))
+        assert found.flag.tolist() == [1, 9, 4, 3, 3]
+        assert np.isfinite(found.standard).all(axis=1).tolist() == [True, False, False, False, True]
+        assert np.isfinite(found.expanded).all(axis=1).tolist() == [True, False, False, False, True]
+
+    def test_many_rows_give_what_each_gives_alone(self) -> None:
+        """Chunks and blocks have no seam."""
+        known = SENSORS["three channels, everything"]
+        doubt = doubt_of(known, factors=2.8)
+        readings, temperature = rows(known, 700)
+        readings, temperature = np.tile(readings, (60, 1)), np.tile(temperature, 60)
+        whole = result_of(known, doubt, readings, temperature)
+        alone = result_of(known, doubt, readings[:700], temperature[:700])
+        np.testing.assert_array_equal(whole.standard, np.tile(alone.standard, (60, 1)))
+        np.testing.assert_array_equal(whole.expanded, np.tile(alone.expanded, (60, 1)))
+
+    def test_the_compensated_columns_are_those_without(self) -> None:
+        known = SENSORS["two channels, everything"]
+        readings, temperature = rows(known)
+        plain = Compensation(known)(readings, temperature)
+        found = result_of(known, doubt_of(known), readings, temperature).compensated
+        np.testing.assert_array_equal(found.gravity, plain.gravity)
+        np.testing.assert_array_equal(found.tilt, plain.tilt)
+        np.testing.assert_array_equal(found.flag, plain.flag)
+
+
+class TestExpansion:
+    @pytest.mark.parametrize("dof", [1.0, 2.0, 5.0, 30.0, 1e4])
+    @pytest.mark.parametrize("known", [0.0, 0.3, 4.0])
+    def test_welch_and_satterthwaite(self, dof: float, known: float) -> None:
+        """GUM, eq. G.2b, with scipy's quantiles."""
+        stretched = (stats.t.ppf(0.975, dof) / NORMAL) ** 2
+        found = ExpandedUncertainty().factor(np.array([1.0]), np.array([stretched]), np.array([known]))
+        assert found[0] == pytest.approx(stats.t.ppf(0.975, dof * (1.0 + known) ** 2), rel=1e-3)
+
+    def test_what_is_narrowed_is_narrowed_alone(self) -> None:
+        found = ExpandedUncertainty().factor(np.array([1.0, 0.0]), np.array([0.64, 0.0]), np.array([1.0, 1.0]))
+        np.testing.assert_allclose(found, [NORMAL * sqrt(1.64 / 2.0), NORMAL], rtol=1e-9)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_forms_are_the_covariances_of_what_moves(shared: bool) -> None:
+    """Once with features that all outputs have, once with their own."""
+    rng = np.random.default_rng(2)
+    moves = rng.normal(size=(3, 5, 9))
+    if not shared:
+        moves *= np.kron(np.eye(3), np.ones(3))[:, None, :]
+    mixed = rng.normal(size=(5, 5))
+    covariance, lift, features = mixed @ mixed.T, rng.normal(size=(2, 3)), rng.normal(size=(9, 1000))
+    found = QuadraticForms([(moves, covariance)], lift)(features)[0]
+    jacobian = np.einsum("or,rkf,fn->okn", lift, moves, features)
+    expected = np.einsum("okn,kl,pln->opn", jacobian, covariance, jacobian)
+    np.testing.assert_allclose(found, expected[np.triu_indices(2)], rtol=1e-9, atol=1e-9)

@@ -1,0 +1,379 @@
+"""The compensation kernel against a calculation written separately, row by row, with nothing but ``math``."""
+
+from __future__ import annotations
+
+from math import asin, atan2, cos, degrees, hypot, inf, isfinite, nan, pi, radians, sin, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiltcal.core.closed_forms import first_order_compensation, tilt_from_channel
+from tiltcal.core.compensation import Compensated, Compensation
+from tiltcal.core.model import Array, Coefficients, Limits, Mounting, Thermal
+from tiltcal.errors import EstimateError
+
+OFFSET = (1024.6, 1021.9)
+TWO = ((818.2, 9.1), (-6.4, 820.7))
+TWO_OF_THREE = ((818.2, 9.1, -14.0), (-6.4, 820.7, 22.5))
+THREE = ((1333.0, 12.0, -7.0), (-9.0, 1341.0, 15.0), (4.0, -11.0, 1320.0))
+
+
+def coefficients(
+    sensitivity: tuple[tuple[float, ...], ...],
+    *,
+    offset: tuple[float, ...] | None = None,
+    thermal: Thermal | None = None,
+    mounting: Mounting | None = None,
+) -> Coefficients:
+    channels, axes = ("x", "y", "z")[: len(sensitivity)], ("x", "y", "z")[: len(sensitivity[0])]
+    zero = offset or (*OFFSET, -30.0)[: len(channels)]
+    return Coefficients(channels, axes, np.array(zero), np.array(sensitivity), thermal, mounting)
+
+
+def second_order(channels: int) -> Thermal:
+    drift = np.array([[0.21, -0.004], [-0.05, 0.002], [0.4, 0.003]])[:channels]
+    gain = np.array([[2e-4, -3e-6], [-1e-4, 1e-6], [5e-5, 2e-6]])[:channels]
+    return Thermal(24.0, (-40.0, 85.0), drift, gain)
+
+
+def directions(count: int, seed: int) -> Array:
+    vectors = np.random.default_rng(seed).normal(size=(count, 3))
+    unit: Array = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return unit
+
+
+def signals(row: Array, temperature: float, known: Coefficients) -> list[float]:
+    """v_i of one row, from the model as SPEC 3 writes it."""
+    result = []
+    for i, reading in enumerate(row.tolist()):
+        drift = gain = 0.0
+        if known.thermal is not None:
+            dt = temperature - known.thermal.reference
+            drift = sum(c * dt ** (k + 1) for k, c in enumerate(known.thermal.drift[i].tolist()))
+            gain = sum(c * dt ** (k + 1) for k, c in enumerate(known.thermal.gain[i].tolist()))
+        result.append((reading - float(known.offset[i]) - drift) / (1.0 + gain))
+    return result
+
+
+def cramer_2(s: Array, v: list[float]) -> tuple[float, float]:
+    (a, b), (c, d) = s.tolist()
+    det = a * d - b * c
+    return (v[0] * d - b * v[1]) / det, (a * v[1] - v[0] * c) / det
+
+
+def cramer_3(s: Array, v: list[float]) -> tuple[float, ...]:
+    def det(m: list[list[float]]) -> float:
+        (a, b, c), (d, e, f), (g, h, i) = m
+        return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+    m = s.tolist()
+    whole = det(m)
+    return tuple(det([[v[r] if c == k else m[r][c] for c in range(3)] for r in range(3)]) / whole for k in range(3))
+
+
+def hidden_by_bisection(s: Array, v: list[float], sign: float) -> tuple[float, float, float]:
+    """g of two channels with a z column: the g_z whose x and y leave exactly that g_z of the unit vector."""
+
+    def plane(g_z: float) -> tuple[float, float]:
+        return cramer_2(s[:, :2], [v[0] - float(s[0, 2]) * g_z, v[1] - float(s[1, 2]) * g_z])
+
+    def excess(size: float) -> float:
+        g_x, g_y = plane(sign * size)
+        return size - sqrt(max(0.0, 1.0 - g_x * g_x - g_y * g_y))
+
+    low, high = 0.0, 1.0
+    for _ in range(200):
+        middle = (low + high) / 2
+        low, high = (low, middle) if excess(middle) > 0 else (middle, high)
+    g_z = sign * (low + high) / 2
+    return (*plane(g_z), g_z)
+
+
+def document_matrix(m: Mounting) -> list[list[float]]:
+    r, p, y = m.roll, m.pitch, m.yaw
+    return [
+        [cos(y) * cos(p), sin(y) * cos(r) + cos(y) * sin(p) * sin(r), sin(y) * sin(r) - cos(y) * sin(p) * cos(r)],
+        [-sin(y) * cos(p), cos(y) * cos(r) - sin(y) * sin(p) * sin(r), cos(y) * sin(r) + sin(y) * sin(p) * cos(r)],
+        [sin(p), -cos(p) * sin(r), cos(p) * cos(r)],
+    ]
+
+
+class TestAgainstASeparateCalculation:
+    """20,000 rows with second-order temperature terms, to 1e-6 degrees."""
+
+    COUNT = 20_000
+
+    def measured(self, known: Coefficients, gravity: Array) -> tuple[Array, Array]:
+        temperature = np.random.default_rng(7).uniform(-40.0, 85.0, len(gravity))
+        return known.predict(gravity, temperature), temperature
+
+    def test_two_channels(self) -> None:
+        known = coefficients(TWO, thermal=second_order(2))
+        readings, temperature = self.measured(known, directions(self.COUNT, 1))
+        result = Compensation(known)(readings, temperature)
+        expected = [
+            [degrees(asin(g)) for g in cramer_2(known.sensitivity, signals(row, t, known))]
+            for row, t in zip(readings, temperature.tolist(), strict=True)
+        ]
+        np.testing.assert_allclose(result.tilt, expected, rtol=0, atol=1e-6)
+        assert (result.flag == 1).all()
+        assert result.pitch is None
+
+    def test_three_channels_with_a_mounting(self) -> None:
+        mounting = Mounting(radians(-170), radians(35), radians(100))
+        known = coefficients(THREE, thermal=second_order(3), mounting=mounting)
+        readings, temperature = self.measured(known, directions(self.COUNT, 2))
+        result = Compensation(known)(readings, temperature)
+        matrix = document_matrix(mounting)
+        expected = []
+        for row, t in zip(readings, temperature.tolist(), strict=True):
+            sensor = cramer_3(known.sensitivity, signals(row, t, known))
+            x, y, z = (sum(m * g for m, g in zip(line, sensor, strict=True)) for line in matrix)
+            tilts = [degrees(asin(max(-1.0, min(1.0, g)))) for g in (x, y, z)]
+            expected.append(
+                [*tilts, degrees(atan2(x, hypot(y, z))), degrees(atan2(y, z)), degrees(atan2(hypot(x, y), z))]
+            )
+        angles = (result.pitch, result.roll, result.inclination)
+        found = np.column_stack([result.tilt, *(angle for angle in angles if angle is not None)])
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+
+    @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["face up", "upside down"])
+    def test_two_channels_with_a_z_column_and_a_mounting(self, sign: float) -> None:
+        roll = 20.0 if sign > 0 else 200.0
+        mounting = Mounting(radians(roll), radians(-15), radians(30))
+        known = coefficients(TWO_OF_THREE, thermal=second_order(2), mounting=mounting)
+        gravity = directions(2_000, 3)
+        gravity[:, 2] = sign * np.abs(gravity[:, 2])
+        gravity = gravity[np.abs(gravity[:, 2]) > 0.05]
+        readings, temperature = self.measured(known, gravity)
+        result = Compensation(known)(readings, temperature)
+        matrix = document_matrix(mounting)
+        expected = []
+        for row, t in zip(readings, temperature.tolist(), strict=True):
+            sensor = hidden_by_bisection(known.sensitivity, signals(row, t, known), sign)
+            expected.append([degrees(asin(sum(m * g for m, g in zip(matrix[k], sensor, strict=True)))) for k in (0, 1)])
+        np.testing.assert_allclose(result.tilt, expected, rtol=0, atol=1e-6)
+        assert (result.flag == 1).all()
+
+    def test_first_order_is_eq_6_on_each_channel(self) -> None:
+        known = coefficients(TWO)
+        (xx, xy), (yx, yy) = TWO
+        readings = known.predict(directions(500, 4) * 0.9)
+        result = Compensation(known, first_order=True)(readings)
+        expected = []
+        for u_x, u_y in readings.tolist():
+            x = first_order_compensation(u_x, u_y, OFFSET[1], xy, yy)
+            y = first_order_compensation(u_y, u_x, OFFSET[0], yx, xx)
+            expected.append(
+                [degrees(tilt_from_channel(x, OFFSET[0], xx)), degrees(tilt_from_channel(y, OFFSET[1], yy))]
+            )
+        np.testing.assert_allclose(result.tilt, expected, rtol=0, atol=1e-9)
+
+
+@given(
+    g_x=st.floats(-0.7, 0.7),
+    g_y=st.floats(-0.7, 0.7),
+    temperature=st.floats(-40, 85),
+    roll=st.floats(-1.5, 1.5),
+    pitch=st.floats(-1.5, 1.5),
+)
+def test_the_kernel_undoes_the_model(g_x: float, g_y: float, temperature: float, roll: float, pitch: float) -> None:
+    known = coefficients(TWO_OF_THREE, thermal=second_order(2), mounting=Mounting(roll, pitch, 0.3))
+    gravity = np.array([[g_x, g_y, sqrt(1 - g_x * g_x - g_y * g_y)]])
+    t = np.array([temperature])
+    result = Compensation(known)(known.predict(gravity, t), t)
+    expected = gravity @ np.array(document_matrix(Mounting(roll, pitch, 0.3))).T
+    np.testing.assert_allclose(result.gravity, expected[:, :2], rtol=0, atol=1e-11)
+
+
+class TestFlags:
+    """SPEC 10, one rule after the other. The sensor reads 1000 per g around 0."""
+
+    PLAIN = coefficients(((1000.0, 0.0), (0.0, 1000.0)), offset=(0.0, 0.0))
+
+    def judged(
+        self,
+        readings: list[list[float]],
+        temperature: list[float] | None = None,
+        *,
+        known: Coefficients | None = None,
+        limits: Limits | None = None,
+    ) -> Compensated:
+        return Compensation(known or self.PLAIN, limits)(np.array(readings), temperature)
+
+    def verdicts(self, result: Compensated) -> list[tuple[int, int]]:
+        return list(zip(result.flag.tolist(), result.reason.tolist(), strict=True))
+
+    @pytest.mark.parametrize(
+        ("reading", "tilt", "verdict"),
+        [
+            (500.0, 30.0, (1, 0)),
+            (1000.0, 90.0, (1, 0)),
+            (-1000.0, -90.0, (1, 0)),
+            (1000.001, 90.0, (3, 1)),
+            (-1010.0, -90.0, (3, 1)),
+            (1020.0, 90.0, (3, 1)),
+            (1020.001, nan, (4, 1)),
+            (-5000.0, nan, (4, 1)),
+        ],
+    )
+    def test_the_arcsine_is_trapped(self, reading: float, tilt: float, verdict: tuple[int, int]) -> None:
+        result = self.judged([[reading, 0.0]])
+        assert result.tilt[0].tolist() == pytest.approx([tilt, 0.0], abs=1e-12, nan_ok=True)
+        assert self.verdicts(result) == [verdict]
+
+    @pytest.mark.parametrize("sensitivity", [49.0, 818.2, 0.1, 9.77673])
+    def test_a_reading_of_exactly_one_g_passes_whatever_the_sensitivity(self, sensitivity: float) -> None:
+        known = coefficients(((sensitivity,),), offset=(0.3,))
+        result = self.judged([[0.3 + sensitivity], [0.3 - sensitivity]], known=known)
+        assert self.verdicts(result) == [(1, 0), (1, 0)]
+        assert result.tilt[:, 0].tolist() == pytest.approx([90.0, -90.0], abs=2e-6)
+
+    @pytest.mark.parametrize("odd", [nan, inf, -inf])
+    def test_a_reading_that_is_no_number_makes_the_row_missing_and_nothing_else(self, odd: float) -> None:
+        limits = Limits(reading={"x": (-900.0, 900.0)}, temperature=(0.0, 10.0))
+        result = self.judged([[odd, 0.0], [0.0, odd], [0.0, 0.0]], [50.0, 5.0, 5.0], limits=limits)
+        assert self.verdicts(result) == [(9, 32), (9, 32), (1, 0)]
+        assert np.isnan(result.tilt[:2]).all()
+        assert np.isnan(result.gravity[:2]).all()
+
+    def test_temperature_outside_either_range(self) -> None:
+        thermal = Thermal(24.0, (5.5, 24.0), np.zeros((2, 1)), np.zeros((2, 1)))
+        known = coefficients(TWO, thermal=thermal)
+        rows = [list(OFFSET)] * 5
+        result = self.judged(rows, [5.5, 24.0, 5.4, 24.1, 20.0], known=known, limits=Limits(temperature=(5.0, 19.0)))
+        assert self.verdicts(result) == [(1, 0), (3, 2), (3, 2), (3, 2), (3, 2)]
+
+    @pytest.mark.parametrize("temperature", [None, [nan, nan], [inf, -inf]])
+    def test_without_temperature_the_reference_temperature_is_taken(self, temperature: list[float] | None) -> None:
+        known = coefficients(TWO, thermal=second_order(2))
+        readings = known.predict(np.array([[0.5, 0.0, 0.0], [0.0, -0.5, 0.0]]), np.array([24.0, 24.0]))
+        result = self.judged(readings.tolist(), temperature, known=known)
+        np.testing.assert_allclose(result.tilt, [[30.0, 0.0], [0.0, -30.0]], atol=1e-9)
+        assert self.verdicts(result) == [(3, 16), (3, 16)]
+
+    def test_a_calibration_without_temperature_terms_does_not_miss_the_temperature(self) -> None:
+        assert self.verdicts(self.judged([[0.0, 0.0]], [nan])) == [(1, 0)]
+
+    def test_a_reading_at_the_rail_fails_and_its_tilt_is_still_there(self) -> None:
+        result = self.judged(
+            [[-800.0, 0.0], [800.0, 0.0], [900.0, 0.0], [799.0, 0.0]], limits=Limits(reading={"x": (-800.0, 800.0)})
+        )
+        assert self.verdicts(result) == [(4, 4), (4, 4), (4, 4), (1, 0)]
+        assert result.tilt[0, 0] == pytest.approx(degrees(asin(-0.8)))
+
+    def test_a_tilt_outside_the_calibrated_range(self) -> None:
+        limits = Limits(tilt={"x": (radians(-30), radians(45)), "y": (-pi / 2, pi / 2)})
+        edge = 1000.0 * sin(radians(45))
+        result = self.judged([[edge, 0.0], [edge + 0.001, 0.0], [-500.001, 0.0], [0.0, 1010.0]], limits=limits)
+        assert self.verdicts(result) == [(1, 0), (3, 8), (3, 8), (3, 1)]
+
+    def test_the_calibrated_range_is_that_of_the_sensors_own_axes(self) -> None:
+        """Turned by 90° about z, the sensor's x axis is the application's -y axis; its range goes with it."""
+        known = coefficients(((1000.0, 0.0), (0.0, 1000.0)), offset=(0.0, 0.0), mounting=Mounting(yaw=pi / 2))
+        result = self.judged([[600.0, 0.0], [0.0, 600.0]], known=known, limits=Limits(tilt={"x": (-0.5, 0.5)}))
+        assert self.verdicts(result) == [(3, 8), (1, 0)]
+
+    def test_reasons_add_up_and_the_worst_flag_stays(self) -> None:
+        thermal = Thermal(24.0, (5.5, 24.0), np.zeros((2, 1)), np.zeros((2, 1)))
+        known = coefficients(((1000.0, 0.0), (0.0, 1000.0)), offset=(0.0, 0.0), thermal=thermal)
+        limits = Limits(tilt={"x": (-1.0, 1.0)}, reading={"y": (-500.0, 500.0)})
+        result = self.judged(
+            [[1010.0, 600.0], [1010.0, 0.0], [0.0, 500.0]], [30.0, 30.0, nan], known=known, limits=limits
+        )
+        assert self.verdicts(result) == [(4, 1 + 2 + 4 + 8), (3, 1 + 2 + 8), (4, 4 + 16)]
+
+    def test_two_tilts_that_no_direction_has_are_flagged_where_g_z_is_needed(self) -> None:
+        turned = coefficients(((1000.0, 0.0), (0.0, 1000.0)), offset=(0.0, 0.0), mounting=Mounting(roll=0.1))
+        result = self.judged([[800.0, 800.0], [600.0, 0.0]], known=turned)
+        assert self.verdicts(result) == [(3, 1), (1, 0)]
+        assert result.gravity[0] == pytest.approx([0.8, 0.8 * cos(0.1)])
+        assert self.verdicts(self.judged([[800.0, 800.0]])) == [(1, 0)]
+
+    def test_no_number_is_ever_silent(self) -> None:
+        """A gain of -1 divides by zero; the row must not pass."""
+        thermal = Thermal(0.0, None, np.zeros((2, 1)), np.array([[-1.0], [0.0]]))
+        known = coefficients(((1000.0, 0.0), (0.0, 1000.0)), offset=(0.0, 0.0), thermal=thermal)
+        result = self.judged([[0.0, 0.0], [10.0, 0.0]], [1.0, 1.0], known=known)
+        assert result.flag.tolist() == [4, 4]
+
+
+class TestShape:
+    def test_results_do_not_depend_on_where_a_chunk_ends(self) -> None:
+        known = coefficients(TWO, thermal=second_order(2))
+        readings = known.predict(directions(70_001, 5), np.full(70_001, 30.0))
+        kernel = Compensation(known)
+        whole = kernel(readings, np.full(70_001, 30.0))
+        tail = kernel(readings[60_000:], np.full(10_001, 30.0))
+        np.testing.assert_array_equal(whole.tilt[60_000:], tail.tilt)
+
+    def test_the_input_is_left_alone(self) -> None:
+        known = coefficients(TWO, thermal=second_order(2))
+        readings, temperature = np.full((3, 2), 1100.0), np.array([20.0, nan, 30.0])
+        Compensation(known)(readings, temperature)
+        assert (readings == 1100.0).all()
+        assert temperature.tolist() == pytest.approx([20.0, nan, 30.0], nan_ok=True)
+
+    def test_memory_can_be_used_again(self) -> None:
+        known = coefficients(THREE)
+        kernel = Compensation(known)
+        room = Compensated.empty(5, 3)
+        kernel(np.full((5, 3), nan), out=room)
+        readings = known.predict(directions(5, 6))
+        assert kernel(readings, out=room) is room
+        for name, column in kernel.table(kernel(readings)).items():
+            np.testing.assert_array_equal(kernel.table(room)[name], column)
+        with pytest.raises(ValueError, match="out has shape"):
+            kernel(readings[:4], out=room)
+
+    def test_no_rows_give_no_rows(self) -> None:
+        assert Compensation(coefficients(THREE))(np.empty((0, 3))).tilt.shape == (0, 3)
+
+    def test_the_columns_carry_the_axes(self) -> None:
+        two, three = Compensation(coefficients(TWO_OF_THREE)), Compensation(coefficients(THREE))
+        assert two.columns == ("g_x", "g_y", "tilt_x", "tilt_y", "flag", "reason")
+        assert three.columns[6:] == ("pitch", "roll", "inclination", "flag", "reason")
+        table = three.table(three(np.zeros((2, 3))))
+        assert tuple(table) == three.columns
+        assert all(len(column) == 2 for column in table.values())
+
+    def test_channels_and_axes_may_come_in_any_order(self) -> None:
+        swapped = Coefficients(("y", "x"), ("y", "x"), np.array([2.0, 1.0]), np.array([[20.0, 0.1], [0.2, 10.0]]))
+        straight = Coefficients(("x", "y"), ("x", "y"), np.array([1.0, 2.0]), np.array([[10.0, 0.2], [0.1, 20.0]]))
+        np.testing.assert_allclose(
+            Compensation(swapped)(np.array([[7.0, 3.0]])).tilt, Compensation(straight)(np.array([[3.0, 7.0]])).tilt
+        )
+
+    @pytest.mark.parametrize(
+        ("known", "said"),
+        [
+            (coefficients(((1.0, 2.0), (2.0, 4.0))), "singular"),
+            (coefficients(((1.0, 0.0, 0.1),)), "1 channel .* 3 axes"),
+            (coefficients(((1.0,),), mounting=Mounting(roll=0.1)), "mounting"),
+        ],
+    )
+    def test_what_cannot_be_turned_round_is_refused(self, known: Coefficients, said: str) -> None:
+        with pytest.raises(EstimateError, match=said):
+            Compensation(known)
+
+    def test_first_order_is_for_two_channels(self) -> None:
+        with pytest.raises(EstimateError, match="two channels"):
+            Compensation(coefficients(THREE), first_order=True)
+
+    @pytest.mark.parametrize(("readings", "temperature"), [(np.zeros((4, 3)), None), (np.zeros((4, 2)), np.zeros(3))])
+    def test_shapes_that_do_not_fit_are_refused(self, readings: Array, temperature: Array | None) -> None:
+        with pytest.raises(ValueError, match="shape"):
+            Compensation(coefficients(TWO))(readings, temperature)
+
+
+@given(st.lists(st.lists(st.floats(width=64), min_size=2, max_size=2), min_size=1, max_size=20), st.floats())
+def test_any_reading_gives_a_flag_and_a_pass_gives_numbers(rows: list[list[float]], temperature: float) -> None:
+    known = coefficients(TWO_OF_THREE, thermal=second_order(2), mounting=Mounting(0.1, 0.2, 0.3))
+    result = Compensation(known)(np.array(rows), np.full(len(rows), temperature))
+    assert set(result.flag.tolist()) <= {1, 3, 4, 9}
+    assert ((result.flag == 1) == (result.reason == 0)).all()
+    passed = result.flag <= 3
+    assert np.isfinite(result.tilt[passed]).all()
+    assert [flag == 9 for flag in result.flag.tolist()] == [not all(map(isfinite, row)) for row in rows]

@@ -1,0 +1,73 @@
+"""What a log comes to, block by block, is what all its rows at once come to."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tiltcal.core.overview import STEP, STRETCHES, ColumnStatistics
+
+
+def overview_of(
+    time: np.ndarray, angles: np.ndarray, flag: np.ndarray, reason: np.ndarray, cuts: list[int]
+) -> ColumnStatistics:
+    """Of rows that come in blocks."""
+    found = ColumnStatistics([f"tilt_{k}" for k in range(angles.shape[1])])
+    edges = [0, *sorted(cuts), len(time)]
+    for low, high in pairwise(edges):
+        block = slice(low, high)
+        found.add(time[block], angles[block], flag[block], reason[block])
+    return found
+
+
+@given(st.integers(1, 9000), st.lists(st.integers(0, 9000), max_size=6), st.integers(0, 2**32 - 1))
+@settings(max_examples=40)
+def test_envelopes_and_flags_in_any_blocks(rows: int, cuts: list[int], seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    time, angles = np.cumsum(draw.uniform(0.1, 2.0, rows)), draw.uniform(-90.0, 90.0, (rows, 2))
+    angles[draw.random((rows, 2)) < 0.2] = np.nan
+    flag = draw.choice(np.array([1, 3, 4, 9], np.uint8), rows)
+    reason = draw.integers(0, 64, rows).astype(np.uint8)
+    found = overview_of(time, angles, flag, reason, [min(cut, rows) for cut in cuts])
+    count = len(found.time)
+    assert found.rows == rows
+    assert min(rows, STRETCHES) <= count <= 2 * STRETCHES
+    length = next(2**k for k in range(20) if -(-rows // 2**k) == count)
+    for k in range(count):
+        stretch = slice(k * length, (k + 1) * length)
+        for column in range(2):
+            known = angles[stretch, column][np.isfinite(angles[stretch, column])]
+            assert np.array_equal(found.low[k, column], known.min() if len(known) else np.nan, equal_nan=True)
+            assert np.array_equal(found.high[k, column], known.max() if len(known) else np.nan, equal_nan=True)
+        assert found.time[k] == time[stretch][0]
+        assert found.flagged[k] == pytest.approx([np.mean(flag[stretch] == 3), np.mean(flag[stretch] >= 4)])
+    assert [found.flags[value] for value in (1, 3, 4, 9)] == [int(np.sum(flag == value)) for value in (1, 3, 4, 9)]
+    assert found.reasons[8] == np.count_nonzero(reason & 8)
+    assert found.mean == pytest.approx(np.nanmean(angles, axis=0) if rows > 50 else found.mean, nan_ok=True)
+
+
+@given(st.integers(1, 500), st.integers(1, 60), st.integers(0, 2**32 - 1))
+@settings(max_examples=40)
+def test_histograms_hold_every_angle(rows: int, bins: int, seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    angles = draw.normal(draw.uniform(-60.0, 60.0), draw.uniform(0.01, 30.0), (rows, 1)).clip(-180.0, 180.0)
+    none = np.zeros(rows, np.uint8)
+    ((edges, counts),) = overview_of(np.arange(float(rows)), angles, none + 1, none, []).histogram(bins)
+    assert len(counts) <= bins
+    assert counts.sum() == rows
+    assert edges[0] - STEP <= angles.min() <= angles.max() <= edges[-1] + STEP
+    # A value may fall to either side of an edge, by half a step of the counting.
+    inner = [np.count_nonzero((angles > low + STEP) & (angles < high - STEP)) for low, high in pairwise(edges)]
+    outer = [np.count_nonzero((angles > low - STEP) & (angles < high + STEP)) for low, high in pairwise(edges)]
+    assert all(least <= count <= most for least, count, most in zip(inner, counts, outer, strict=True))
+
+
+def test_no_rows_at_all() -> None:
+    empty = overview_of(np.zeros(0), np.zeros((0, 1)), np.zeros(0, np.uint8), np.zeros(0, np.uint8), [])
+    assert empty.rows == 0
+    assert len(empty.time) == 0
+    assert len(empty.histogram(10)[0][1]) == 0

@@ -1,0 +1,168 @@
+"""Logic analyser captures: files of sigrok-cli, of pyvcd's writer and by hand, read to the right duty cycle."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus import open_link
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import VirtualClock
+from tiltcal.drivers.bus.edges import Edge, unpack_edges
+from tiltcal.drivers.device import Sensor
+from tiltcal.errors import BusError, HardwareError, UsageError
+
+pytest.importorskip("vcd", reason="the pyvcd package is not installed")
+
+ADXL202 = find_model("adxl202").at(parse_address("vcd:capture.vcd?x=D0&y=D1"))
+
+HAND_WRITTEN = """$date today $end
+$timescale 10 us $end
+$scope module top $end
+$var wire 1 ! D0 $end
+$var wire 1 " D1 $end
+$var wire 8 # bus $end
+$upscope $end
+$enddefinitions $end
+$dumpvars 0! x" b0 # $end
+#0 1! 0"
+#50 0!
+#52 1" b101 #
+#60 0"
+#100 1!
+"""
+
+
+def opened(path: Path, x: str = "D0", y: str = "D1"):
+    return open_link(parse_address(f"vcd:{path}?x={x}&y={y}"), ADXL202)
+
+
+@contextmanager
+def sensor(path: Path, x: str, y: str) -> Iterator[Sensor]:
+    with closing(opened(path, x, y)) as link:
+        yield ADXL202.driver(link, VirtualClock())
+
+
+def pwm(periods: int, period: int, x: int, y: int) -> bytes:
+    """Samples of two lines, one byte each, bit 0 for x and bit 1 for y; the pulses rise together."""
+    return bytes((place < x) | (place < y) << 1 for place in range(period)) * periods
+
+
+@pytest.fixture
+def hand_written(tmp_path: Path) -> Path:
+    path = tmp_path / "capture.vcd"
+    path.write_text(HAND_WRITTEN)
+    return path
+
+
+def test_changes_are_edges_at_their_times_and_first_values_are_not(hand_written: Path) -> None:
+    link = opened(hand_written)
+    assert list(unpack_edges(link.exchange(b"", 4096))) == [
+        Edge(0, 0, True, 1),
+        Edge(500_000, 0, False, 2),
+        Edge(520_000, 1, True, 3),
+        Edge(600_000, 1, False, 4),
+        Edge(1_000_000, 0, True, 5),
+    ]
+    with pytest.raises(BusError, match="the capture is at its end"):
+        link.exchange(b"", 4096)
+    link.close()
+    link.close()
+
+
+@pytest.mark.skipif(shutil.which("sigrok-cli") is None, reason="sigrok-cli is not installed")
+@pytest.mark.parametrize("rate", [1_000_000, 8_000_000])
+def test_a_file_of_sigrok_gives_the_duty_cycle_that_was_generated(tmp_path: Path, rate: int) -> None:
+    samples, capture = tmp_path / "pwm.bin", tmp_path / "capture.vcd"
+    samples.write_bytes(pwm(20, 4000, 2250, 1500))
+    source = ["-i", samples, "-I", f"binary:numchannels=2:samplerate={rate}"]
+    with capture.open("wb") as output:
+        subprocess.run(["sigrok-cli", *source, "-O", "vcd"], check=True, stdout=output)
+    with sensor(capture, "0", "1") as driver:
+        readings = [driver.read().values for _ in range(18)]
+        link_statistics = driver.link_statistics()
+    with sensor(capture, "0", "1") as driver:
+        said = driver.probe()
+
+    assert readings == [(0.5625, 0.375)] * 18
+    assert link_statistics["lost edges"] == 0
+    assert said["period"] == f"{4000 / rate * 1e3:g} ms"
+
+
+def test_a_file_of_another_writer_with_scopes_and_picoseconds(tmp_path: Path) -> None:
+    from vcd import VCDWriter
+
+    text = io.StringIO()
+    with VCDWriter(text, timescale="100 ps", date="today") as writer:
+        x, y = (writer.register_var(scope, "out", "wire", size=1, init=0) for scope in ("board.x", "board.y"))
+        for period in range(4):
+            # Centred pulses of 1 ms: 0.6 and 0.2.
+            for part, variable, value in ((2, x, 1), (4, y, 1), (6, y, 0), (8, x, 0)):
+                writer.change(variable, period * 10_000_000 + part * 1_000_000, value)
+    path = tmp_path / "two.vcd"
+    path.write_text(text.getvalue())
+
+    with sensor(path, "x.out", "y.out") as driver:
+        assert driver.read().values == pytest.approx((0.6, 0.2))
+    with pytest.raises(BusError, match=r"'out' is in several scopes: name one of board\.x\.out, board\.y\.out"):
+        opened(path, "out", "y.out")
+
+
+def test_a_capture_that_is_written_anew_is_read_from_its_start(hand_written: Path) -> None:
+    link = opened(hand_written)
+    link.exchange(b"", 4096)
+    link.exchange(b"", 0)
+    with pytest.raises(BusError, match="at its end"):
+        link.exchange(b"", 4096)
+
+    replacement = hand_written.with_suffix(".new")
+    replacement.write_text(HAND_WRITTEN.replace("#100 1!", "#200 1!"))
+    os.replace(replacement, hand_written)
+    link.exchange(b"", 0)
+    *_, last = unpack_edges(link.exchange(b"", 4096))
+    assert last == Edge(2_000_000, 0, True, 5)
+    link.close()
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("time,x,y\n1,2,3\n", "no value change dump"),
+        ("$timescale 1 ns $end $scope module m $end", "header does not end"),
+        (HAND_WRITTEN.replace("D1", "CLK"), r"no signal is called 'D1' \(it has D0, CLK\)"),
+        ("", "no value change dump"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, why: str) -> None:
+    path = tmp_path / "capture.vcd"
+    path.write_text(text)
+    with pytest.raises(BusError, match=why):
+        opened(path)
+
+
+def test_damage_in_the_middle_is_an_error(hand_written: Path) -> None:
+    hand_written.write_text(HAND_WRITTEN.replace("#60", "&&&"))
+    with closing(opened(hand_written)) as link, pytest.raises(BusError, match="damaged"):
+        link.exchange(b"", 4096)
+
+
+def test_no_such_file_and_wrong_options(tmp_path: Path) -> None:
+    with pytest.raises(BusError, match=r"gone\.vcd cannot be read \(No such file"):
+        opened(tmp_path / "gone.vcd")
+    with pytest.raises(UsageError, match="both signal 'D0'"):
+        opened(tmp_path / "gone.vcd", "D0", "D0")
+
+
+def test_without_pyvcd_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, hand_written: Path) -> None:
+    monkeypatch.setitem(sys.modules, "vcd.reader", None)
+    with pytest.raises(HardwareError, match=r"pip install 'tiltcal\[vcd\]'"):
+        opened(hand_written)

@@ -1,0 +1,173 @@
+"""The JSON Schemas that editors use say what the readers say: a good file passes both, a bad one neither."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+from support import ROOT
+from support.command import tiltcal
+
+from tiltcal.cli.check import KINDS
+from tiltcal.errors import InputError
+from tiltcal.files.bench import read_bench
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.document import read_document
+from tiltcal.files.pair import read_pair
+from tiltcal.files.procedure import read_procedure
+from tiltcal.files.twin import read_twin
+
+READERS = {
+    "tilt": read_calibration,
+    "pair": read_pair,
+    "procedure": read_procedure,
+    "bench": read_bench,
+    "twin": read_twin,
+}
+
+SECTIONS = ("sensor", "calibration", "spin", "rotation", "truth", "soak")
+
+BENCH = """\
+tiltcal: 1
+kind: bench
+operator: A. Technician
+jig: 0.05
+thermometer: {model: thermistor, address: "sim:", uncertainty: 0.1}
+sensors:
+  - {serial: A-1, model: sca100t-d02, address: "sim:", axes: [-y, x]}
+"""
+
+
+def schema(kind: str) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads((files("tiltcal.files") / "schemas" / f"{kind}.json").read_text("utf-8"))
+    return loaded
+
+
+def accepted(kind: str, content: Any) -> bool:
+    return Draft202012Validator(schema(kind)).is_valid(content)
+
+
+def complaint(kind: str, path: Path) -> str:
+    """What the reader says against a file; nothing where it takes it."""
+    try:
+        READERS[kind](path)
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+def good_files() -> list[Path]:
+    return sorted([*ROOT.glob("procedures/*.yaml"), *ROOT.glob("fixtures/*.yaml"), *ROOT.glob("fixtures/twins/*.yaml")])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_is_a_schema(kind: str) -> None:
+    Draft202012Validator.check_schema(schema(kind))
+
+
+@pytest.mark.parametrize("path", good_files(), ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_every_file_of_ours_passes(path: Path) -> None:
+    content = read_document(path).plain()
+    errors = [error.message for error in Draft202012Validator(schema(content["kind"])).iter_errors(content)]
+    assert not errors
+
+
+def mapping_paths(node: dict[str, Any], root: dict[str, Any], lead: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Where a schema says of a mapping which keys it may have; list items count as the first one."""
+    node = root["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
+    found = [lead] if node.get("additionalProperties") is False else []
+    for key, value in node.get("properties", {}).items():
+        found += mapping_paths(value, root, (*lead, key)) if isinstance(value, dict) else []
+    if "items" in node:
+        found += mapping_paths(node["items"], root, (*lead, 0))
+    for choice in node.get("anyOf", []):
+        found += mapping_paths(choice, root, lead)
+    return found
+
+
+def reached(content: Any, path: tuple[Any, ...]) -> dict[str, Any] | None:
+    """The mapping at a path, where the file has it."""
+    for step in path:
+        if isinstance(step, int):
+            content = content[step] if isinstance(content, list) and content else None
+        else:
+            content = content.get(step) if isinstance(content, dict) else None
+        if content is None:
+            return None
+    return content if isinstance(content, dict) else None
+
+
+@pytest.mark.parametrize("path", good_files(), ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_an_unknown_key_is_refused_by_both_wherever_it_stands(path: Path, tmp_path: Path) -> None:
+    kind = read_document(path).plain()["kind"]
+    tried = 0
+    for place in mapping_paths(schema(kind), schema(kind)):
+        content = read_document(path).plain()
+        target = reached(content, place)
+        if target is None:
+            continue
+        target["colour"] = 1
+        tried += 1
+        assert not accepted(kind, content), place
+        (tmp_path / "bad.yaml").write_text(json.dumps(content), encoding="utf-8")
+        with pytest.raises(InputError):
+            READERS[kind](tmp_path / "bad.yaml")
+    assert tried
+
+
+@pytest.mark.parametrize("path", good_files(), ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_a_key_that_is_needed_is_needed_by_both(path: Path, tmp_path: Path) -> None:
+    whole = read_document(path).plain()
+    kind = whole["kind"]
+    inner = [(name, key) for name in SECTIONS if isinstance(whole.get(name), dict) for key in whole[name]]
+    for *lead, last in [*((key,) for key in whole), *inner]:
+        content = read_document(path).plain()
+        del (content[lead[0]] if lead else content)[last]
+        (tmp_path / "less.yaml").write_text(json.dumps(content), encoding="utf-8")
+        told = complaint(kind, tmp_path / "less.yaml")
+        # What hangs on another key's value no schema says.
+        if not told or "missing" in told:
+            assert accepted(kind, content) == (not told), (*lead, last)
+
+
+def test_a_bench_passes_both(tmp_path: Path) -> None:
+    (tmp_path / "bench.yaml").write_text(BENCH)
+    assert accepted("bench", read_document(tmp_path / "bench.yaml").plain())
+    read_bench(tmp_path / "bench.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("jig: 0.05", "jig: -1"),
+        ("serial: A-1", "serial: ../A"),
+        ("axes: [-y, x]", "axes: [w, x]"),
+        ('address: "sim:", axes', 'adress: "sim:", axes'),
+        ("uncertainty: 0.1", "uncertainty: much"),
+        ("tiltcal: 1", "tiltcal: 2"),
+        ("kind: bench", "kind: bank"),
+    ],
+)
+def test_a_bad_bench_passes_neither(old: str, new: str, tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text(BENCH.replace(old, new))
+    assert not accepted("bench", read_document(path).plain())
+    with pytest.raises(InputError):
+        read_bench(path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_command_prints_it(kind: str) -> None:
+    result = tiltcal("check", "--schema", kind)
+    assert result.returncode == 0
+    assert json.loads(result.stdout) == schema(kind)
+
+
+def test_check_of_nothing_is_wrong_usage() -> None:
+    result = tiltcal("check")
+    assert result.returncode == 2
+    assert "--schema" in result.stderr

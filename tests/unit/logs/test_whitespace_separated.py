@@ -1,0 +1,151 @@
+"""Logs without a header: columns by number, fields parted by blanks."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiltcal.errors import InputError
+from tiltcal.logs.columns import locate_columns
+from tiltcal.logs.csv_log import CsvLog
+from tiltcal.logs.whitespace_separated import WhitespaceSeparated, blank_separated_names, numbered_columns
+
+
+def table(content: bytes, block: int = 1 << 20, skip_bad_rows: bool = False) -> list[tuple[float, ...]]:
+    """All numbers of a log, row by row."""
+    log = CsvLog(BytesIO(content), name="log.txt", block=block, skip_bad_rows=skip_bad_rows)
+    every = range(len(log.names))
+    return [row for rows in log.rows(every) for row in zip(*(rows.values[k].tolist() for k in every), strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("line", "columns"),
+    [
+        ("   2.9840000e-02   3.3108000e+04\n", ("1", "2")),
+        ("1.5,2,3\r\n", ("1", "2", "3")),
+        ("1.5, 2, 3", ("1", "2", "3")),
+        ("-1\t2", ("1", "2")),
+        ("7", ("1",)),
+        ("nan 2", ("1", "2")),
+        ("time,x,y", None),
+        ("x", None),
+        ("1,2,x", None),
+        ("", None),
+        # Programs that number columns which nobody named write such a header.
+        ("0,1,2", None),
+        ("1,2,3", None),
+        ("0,1,2.0", ("1", "2", "3")),
+    ],
+)
+def test_a_first_line_of_numbers_is_a_row(line: str, columns: tuple[str, ...] | None) -> None:
+    assert numbered_columns(line) == columns
+
+
+@pytest.mark.parametrize("block", [1, 2, 5, 1 << 20])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"1.5 2\n 3  4 \n5\t6\n",
+        b"  1.5   2\r\n3 4\r\n5 6\r\n",
+        b"1.5 2\n3 4\n5 6",
+        b"1.5,2\n3,4\n5,6\n",
+        b"\xef\xbb\xbf1.5 2\n3 4\n5 6\n\n\n",
+    ],
+)
+def test_the_first_row_is_no_header(content: bytes, block: int) -> None:
+    assert table(content, block) == [(1.5, 2.0), (3.0, 4.0), (5.0, 6.0)]
+
+
+@given(
+    rows=st.lists(st.lists(st.integers(-99, 99), min_size=3, max_size=3), min_size=1, max_size=20),
+    gaps=st.lists(st.sampled_from([" ", "\t", "   ", " \t "]), min_size=1, max_size=5),
+    block=st.integers(1, 40),
+)
+def test_blanks_are_commas(rows: list[list[int]], gaps: list[str], block: int) -> None:
+    text = "".join(
+        gaps[0] + gaps[number % len(gaps)].join(map(str, row)) + gaps[-1] + "\n" for number, row in enumerate(rows)
+    )
+    stream = WhitespaceSeparated(b"", BytesIO(text.encode()))
+    read = b"".join(iter(lambda: stream.read(block), b""))
+    assert read.decode() == "".join(",".join(map(str, row)) + "\n" for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"1.5 2\n\n3 4\n", "log.txt:2: the line is empty"),
+        (b"1.5 2\n3 4 5\n", "log.txt:2: the row has 3 fields"),
+        (b"1.5 2\n3 x\n", "log.txt:2: column '2': 'x' is no number"),
+        (b"1.5 2\n3 4.", "log.txt:2: the last row is cut short"),
+    ],
+)
+def test_bad_rows_are_named(content: bytes, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        table(content)
+    assert str(caught.value).startswith(said)
+
+
+def test_bad_rows_can_be_kept() -> None:
+    rows = table(b"1.5 2\nx 3\n4 5\n", skip_bad_rows=True)
+    assert [row for row in rows if row[0] == row[0]] == [(1.5, 2.0), (4.0, 5.0)]
+    assert len(rows) == 3
+
+
+@pytest.mark.parametrize("block", [1, 3, 1 << 20])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"time x\n1.5 2\n3 4\n",
+        b"# time x\r\n1.5 2\r\n3 4\r\n",
+        b"#time\tx\n1.5\t2\n3\t4\n",
+        b"  time   x  \n  1.5  2  \n 3 4",
+        b"\xef\xbb\xbftime x\n1.5 2\n3 4\n",
+    ],
+)
+def test_names_may_be_parted_by_blanks_too(content: bytes, block: int) -> None:
+    log = CsvLog(BytesIO(content), name="log.txt", block=block)
+    assert log.names == ("time", "x")
+    assert log.header == b"time,x"
+    values = np.concatenate([np.stack([rows.values[0], rows.values[1]], axis=1) for rows in log.rows([0, 1])])
+    assert values.tolist() == [[1.5, 2.0], [3.0, 4.0]]
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("Reading of x", "1.5"),
+        ("time x,y", "1 2,3"),
+        ("time x", "1,2"),
+        ("time", "1"),
+        ("date and time", "2026-11-21 08:36:25"),
+        ("time x", ""),
+    ],
+)
+def test_blanks_within_a_name_part_nothing(first: str, second: str) -> None:
+    assert blank_separated_names(first, second) is None
+
+
+def test_a_name_that_is_there_twice_is_refused_however_names_are_parted() -> None:
+    with pytest.raises(InputError, match="names column 'x' twice"):
+        CsvLog(BytesIO(b"x x\n1 2\n"), name="log.txt")
+
+
+def test_columns_are_told_by_number() -> None:
+    assert locate_columns(("1", "2", "3"), ("x", "y"), {"x": "3", "y": "1"}, file="log.txt") == {"x": 2, "y": 0}
+
+
+@pytest.mark.parametrize(
+    ("named", "said"),
+    [
+        ({}, "log.txt:1: the first line holds numbers: it must name the columns"),
+        ({"x": "4"}, "log.txt:1: there is no column 4; the log has 3 columns, called 1 to 3"),
+    ],
+)
+def test_a_wrong_number(named: dict[str, str], said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        locate_columns(("1", "2", "3"), ("x",), named, file="log.txt")
+    assert str(caught.value).startswith(said)

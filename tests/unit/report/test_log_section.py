@@ -1,0 +1,105 @@
+"""The part of a report about a log: what `apply` says of it, whichever way it comes in, and never too much ink."""
+
+from __future__ import annotations
+
+import json
+import re
+from math import sin
+from pathlib import Path
+
+import pytest
+from support import FIXTURES
+from support.html_page import Page
+
+from tiltcal.cli.main import run
+
+CALIBRATION = str(FIXTURES / "complete.yaml")
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """An hour with a plug that is loose for a while, a cold spell and a knock to the rail."""
+    rows = ["time,x,y,temperature"]
+    for k in range(3600):
+        x = "" if 1000 <= k < 1100 else f"{1024 + 300 * sin(k / 200):.0f}"
+        rows.append(f"{k},{'2047' if k == 2000 else x},{1020 + k % 7},{3.0 if k > 3000 else 20.0}")
+    path = tmp_path / "night.csv"
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+def report(*files: str | Path, output: Path) -> Page:
+    assert run(["report", *map(str, files), "-o", str(output)]) == 0
+    return Page(output.read_text(encoding="utf-8"))
+
+
+def shares(page: Page, heading: str) -> dict[str, tuple[int, float]]:
+    return {row[0]: (int(row[2].replace(" ", "")), float(row[3])) for row in page.below(heading)[1:]}
+
+
+def test_flags_are_those_that_apply_counts(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["apply", CALIBRATION, str(log), "-o", str(tmp_path / "tilt.csv"), "--json"]) == 0
+    applied = json.loads(capsys.readouterr().out)
+    found = shares(report(CALIBRATION, log, output=tmp_path / "r.html"), "Log night.csv")
+    expected = {f"Flag {flag}": count for flag, count in applied["flags"].items()}
+    expected |= {f"Reason {bit}": count for bit, count in applied["reasons"].items()}
+    assert {name: count for name, (count, _) in found.items()} == expected
+    assert found["Flag 9"] == (100, pytest.approx(100 * 100 / 3600, abs=6e-4))
+
+
+def test_a_log_that_is_compensated_already_says_the_same(log: Path, tmp_path: Path) -> None:
+    tilt = tmp_path / "tilt.csv"
+    assert run(["apply", CALIBRATION, str(log), "-o", str(tilt)]) == 0
+    page = report(CALIBRATION, log, tilt, output=tmp_path / "r.html")
+    assert shares(page, "Log night.csv") == shares(page, "Log tilt.csv")
+    said = [one.text for one in page.root.find("p") if "rows." in one.text]
+    assert "was applied to its readings" in said[0]
+    assert "as it stands in the log" in said[1]
+    angles = [[row[1:] for row in table] for table in tables(page, "Angle / °")]
+    assert angles[0] == angles[1]
+
+
+def tables(page: Page, first: str) -> list[list[list[str]]]:
+    found = [[[cell.text for cell in row.find("th", "td")] for row in t.find("tr")] for t in page.root.find("table")]
+    return [rows for rows in found if rows and rows[0][:1] == [first]]
+
+
+def test_other_names_of_columns_moments_and_bad_rows(tmp_path: Path) -> None:
+    path = tmp_path / "own.csv"
+    path.write_text(
+        "when,VoutX,VoutY,time\n2026-01-17T22:00:00,1024,1020,a\n2026-01-17T22:00:10,oops,1020,b\n", encoding="utf-8"
+    )
+    output = tmp_path / "r.html"
+    named = ["--columns", "x=VoutX,y=VoutY,time=when", "--skip-bad-rows"]
+    assert run(["report", CALIBRATION, str(path), "-o", str(output), *named]) == 0
+    text = output.read_text(encoding="utf-8")
+    assert shares(Page(text), "Log own.csv")["Flag 9"] == (1, 50.0)
+    assert "time from 2026-01-17 22:00:00 UTC [s]" in text
+
+
+def test_a_log_without_time_counts_its_rows(tmp_path: Path) -> None:
+    path = tmp_path / "rows.csv"
+    path.write_text("x,y,temperature\n" + "1030,1020,20\n" * 5, encoding="utf-8")
+    output = tmp_path / "r.html"
+    report(CALIBRATION, path, output=output)
+    assert re.search(r">row</text>", output.read_text(encoding="utf-8"))
+
+
+def test_the_page_does_not_grow_with_the_log(tmp_path: Path) -> None:
+    sizes = []
+    for rows in (20_000, 200_000):
+        path = tmp_path / f"{rows}.csv"
+        lines = "".join(f"{k},{1000 + k * 7919 % 50},{1020 + k * 104729 % 30},20\n" for k in range(rows))
+        path.write_text("time,x,y,temperature\n" + lines, encoding="utf-8")
+        output = tmp_path / f"{rows}.html"
+        report(CALIBRATION, path, output=output)
+        sizes.append(output.stat().st_size)
+    assert sizes[1] < 1.3 * sizes[0] < 600_000
+
+
+def test_a_name_with_markup_is_text(tmp_path: Path) -> None:
+    path = tmp_path / "<img src=x onerror=alert(1)>.csv"
+    path.write_text("x,y,temperature\n1030,1020,20\n", encoding="utf-8")
+    page = report(CALIBRATION, path, output=tmp_path / "r.html")
+    assert not page.root.find("img")
+    assert (2, "Log <img src=x onerror=alert(1)>.csv") in page.headings

@@ -1,0 +1,402 @@
+"""The page of a tilt calibration says what its file says, and is a page that anyone can read, print and keep."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from decimal import Decimal
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from support import FIXTURES
+from support.html_page import Page
+
+from tiltcal.cli.main import run
+from tiltcal.files.calibration import Calibration, read_calibration, write_calibration
+from tiltcal.report.provenance import FileFacts
+from tiltcal.report.tilt_page import certificate
+
+SOURCE = FileFacts("S.yaml", "0" * 64)
+
+
+def golden(name: str) -> Calibration:
+    return read_calibration(FIXTURES / f"{name}.yaml")
+
+
+def as_data(name: str) -> dict[str, Any]:
+    """A golden file, read by another reader than ours."""
+    data: dict[str, Any] = yaml.safe_load((FIXTURES / f"{name}.yaml").read_text(encoding="utf-8"))
+    return data
+
+
+def page_of(calibration: Calibration, **more: Any) -> Page:
+    return Page(certificate(calibration, SOURCE, **more))
+
+
+@cache
+def text_of(name: str) -> str:
+    """The page of a golden file."""
+    return certificate(golden(name), SOURCE)
+
+
+@pytest.fixture(scope="module")
+def complete() -> Page:
+    return Page(text_of("complete"))
+
+
+def number(text: str) -> Decimal:
+    return Decimal(text.replace("−", "-"))
+
+
+def read(text: str) -> tuple[Decimal, Decimal]:
+    """Value and standard uncertainty of ``1026.115(75)``."""
+    value, brackets = text.removesuffix(")").split("(")
+    return number(value), Decimal(int(brackets)).scaleb(number(value).as_tuple().exponent)  # type: ignore[arg-type]
+
+
+class TestCoefficients:
+    @pytest.mark.parametrize("name", ["complete", "multi-angle", "temperature-sweep", "free"])
+    def test_every_one_has_its_value_uncertainty_and_interval(self, name: str) -> None:
+        data, shown = as_data(name), Page(text_of(name))
+        rows = {
+            row.attributes["data-name"]: [cell.text for cell in row.find("td")]
+            for row in shown.root.find("tr")
+            if re.match("offset|sensitivity|temperature|nonlinearity", row.attributes.get("data-name", ""))
+        }
+        checked = 0
+        for dotted, value, u in coefficients(data):
+            _, told, _, half, factor = rows[dotted] if u else [*rows[dotted], *("",) * (5 - len(rows[dotted]))]
+            if not u:
+                assert number(told) == Decimal(repr(value)).normalize()
+                assert not half
+                continue
+            mean, bracket = read(told)
+            assert bracket == Decimal(f"{u:.1e}"), dotted
+            assert abs(mean - Decimal(repr(value))) * 2 <= Decimal(1).scaleb(bracket.adjusted() - 1), dotted
+            k = data["uncertainty"]["coverage_factor"][dotted]
+            assert Decimal(half) == Decimal(f"{k * u:.1e}")
+            assert float(factor) == pytest.approx(k, abs=0.00501)
+            checked += 1
+        assert checked == len(data["uncertainty"]["covariance"]["parameters"])
+        assert len(rows) >= checked
+
+    def test_the_points_of_a_column_are_below_each_other(self, complete: Page) -> None:
+        table = complete.root.find("table")[1]
+        spans = [row.find("td")[1].find("span") for row in table.find("tr")[1:]]
+        assert len({whole.attributes["style"] for whole, _ in spans}) == 1
+        assert all(rest.text.startswith(".") for _, rest in spans)
+
+
+def coefficients(data: dict[str, Any]) -> list[tuple[str, float, float]]:
+    """Name, value and uncertainty of all that the section ``calibration`` holds, but the mounting."""
+    section, u = data["calibration"], data["uncertainty"]
+    found = [(f"offset.{c}", v, u["offset"][c]) for c, v in section["offset"].items()]
+    for c, row in section["sensitivity"].items():
+        found += [(f"sensitivity.{c}.{axis}", v, u["sensitivity"][c][axis]) for axis, v in row.items()]
+    for c, row in section.get("nonlinearity", {}).items():
+        found += [(f"nonlinearity.{c}.{k}", v, u["nonlinearity"][c][k - 2]) for k, v in enumerate(row, start=2)]
+    for what in ("offset", "sensitivity"):
+        for c, row in section.get("temperature", {}).get(what, {}).items():
+            doubts = u["temperature"].get(what, {}).get(c, [0.0] * len(row))
+            found += [(f"temperature.{what}.{c}.{k + 1}", v, doubts[k]) for k, v in enumerate(row)]
+    return found
+
+
+class TestRecords:
+    def test_the_head_says_what_was_calibrated(self, complete: Page) -> None:
+        provenance = as_data("complete")["provenance"]
+        assert complete.headings[0] == (1, "sca100t-d02 SIM-42")
+        assert complete.facts["Serial number"] == "SIM-42"
+        assert complete.facts["Operator"] == provenance["operator"]
+        assert complete.facts["Software"] == provenance["software"]
+        assert complete.facts["Journal"] == provenance["journal"]["name"]
+        assert complete.facts["SHA-256 of the journal"] == provenance["journal"]["sha256"]
+        assert complete.facts["SHA-256 of the file"] == "0" * 64
+        assert complete.facts["Calibrated"] == "2000-01-01 00:00:00 UTC to 00:01:16 UTC"
+
+    def test_a_virtual_bench_is_marked(self, complete: Page) -> None:
+        notes = [one.text for one in complete.root.find("p") if one.attributes.get("role") == "note"]
+        assert notes == ["Made by the virtual bench: no real sensor was measured."]
+
+    def test_a_real_sensor_is_not(self) -> None:
+        known = golden("complete")
+        real = page_of(replace(known, provenance={**known.provenance, "made_by": "measurement"}))
+        assert not [one for one in real.root.find("p") if one.attributes.get("role") == "note"]
+        assert real.facts["Made by"] == "measurement"
+        assert "virtual" not in " ".join(one.text for one in real.root.find("li"))
+
+    def test_nothing_of_the_provenance_is_left_out(self) -> None:
+        known = golden("complete")
+        more = {**known.provenance, "link_statistics": {"sentences": 812, "damaged": 3}, "moon_phase": "waning"}
+        facts = page_of(replace(known, provenance=more)).facts
+        assert facts["Reception: damaged"] == "3"
+        assert facts["Moon phase"] == "waning"
+
+    def test_positions_are_there_as_they_were_set_and_measured(self, complete: Page) -> None:
+        data = as_data("complete")
+        rows = complete.below("Procedure and positions")[2:]
+        assert [row[0] for row in rows] == [one["position"] for one in data["positions"]]
+        assert [row[1] for row in rows][:3] == ["x 45°", "x −45°", "y 45°"]
+        assert rows[4][1] == "up (0, 0, −1)"
+        for row, record in zip(rows, data["positions"], strict=True):
+            for channel, cell in zip("xy", row[4:6], strict=True):
+                assert read(cell)[1] == Decimal(f"{record['u'][channel]:.1e}")
+            residual = data["fit"]["residuals"][record["position"]]
+            assert [float(number(cell)) for cell in row[6:]] == pytest.approx([residual["x"], residual["y"]], abs=6e-4)
+
+    def test_the_budget_has_the_shares_and_bars_of_their_lengths(self, complete: Page) -> None:
+        budget = as_data("complete")["fit"]["budget"]
+        table = next(one for one in complete.root.find("table") if "Share of the variance" in one.text)
+        head, *rows = table.find("tr")
+        sources = [cell.text.removesuffix(" / %").lower() for cell in head.find("th")[3:]]
+        shares = {row.find("th")[0].text: [cell.text for cell in row.find("td")[2:]] for row in rows}
+        stated = budget["sensitivity.x.z"]
+        assert shares["Sensitivity of x to z"] == [f"{100 * stated[s]:.1f}" if s in stated else "" for s in sources]
+        assert len(rows) == len(budget)
+        for row in rows:
+            bars = row.find("rect")
+            end = float(bars[-1].attributes["x"]) + float(bars[-1].attributes["width"])
+            assert end == pytest.approx(520.0, abs=2.0)  # the file leaves out shares that round to nothing
+
+    def test_derived_quantities(self, complete: Page) -> None:
+        derived = as_data("complete")["derived"]
+        rows = {row[0]: row[1:] for row in complete.below("Cross-axis error")}
+        value, u = read(rows["Cross-axis sensitivity of y"][0])
+        assert value == round(Decimal(repr(derived["cross_axis_percent"]["y"])), 3)
+        assert u == Decimal(f"{derived['uncertainty']['cross_axis_percent']['y']:.1e}")
+        assert rows["Misalignment of x"][1] == "°"
+
+    def test_mounting_and_intrinsic_parameters(self) -> None:
+        mounted, stated = Page(text_of("mounting")).below("Mounting"), as_data("mounting")
+        for row, angle in zip(mounted[1:], ("roll", "pitch", "yaw"), strict=True):
+            self.assert_told(row[1], stated["calibration"]["mounting"][angle], stated["uncertainty"]["mounting"][angle])
+        free, own = Page(text_of("free")), as_data("free")["derived"]["intrinsic"]
+        rows = {row[0]: row[1] for row in free.below("Intrinsic parameters")}
+        told = rows["Angle between x and z"]
+        self.assert_told(told, own["angle_degrees"]["xz"], own["uncertainty"]["angle_degrees"]["xz"])
+        assert any("undetermined" in one.text for one in free.root.find("p"))
+
+    @staticmethod
+    def assert_told(text: str, value: float, u: float) -> None:
+        mean, brackets = read(text)
+        assert brackets == Decimal(f"{u:.1e}")
+        assert abs(float(mean) - value) <= 0.06 * u
+
+    def test_notes_are_there_word_for_word(self) -> None:
+        notes = as_data("temperature-sweep")["fit"]["notes"]
+        items = [one.text for one in Page(text_of("temperature-sweep")).root.find("li")]
+        assert set(notes) <= set(items)
+        assert "assumed: sensitivity: nominal of the model" in items
+
+    def test_correlations_are_those_of_the_covariance(self, complete: Page) -> None:
+        matrix = as_data("complete")["uncertainty"]["covariance"]["matrix"]
+        expected = matrix[3][0] / (matrix[3][3] * matrix[0][0]) ** 0.5
+        rows = complete.below("Correlations")
+        assert rows[3][0] == "Sxz"
+        assert float(number(rows[3][1])) == pytest.approx(expected, abs=0.005)
+
+    def test_what_is_not_covered_is_said(self) -> None:
+        plane = " ".join(one.text for one in Page(text_of("plane")).root.find("li"))
+        for word in ("Temperature", "Non-linearity", "mounting", "Sensitivity to z", "virtual", "ageing"):
+            assert word in plane
+        bent = " ".join(one.text for one in Page(text_of("multi-angle")).root.find("li"))
+        assert "Non-linearity" not in bent
+        assert Page(text_of("plane")).facts["Tilt of x"] == "−30 to 30°"
+
+
+class TestVerdict:
+    def judged(self, **fit: Any) -> str:
+        known = golden("plane")
+        page = page_of(replace(known, fit={**known.fit, "degrees_of_freedom": 2, **fit}))
+        return " ".join(one.text for one in page.root.find("p"))
+
+    def test_positions_that_agree(self) -> None:
+        said = self.judged(chi_square=2.69, p_value=0.26)
+        assert "χ² is 2.69 with 2 degrees of freedom" in said
+        assert "The positions agree with the noise and the jig" in said
+
+    def test_positions_that_do_not_and_the_suspect(self) -> None:
+        suspects = {"x-tilt2": {"off_degrees": 0.512, "chi_square": 33.0}}
+        said = self.judged(chi_square=40.1, p_value=2e-9, suspect_positions=suspects)
+        assert "do not agree" in said
+        assert "0.000000002" in said
+        assert "Further off than stated: x-tilt2 (by 0.512°)." in said
+
+    def test_nothing_left_to_check_by(self) -> None:
+        assert "nothing checks them" in self.judged(degrees_of_freedom=0)
+
+
+class TestAnyFile:
+    """Only sensor and calibration are needed; records may hold anything."""
+
+    def test_a_file_written_by_hand(self, tmp_path: Path) -> None:
+        known = golden("plane")
+        bare = Calibration(known.sensor, known.coefficients)
+        page = page_of(bare)
+        assert page.headings[0][0] == 1
+        assert page.below("Coefficients")[1][2] == f"{known.coefficients.offset[0]:.6g}"
+
+    @pytest.mark.parametrize("odd", [3, "text", [1, 2], {"x": "y"}, None, {"x": {"y": float("1e300")}}])
+    def test_odd_records(self, odd: Any) -> None:
+        known = golden("temperature-sweep")
+        keys = ("residuals", "worst", "budget", "notes", "cross_validation", "hysteresis", "suspect_positions")
+        records = {
+            "fit": dict.fromkeys(keys, odd),
+            "derived": dict.fromkeys(("cross_axis_percent", "uncertainty", "intrinsic", "mounting", "assumed"), odd),
+            "procedure": dict.fromkeys(("name", "set", "mounting", "samples"), odd),
+            "positions": [{"position": odd, "mean": odd, "temperature": odd, "u": odd}],
+            "provenance": dict.fromkeys(("made_by", "operator", "bench", "journal", "started"), odd),
+        }
+        page_of(replace(known, **records))
+
+    def test_markup_in_a_file_is_text(self, tmp_path: Path) -> None:
+        nasty = '<script>alert("1")</script><img src=x onerror=alert(1)>'
+        known = golden("complete")
+        calibration = replace(
+            known,
+            sensor=replace(known.sensor, serial=nasty, model=nasty, unit=nasty),
+            fit={**known.fit, "notes": [nasty], "budget": {nasty: {nasty: 1.0}}, "residuals": {nasty: {"x": 1.0}}},
+            procedure={"name": nasty, "title": nasty, "set": {nasty: {nasty: nasty}}},
+            positions=[{"position": nasty, "mean": {"x": 1.0}, "n": nasty}],
+            provenance={"made_by": f"virtual {nasty}", nasty: nasty},
+        )
+        page = page_of(calibration)
+        assert not page.root.find("script", "img")
+        assert not [one for one in page.root.find("p", "td", "text", "svg", "rect") if "onerror" in one.attributes]
+        assert page.headings[0][1] == f"{nasty} {nasty}"
+        assert nasty in [one.text for one in page.root.find("li")]
+
+
+class TestPage:
+    @pytest.fixture(params=["complete", "free", "mounting", "temperature-sweep"])
+    def text(self, request: pytest.FixtureRequest) -> str:
+        return text_of(request.param)
+
+    def test_headings_are_in_order(self, text: str) -> None:
+        levels = [level for level, _ in Page(text).headings]
+        assert levels.count(1) == 1
+        assert levels[0] == 1
+        assert all(later <= earlier + 1 for earlier, later in pairwise(levels))
+
+    def test_it_is_said_in_a_language_and_has_a_title(self, text: str) -> None:
+        root = Page(text).root
+        assert root.find("html")[0].attributes["lang"] == "en"
+        assert "SIM-42" in root.find("title")[0].text
+
+    def test_every_figure_is_told_to_who_does_not_see_it(self, text: str) -> None:
+        figures = [one for figure in Page(text).root.find("figure") for one in figure.find("svg")]
+        assert figures
+        for figure in figures:
+            assert figure.attributes["role"] == "img"
+            named = {one.attributes["id"]: one.text for one in figure.find("title", "desc")}
+            assert all(named[name] for name in figure.attributes["aria-labelledby"].split())
+
+    def test_every_id_is_there_once_and_every_reference_leads_to_one(self, text: str) -> None:
+        ids = re.findall(r'\sid="([^"]*)"', text)
+        assert len(ids) == len(set(ids))
+        assert set(re.findall(r'(?:url\(#|xlink:href="#)([^")]*)', text)) <= set(ids)
+
+    def test_nothing_is_fetched_and_nothing_runs(self, text: str) -> None:
+        assert "://" not in text.replace("sim:", "")
+        assert "@import" not in text
+        assert not Page(text).root.find("script", "img", "iframe", "object", "embed", "video", "audio")
+        assert [one.attributes["href"] for one in Page(text).root.find("link")] == ["data:,"]
+
+
+class TestDrift:
+    def test_what_changed_is_named_and_marked(self, tmp_path: Path) -> None:
+        before = golden("plane")
+        offset = before.coefficients.offset + np.array([1.5, 0.0])
+        after = replace(before, coefficients=replace(before.coefficients, offset=offset))
+        page = page_of(after, earlier=[(before, "spring.yaml")])
+        rows = {row[0]: row for row in page.below("Change since earlier calibrations")}
+        u = as_data("plane")["uncertainty"]["offset"]["x"]
+        assert float(number(rows["Offset of x"][-1])) == pytest.approx(1.5 / (2.0**0.5 * u), abs=0.006)
+        assert read(rows["Offset of x"][4])[0] == Decimal("1.50")
+        assert read(rows["Offset of y"][4])[0] == 0
+        assert any(one.text.startswith("Changed: offset.x by more than") for one in page.root.find("p"))
+        marked = [row.find("th")[0].text for row in page.root.find("tr") if row.attributes.get("class") == "mark"]
+        assert marked == ["Offset of x"]
+
+
+class TestCommand:
+    @pytest.mark.parametrize("file", sorted(FIXTURES.glob("*.yaml")), ids=lambda path: path.stem)
+    def test_every_golden_file_has_its_page(self, file: Path, tmp_path: Path) -> None:
+        output = tmp_path / "report.html"
+        assert run(["report", str(file), "-o", str(output)]) == 0
+        text = output.read_text(encoding="utf-8")
+        assert Page(text).facts["Calibration file"] == file.name
+        assert "{" not in Page(text).root.find("main")[0].text
+
+    def test_it_writes_the_page(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        output = tmp_path / "report.html"
+        assert run(["report", str(FIXTURES / "plane.yaml"), "-o", str(output)]) == 0
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        assert captured.err == f"wrote {output}\n"
+        assert Page(output.read_text(encoding="utf-8")).facts["Calibration file"] == "plane.yaml"
+
+    def test_the_same_input_gives_the_same_bytes(self, tmp_path: Path) -> None:
+        pages = []
+        for seed in ("1", "2"):
+            output = tmp_path / f"{seed}.html"
+            command = [sys.executable, "-m", "tiltcal", "report", FIXTURES / "complete.yaml", "-o", output]
+            subprocess.run(command, check=True, env={"PYTHONHASHSEED": seed}, capture_output=True)
+            pages.append(output.read_bytes())
+        assert pages[0] == pages[1]
+
+    @pytest.mark.parametrize(("module", "name"), [("jinja2", "Jinja2"), ("matplotlib", "matplotlib")])
+    def test_without_the_extra_it_says_what_to_install(
+        self,
+        module: str,
+        name: str,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        monkeypatch.setitem(sys.modules, module, None)
+        output = tmp_path / "report.html"
+        assert run(["report", str(FIXTURES / "plane.yaml"), "-o", str(output)]) == 2
+        said = capsys.readouterr().err
+        assert said == f"tiltcal: a report needs {name}, which is not installed: pip install 'tiltcal[report]'\n"
+        assert not output.exists()
+
+    @pytest.mark.parametrize(
+        ("files", "why"),
+        [
+            (["log.csv"], "no calibration file is given"),
+            (["nothing.yaml"], "nothing.yaml"),
+            (["plane.yaml", "free.yaml"], "not two calibrations of one sensor"),
+            (["twins/mavs.yaml"], "kind"),
+            (["plane.yaml", "log.csv", "night.parquet"], "logs are CSV for now"),
+            (["plane.yaml", "log.csv"], "no column 'y'"),
+        ],
+    )
+    def test_what_is_refused(
+        self, files: list[str], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (tmp_path / "log.csv").write_text("time,x\n0,1024\n", encoding="utf-8")
+        output = tmp_path / "report.html"
+        output.write_text("as it was", encoding="utf-8")
+        paths = [str((FIXTURES if (FIXTURES / name).exists() else tmp_path) / name) for name in files]
+        assert run(["report", *paths, "-o", str(output)]) == 2
+        assert why in capsys.readouterr().err
+        assert output.read_text(encoding="utf-8") == "as it was"
+
+    def test_several_calibrations_of_one_sensor(self, tmp_path: Path) -> None:
+        spring, autumn, output = tmp_path / "spring.yaml", tmp_path / "autumn.yml", tmp_path / "report.html"
+        known = golden("plane")
+        write_calibration(spring, known)
+        offset = known.coefficients.offset + np.array([0.0, 3.0])
+        write_calibration(autumn, replace(known, coefficients=replace(known.coefficients, offset=offset)))
+        assert run(["report", str(spring), str(autumn), "-o", str(output)]) == 0
+        page = Page(output.read_text(encoding="utf-8"))
+        assert page.facts["Calibration file"] == "autumn.yml"
+        assert any(text.startswith("Since spring.yaml") for _, text in page.headings)

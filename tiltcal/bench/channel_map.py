@@ -1,0 +1,135 @@
+"""The hookup: which reading of which device each channel of a turning stage is.
+
+A channel is called as `tiltcal record` names its column: ``a1`` of a single device, ``S-7_a1`` of several; where only
+one device has a channel of the name, the name alone will do. The pairs that come of it carry the names of the columns,
+so that a pair file fits the logs that are recorded on the same bench.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tiltcal.bench.sensor_set import Sample, column_name
+from tiltcal.core.pair.model import Pair
+from tiltcal.drivers.device import Model
+from tiltcal.errors import UsageError
+from tiltcal.files.rotation import Rotation
+
+
+@dataclass(frozen=True)
+class ChannelRef:
+    """One reading of one device.
+
+    Attributes
+    ----------
+    column : str
+        As `tiltcal record` calls it.
+    device, place : int
+        Of the rack, and of the device's reading.
+    """
+
+    column: str
+    device: int
+    place: int
+
+    def value(self, sample: Sample) -> float:
+        """This reading of a sample, in its unit."""
+        return sample[self.device].values[self.place]
+
+
+@dataclass(frozen=True)
+class ChannelMap:
+    """Where the readings of a rotation come from.
+
+    Attributes
+    ----------
+    phase : ChannelRef
+        The stage angle, degrees.
+    readings : tuple of ChannelRef
+        Of all pairs, each once.
+    pairs : tuple of Pair
+        Those whose channels are there, by their columns.
+    left_out : tuple of str
+        Why others are not matched.
+    """
+
+    phase: ChannelRef
+    readings: tuple[ChannelRef, ...]
+    pairs: tuple[Pair, ...]
+    left_out: tuple[str, ...] = ()
+
+
+def map_channels(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> ChannelMap:
+    """Find the channels of a rotation among the devices of a bench.
+
+    Parameters
+    ----------
+    rotation : Rotation
+    devices : sequence of (str, Model)
+        Serial number and model as it is wired, in the order of the rack.
+
+    Raises
+    ------
+    UsageError
+        No stage angle, or not one pair has its channels.
+    """
+    board = _Board(devices)
+    phase = board.tap(rotation.phase)
+    if phase is None:
+        raise UsageError(
+            f"no device has the stage angle {rotation.phase!r} (there are {board.names}): where a device prints it, "
+            f"name it in the address, such as columns={rotation.phase},...; of a stage without an encoder record the "
+            "turning with `tiltcal record`, and match the log with `tiltcal match` without --phase, which estimates "
+            "the spin"
+        )
+    taps: dict[str, ChannelRef] = {}
+    pairs, left_out = [], []
+    for pair in rotation.pairs:
+        found = {name: board.tap(name) for name in pair.channels}
+        missing = [name for name, tap in found.items() if tap is None]
+        if missing:
+            left_out.append(f"{pair.first} and {pair.second} are not matched: there is no {' and no '.join(missing)}")
+            continue
+        known = {name: tap for name, tap in found.items() if tap is not None}
+        taps |= {tap.column: tap for tap in known.values()}
+        pairs.append(Pair(*(known[name].column for name in pair.channels)))
+    if not pairs:
+        raise UsageError(
+            f"no pair has its channels: {'; '.join(left_out)} (there are {board.names}): name them in the address, or "
+            "copy the procedure and name your own pairs"
+        )
+    return ChannelMap(phase, tuple(taps.values()), tuple(pairs), tuple(left_out))
+
+
+class _Board:
+    """Every reading of a bench, by the names it goes by."""
+
+    def __init__(self, devices: Sequence[tuple[str, Model]]) -> None:
+        self._by_column: dict[str, ChannelRef] = {}
+        self._by_channel: dict[str, list[ChannelRef]] = {}
+        for number, (serial, model) in enumerate(devices):
+            for place, channel in enumerate(model.channels):
+                tap = ChannelRef(column_name(serial, channel, alone=len(devices) == 1), number, place)
+                self._by_column[tap.column] = tap
+                self._by_channel.setdefault(channel, []).append(tap)
+
+    @property
+    def names(self) -> str:
+        return ", ".join(self._by_column) or "no readings"
+
+    def tap(self, name: str) -> ChannelRef | None:
+        """The reading of a name; None where there is none.
+
+        Raises
+        ------
+        UsageError
+            Several devices have it.
+        """
+        if name in self._by_column:
+            return self._by_column[name]
+        found = self._by_channel.get(name, [])
+        if len(found) > 1:
+            columns = " or ".join(tap.column for tap in found)
+            raise UsageError(f"{len(found)} devices have a channel {name!r}: say in the procedure which, {columns}")
+        return found[0] if found else None

@@ -1,0 +1,171 @@
+"""What is concluded from a session: calibrations from positions or turns, and what their files tell of the session."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any
+
+from tiltcal.bench.channel_map import ChannelMap
+from tiltcal.bench.position_runner import PositionResult
+from tiltcal.bench.rotation_runner import RotationResult
+from tiltcal.bench.sensor_set import ConnectedSensor
+from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, stamp
+from tiltcal.calibration.calibrate import MeasuredSensor, Measurement, Nominal
+from tiltcal.calibration.mounting import mount
+from tiltcal.calibration.temperature_order import calibrate
+from tiltcal.calibration.typical_temperature import with_typical_temperature
+from tiltcal.calibration.unit_gravity import directed, with_verdict
+from tiltcal.files.calibration import Calibration, calibration_of
+from tiltcal.files.document import checked_kind, parse_document
+from tiltcal.files.pair import PairCalibration
+
+
+@dataclass(frozen=True)
+class MeasuredPositions:
+    """What was measured.
+
+    Attributes
+    ----------
+    bays : tuple of ConnectedSensor
+        The sensors that held out.
+    taken : tuple of PositionResult
+        Every position, in the procedure's order.
+    """
+
+    bays: tuple[ConnectedSensor, ...]
+    taken: tuple[PositionResult, ...]
+
+
+@dataclass(frozen=True)
+class SessionEnd:
+    """How a session ended.
+
+    Attributes
+    ----------
+    ended : datetime
+        UTC.
+    sha256 : str
+        Of its journal.
+    lost : dict of str to str
+        Why sensors were given up, by serial number.
+    link_statistics_by_serial : dict of str to mapping of str to int
+        By serial number: what became of what a sensor said that talks by itself.
+    """
+
+    ended: datetime
+    sha256: str
+    lost: dict[str, str]
+    link_statistics_by_serial: dict[str, Mapping[str, int]]
+
+
+def tilt_calibrations(plan: SessionPlan, walked: MeasuredPositions) -> dict[str, Calibration]:
+    """The calibration of each sensor by its serial number, without its provenance.
+
+    Raises
+    ------
+    EstimateError
+        The positions cannot determine the coefficients.
+    """
+    measured = {bay.serial: _measurements(plan, bay, walked.taken) for bay in walked.bays}
+    settings = {"samples": plan.settings.samples, "settle_seconds": plan.settings.settle}
+    if plan.base is not None:
+        base = calibration_of(checked_kind(parse_document(plan.base, "the base calibration"), "tilt"))
+        return {serial: mount(base, one, jig=plan.jig, settings=settings) for serial, one in measured.items()}
+    found = _calibrated(plan, walked, measured, settings)
+    if plan.typical:
+        found = [
+            with_typical_temperature(one, measured[bay.serial], bay.model.population)
+            for one, bay in zip(found, walked.bays, strict=True)
+            if bay.model.population is not None
+        ]
+    return {bay.serial: one for bay, one in zip(walked.bays, found, strict=True)}
+
+
+def pair_calibration(
+    plan: SessionPlan, hookup: ChannelMap, turned: RotationResult, ending: SessionEnd
+) -> PairCalibration:
+    """What a rotation found, with its provenance."""
+    left_out = [*hookup.left_out, *turned.unmatched]
+    sensors = [{"serial": one.serial, "model": one.model, "address": one.address} for one in plan.places]
+    provenance = {
+        **_provenance(plan, {"sensors": sensors}, ending),
+        "link_statistics": {serial: dict(one) for serial, one in ending.link_statistics_by_serial.items()},
+        "procedure": plan.procedure.name,
+        "samples": {"used": turned.samples, "left_out": turned.left_out},
+        "stopped": turned.ended,
+        **({"not_matched": left_out} if left_out else {}),
+    }
+    return PairCalibration(turned.matchings, hookup.phase.column, turned.turns, turned.frequency, provenance=provenance)
+
+
+def tilt_provenance(plan: SessionPlan, place: DeviceSetup, ending: SessionEnd) -> dict[str, Any]:
+    """What a sensor's calibration file tells of the session."""
+    axes = {} if place.orientation.straight else {"axes": list(place.orientation.names)}
+    thermometer = {} if plan.thermometer is None else {"thermometer": plan.thermometer.address}
+    return {
+        **_provenance(plan, {"address": place.address, **axes, **thermometer}, ending),
+        **(
+            {"link_statistics": dict(ending.link_statistics_by_serial[place.serial])}
+            if place.serial in ending.link_statistics_by_serial
+            else {}
+        ),
+    }
+
+
+def _calibrated(
+    plan: SessionPlan,
+    walked: MeasuredPositions,
+    measured: Mapping[str, Sequence[Measurement]],
+    settings: Mapping[str, Any],
+) -> list[Calibration]:
+    """The calibrations of all sensors together, in the rack's order."""
+    subjects = [
+        MeasuredSensor(bay.identity, measured[bay.serial], Nominal.of(bay.model), bay.orientation.matrix)
+        for bay in walked.bays
+    ]
+    procedure, warmth = plan.procedure, _thermometer_uncertainty(plan, walked)
+    if procedure.determines.free:
+        subjects = directed(subjects)
+    found = calibrate(subjects, procedure, jig=plan.jig, thermometer=warmth, settings=settings)
+    if procedure.determines.free:
+        found = [with_verdict(one, its.measurements) for one, its in zip(found, subjects, strict=True)]
+    return found
+
+
+def _measurements(plan: SessionPlan, bay: ConnectedSensor, taken: Sequence[PositionResult]) -> list[Measurement]:
+    return [
+        Measurement(
+            one.position.name,
+            bay.orientation.seen(one.position.gravity),
+            one.position.tilt if bay.orientation.straight else None,
+            one.temperatures[bay.serial],
+            one.summaries[bay.serial],
+            {"time": stamp(plan.started + timedelta(microseconds=one.time_ns / 1000))},
+            heading=one.position.heading,
+        )
+        for one in taken
+    ]
+
+
+def _thermometer_uncertainty(plan: SessionPlan, walked: MeasuredPositions) -> float | None:
+    """Standard uncertainty of the temperatures, °C: as the bench file states it, else the thermometers' steps."""
+    if plan.thermometer_uncertainty is not None:
+        return plan.thermometer_uncertainty
+    if plan.thermometer is not None or any(one.typed for one in walked.taken):
+        return None
+    return max(bay.model.thermometer_rounding for bay in walked.bays) or None
+
+
+def _provenance(plan: SessionPlan, bench: Mapping[str, Any], ending: SessionEnd) -> dict[str, Any]:
+    """What every file tells of its session."""
+    return {
+        "made_by": "the virtual bench: no real sensor was measured" if plan.virtual else "measurement",
+        "operator": plan.person or plan.lead,
+        "bench": bench,
+        "software": plan.software,
+        "started": stamp(plan.started),
+        "ended": stamp(ending.ended),
+        "journal": {"name": plan.journal, "sha256": ending.sha256},
+    }

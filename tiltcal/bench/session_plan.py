@@ -1,0 +1,312 @@
+"""The plan of a session: everything that is decided before the first prompt.
+
+It is the journal's header, so a journal alone is enough to resume the session or to make its calibration files again.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import tiltcal
+from tiltcal.bench.channel_map import map_channels
+from tiltcal.bench.position_runner import SessionSettings
+from tiltcal.calibration.prediction import require_tilt
+from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.device import Model
+from tiltcal.errors import InputError, JournalError, UsageError
+from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
+from tiltcal.files.journal import Journal
+from tiltcal.files.procedure import Procedure, procedure_from_record
+
+VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
+"""When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""
+
+
+@dataclass(frozen=True)
+class DeviceSetup:
+    """One device of a plan.
+
+    Attributes
+    ----------
+    model, serial, address : str
+    output : str
+        The calibration file, relative to the journal's folder; empty where none is made.
+    orientation : Orientation
+        How the sensor sits on the fixture.
+    """
+
+    model: str
+    serial: str
+    address: str
+    output: str = ""
+    orientation: Orientation = STRAIGHT
+
+    @property
+    def fitted(self) -> Model:
+        """The model as it is wired at the address."""
+        return find_model(self.model).at(parse_address(self.address))
+
+    def record(self) -> dict[str, Any]:
+        """As plain data, for the journal."""
+        straight = self.orientation.straight
+        return {
+            "model": self.model,
+            "serial": self.serial,
+            "address": self.address,
+            "output": self.output,
+            **({} if straight else {"axes": list(self.orientation.names)}),
+        }
+
+    @classmethod
+    def from_record(cls, record: dict[str, Any]) -> DeviceSetup:
+        """The inverse of :meth:`record`."""
+        turned = orientation(record["axes"]) if "axes" in record else STRAIGHT
+        return cls(record["model"], record["serial"], record["address"], record["output"], turned)
+
+
+@dataclass(frozen=True)
+class SessionPlan:
+    """Everything that is decided before the first prompt.
+
+    Attributes
+    ----------
+    procedure : Procedure
+    places : tuple of DeviceSetup
+        The sensors.
+    settings : SessionSettings
+    jig : float or None
+        Standard uncertainty of a set angle, degrees.
+    lead : str
+        Who leads: ``terminal``, ``json`` or ``sim``.
+    person : str or None
+        Who stands at the bench.
+    started : datetime
+        UTC.
+    software : str
+    journal : str
+        The journal's file name.
+    thermometer : DeviceSetup or None
+    thermometer_uncertainty : float or None
+        Stated standard uncertainty of a temperature, °C.
+    base : str or None
+        The text of the calibration file that a mounting completes.
+    typical : bool
+        Whether the model's mean temperature curves stand in for a run of the unit's own.
+    """
+
+    procedure: Procedure
+    places: tuple[DeviceSetup, ...]
+    settings: SessionSettings
+    jig: float | None
+    lead: str
+    person: str | None
+    started: datetime
+    software: str
+    journal: str
+    thermometer: DeviceSetup | None = None
+    thermometer_uncertainty: float | None = None
+    base: str | None = None
+    typical: bool = False
+
+    @property
+    def devices(self) -> tuple[DeviceSetup, ...]:
+        """The sensors, and the thermometer behind them; a journal numbers them in this order."""
+        return self.places if self.thermometer is None else (*self.places, self.thermometer)
+
+    @property
+    def virtual(self) -> bool:
+        """Whether every device is a virtual twin; the clock is virtual then too."""
+        return all(parse_address(place.address).simulated for place in self.devices)
+
+    def header(self) -> dict[str, Any]:
+        """As plain data, for the journal."""
+        return {
+            "software": self.software,
+            "journal": self.journal,
+            "started": stamp(self.started),
+            "virtual": self.virtual,
+            "operator": self.lead,
+            **({} if self.person is None else {"person": self.person}),
+            "sensors": [place.record() for place in self.places],
+            **({} if self.thermometer is None else {"thermometer": self.thermometer.record()}),
+            "settings": {
+                "samples": self.settings.samples,
+                "settle": self.settings.settle,
+                "soak": self.settings.soak,
+                "jig": self.jig,
+                "thermometer": self.thermometer_uncertainty,
+                "angle": self.procedure.angle,
+                **({} if self.procedure.rotation is None else {"turns": self.procedure.rotation.turns}),
+            },
+            "procedure": dict(self.procedure.record),
+            **({} if self.base is None else {"base": self.base}),
+            **({"typical_temperature": True} if self.typical else {}),
+        }
+
+    @classmethod
+    def from_journal(cls, journal: Journal) -> SessionPlan:
+        """The plan of a captured session.
+
+        Raises
+        ------
+        JournalError
+            The header lacks something.
+        """
+        header = journal.header
+        try:
+            settings = header["settings"]
+            file = str(journal.path)
+            procedure = procedure_from_record(header["procedure"], settings["angle"], file=file, line=1)
+            return cls(
+                procedure=procedure.with_turns(settings.get("turns")),
+                places=tuple(DeviceSetup.from_record(sensor) for sensor in header["sensors"]),
+                settings=SessionSettings(settings["samples"], settings["settle"], settings["soak"]),
+                jig=settings["jig"],
+                lead=header["operator"],
+                person=header.get("person"),
+                started=datetime.fromisoformat(header["started"]),
+                software=header["software"],
+                journal=header["journal"],
+                thermometer=DeviceSetup.from_record(header["thermometer"]) if "thermometer" in header else None,
+                thermometer_uncertainty=settings.get("thermometer"),
+                base=header.get("base"),
+                typical=header.get("typical_temperature", False),
+            )
+        except (KeyError, TypeError, ValueError, InputError) as error:
+            raise JournalError(f"the header cannot be used: {error}", file=journal.path, line=1) from None
+
+
+def plan_session(
+    procedure: Procedure,
+    bench: BenchFile,
+    outputs: Sequence[Path | None],
+    journal: Path,
+    *,
+    lead: str,
+    samples: int | None = None,
+    settle: float | None = None,
+    base: str | None = None,
+    typical: bool = False,
+) -> SessionPlan:
+    """Lay down a session from what the command line and the bench file say.
+
+    Parameters
+    ----------
+    procedure : Procedure
+    bench : BenchFile
+        The sensors; :func:`single` makes one of a single sensor.
+    outputs : sequence of Path or None
+        Calibration files, one per sensor; None where none is made.
+    journal : Path
+    lead : str
+    samples, settle
+        In place of the procedure's; the soaking window is scaled with ``settle``.
+    base : str, optional
+        The text of the calibration file that a mounting completes.
+    typical : bool
+        Whether the models' mean temperature curves stand in for runs of the units' own.
+
+    Raises
+    ------
+    UsageError
+        An unknown model, a bad address, or an angle that the model cannot read.
+    """
+    scale = 1.0 if settle is None else settle / procedure.settle
+    places = tuple(_place(sensor, output, journal) for sensor, output in zip(bench.sensors, outputs, strict=True))
+    if procedure.rotation is not None:
+        map_channels(procedure.rotation, [(place.serial, place.fitted) for place in places])
+    for place in places if procedure.rotation is None else ():
+        require_tilt(procedure, place.fitted)
+        _require_in_range(procedure, place)
+    plan = SessionPlan(
+        procedure=procedure,
+        places=places,
+        settings=SessionSettings(
+            samples or procedure.samples, settle or procedure.settle, procedure.soak_seconds * scale
+        ),
+        jig=bench.jig,
+        lead=lead,
+        person=bench.operator,
+        started=VIRTUAL_START,
+        software=f"tiltcal {tiltcal.__version__}",
+        journal=journal.name,
+        thermometer=None if bench.thermometer is None else _thermometer(bench.thermometer),
+        thermometer_uncertainty=None if bench.thermometer is None else bench.thermometer.uncertainty,
+        base=base,
+        typical=typical,
+    )
+    if typical:
+        _require_population(plan)
+    return plan if plan.virtual else replace(plan, started=_to_the_millisecond(datetime.now(UTC)))
+
+
+def places_of(bench: BenchFile) -> tuple[tuple[DeviceSetup, ...], DeviceSetup | None]:
+    """The devices of a bench where no calibration is made: its sensors, and its thermometer."""
+    sensors = tuple(DeviceSetup(s.model, s.serial, s.address, orientation=s.orientation) for s in bench.sensors)
+    return sensors, None if bench.thermometer is None else _thermometer(bench.thermometer)
+
+
+def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:
+    """A bench of one sensor, which needs no file."""
+    return BenchFile((BenchSensor(serial, model, address),), jig=jig)
+
+
+def stamp(moment: datetime) -> str:
+    """ISO 8601, UTC, to the millisecond."""
+    return moment.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _require_population(plan: SessionPlan) -> None:
+    """Refuse mean temperature curves that nobody knows, or that the procedure measures itself."""
+    determines = plan.procedure.determines
+    if plan.procedure.rotation is not None:
+        raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: a pair has no temperature terms")
+    if determines.drift or determines.gain or determines.mounting:
+        raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: it does without, or measures its own")
+    for place in plan.places:
+        if place.fitted.population is None:
+            raise UsageError(f"no source tells how a {place.model} behaves over temperature on average: measure it")
+
+
+def _place(sensor: BenchSensor, output: Path | None, journal: Path) -> DeviceSetup:
+    relative = "" if output is None else os.path.relpath(output, journal.parent)
+    return DeviceSetup(sensor.model, sensor.serial, sensor.address, relative, sensor.orientation)
+
+
+def _thermometer(thermometer: BenchThermometer) -> DeviceSetup:
+    place = DeviceSetup(thermometer.model, "thermometer", thermometer.address)
+    if not place.fitted.thermometer:
+        raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
+    return place
+
+
+def _require_in_range(procedure: Procedure, place: DeviceSetup) -> None:
+    """Refuse positions that the model can only answer with its rail, and a scale that nobody has stated."""
+    model = place.fitted
+    if not model.scaled and not procedure.determines.axes and not procedure.determines.mounting:
+        raise UsageError(
+            f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
+            "address (sensitivity=..., unit per g)"
+        )
+    for position in procedure.positions:
+        gravity = place.orientation.seen(position.gravity)
+        for channel in model.channels:
+            expected = model.offset + model.sensitivity * gravity["xyz".index(channel)]
+            if not model.rails[0] < expected < model.rails[1]:
+                hint = "; a smaller --tilt brings it in range" if procedure.angle is not None else ""
+                raise UsageError(
+                    f"position {position.name} is outside the range of {model.name}: {channel} would read about "
+                    f"{expected:.5g} {model.unit}, between {model.rails[0]:g} and {model.rails[1]:g} it can{hint}"
+                )
+
+
+def _to_the_millisecond(moment: datetime) -> datetime:
+    """What a stamp can hold, so that a replay counts from the same instant."""
+    return moment.replace(microsecond=moment.microsecond // 1000 * 1000)

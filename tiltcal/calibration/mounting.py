@@ -1,0 +1,223 @@
+"""From measured positions to the mounting of a sensor that is calibrated already."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import degrees, radians
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiltcal.calibration.calibrate import Measurement
+from tiltcal.calibration.results import covariance_record
+from tiltcal.core.angle_terms import TURN
+from tiltcal.core.budget import coverage_factor
+from tiltcal.core.compensation import Compensation
+from tiltcal.core.model import AXES, Array, Coefficients, Mounting
+from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.propagation import vector_of, with_vector
+from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, rotation_vector, solve_mounting
+from tiltcal.errors import EstimateError, UsageError
+from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.coefficients import ANGLES
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.uncertainty import SHAPED, stated_uncertainty
+
+
+def base_of(procedure: Procedure, path: Path | None, serials: Sequence[str]) -> Calibration | None:
+    """The calibration that a mounting completes; None where the procedure makes one of its own.
+
+    Parameters
+    ----------
+    procedure : Procedure
+    path : Path or None
+        As the user names it.
+    serials : sequence of str
+        Of the sensors that are measured.
+
+    Raises
+    ------
+    UsageError
+        It is missing, is not wanted, or is of another sensor.
+    InputError
+        Anything in it is wrong.
+    """
+    if not procedure.determines.mounting:
+        if path is not None:
+            raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
+        return None
+    if path is None:
+        raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor that is mounted")
+    base = read_calibration(path)
+    if list(serials) != [base.sensor.serial]:
+        raise UsageError(f"{path} is of {base.sensor.serial}, and the sensor to measure is {' and '.join(serials)}")
+    return base
+
+
+def mount(
+    base: Calibration,
+    measurements: Sequence[Measurement],
+    *,
+    jig: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Calibration:
+    """A calibration with the mounting that the positions show; all else is the base's.
+
+    Parameters
+    ----------
+    base : Calibration
+        Of the same sensor, in its own frame.
+    measurements : sequence of Measurement
+        In positions whose gravity is given in the application's frame.
+    jig : float, optional
+        Standard uncertainty of a set angle, degrees.
+    settings : mapping, optional
+        Records for the file.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    EstimateError
+        One direction of gravity alone, or a sensor without x and y.
+    """
+    known = np.array([measurement.gravity for measurement in measurements])
+    found, side = _best(base.coefficients, measurements, known, jig)
+    joint = _joined(base, found, lambda c: _solved(_directions(c, measurements) * side, known, jig))
+    mounting, u = _rounded(found, joint)
+    return replace(
+        base,
+        coefficients=replace(base.coefficients, mounting=mounting),
+        uncertainty=_uncertainty(base.uncertainty, joint, u),
+        derived={**base.derived, "gimbal_lock": True} if found.gimbal_lock else base.derived,
+        fit={**base.fit, "mounting": _record(found, measurements, jig)},
+        procedure={**base.procedure, "mounting": {**(settings or {}), "positions": [m.position for m in measurements]}},
+        positions=[*base.positions, *(_position(measurement) for measurement in measurements)],
+    )
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """The base's coefficients and the mounting's turn about the application's axes, radians, with their covariance."""
+
+    names: tuple[str, ...]
+    covariance: Array
+    factors: Array
+
+
+def _best(
+    coefficients: Coefficients, measurements: Sequence[Measurement], known: Array, jig: float | None
+) -> tuple[MountingEstimate, Array]:
+    """The mounting, and the side of z: a sensor of two axes may hang upside down, and the better one is taken."""
+    read = _directions(coefficients, measurements)
+    sides = [np.ones(3)] if len(coefficients.channels) == 3 else [np.ones(3), np.array([1.0, 1.0, -1.0])]
+    found = [(_solved(read * side, known, jig), side) for side in sides]
+    return min(found, key=lambda one: float(np.sum(one[0].residuals ** 2)))
+
+
+def _solved(read: Array, known: Array, jig: float | None) -> MountingEstimate:
+    sigma = None if jig is None else np.full(len(known), max(radians(jig), 1e-6))
+    return solve_mounting(read, known, sigma)
+
+
+def _joined(base: Calibration, found: MountingEstimate, solve: Callable[[Coefficients], MountingEstimate]) -> _Joint:
+    """What the base is uncertain by goes into the mounting that was found with it, and the two err together."""
+    coefficients = replace(base.coefficients, mounting=None)
+    names, covariance, factors = _own(base.uncertainty, coefficients)
+    vector, u = vector_of(coefficients, names), np.sqrt(np.diag(covariance))
+    moved = np.zeros((3, len(names)))
+    for k in np.flatnonzero(u > 0.0):
+        step = np.where(np.arange(len(names)) == k, u[k], 0.0)
+        ends = [
+            mounting_matrix(solve(with_vector(coefficients, names, vector + side * step)).mounting)
+            for side in (1.0, -1.0)
+        ]
+        moved[:, k] = rotation_vector(ends[0] @ ends[1].T) / (2.0 * u[k])
+    all_moved = np.vstack([np.eye(len(names)), moved])
+    joint = all_moved @ covariance @ all_moved.T
+    joint[-3:, -3:] += found.covariance
+    normal = coverage_factor(np.array([np.inf]))[0]
+    stretched = all_moved @ (covariance * np.outer(factors, factors)) @ all_moved.T
+    own = normal if found.stated else coverage_factor(np.array([float(found.dof)]))[0]
+    wide = np.diag(stretched)[-3:] + own**2 * np.diag(found.covariance)
+    return _Joint(
+        (*names, *(f"{TURN}{axis}" for axis in AXES)),
+        joint,
+        np.concatenate([factors, np.sqrt(wide / np.diag(joint)[-3:])]),
+    )
+
+
+def _own(uncertainty: Mapping[str, Any], coefficients: Coefficients) -> tuple[tuple[str, ...], Array, Array]:
+    """Names, covariance and coverage factors of the base's coefficients in the sensor's own frame."""
+    try:
+        doubt = stated_uncertainty(uncertainty, coefficients).doubt
+    except EstimateError:
+        return (), np.zeros((0, 0)), np.zeros(0)
+    kept = [k for k, name in enumerate(doubt.names) if not name.startswith(TURN)]
+    return tuple(doubt.names[k] for k in kept), doubt.covariance[np.ix_(kept, kept)], doubt.factors[kept]
+
+
+def _uncertainty(before: Mapping[str, Any], joint: _Joint, u: Mapping[str, float] | None) -> dict[str, Any]:
+    """The base's section with the mounting's in it, degrees."""
+    scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in joint.names])
+    shaped = {key: before[key] for key in SHAPED if key in before and key != "mounting"}
+    return {
+        **shaped,
+        **({} if u is None else {"mounting": u}),
+        **({"single_reading": before["single_reading"]} if "single_reading" in before else {}),
+        "coverage_factor": {n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)},
+        "covariance": covariance_record(joint.names, joint.covariance * np.outer(scale, scale)),
+    }
+
+
+def _directions(coefficients: Coefficients, measurements: Sequence[Measurement]) -> Array:
+    """Up in the sensor's frame in every position, as its calibration reads it."""
+    if not {"x", "y"} <= set(coefficients.channels):
+        raise EstimateError("the mounting is found from the x and y channels at least, and this sensor lacks one")
+    compensation = Compensation(replace(coefficients, mounting=None))
+    readings = np.array([[m.summaries[c].mean for c in coefficients.channels] for m in measurements])
+    temperatures = np.array([np.nan if m.temperature is None else m.temperature for m in measurements])
+    gravity = compensation(readings, temperatures).gravity
+    if gravity.shape[1] == 3:
+        return gravity
+    rest = np.sqrt(np.maximum(1.0 - np.sum(gravity**2, axis=1), 0.0))
+    return np.column_stack([gravity, rest])
+
+
+def _rounded(found: MountingEstimate, joint: _Joint) -> tuple[Mounting, dict[str, float] | None]:
+    """The angles with the digits that their uncertainty warrants, radians; and that, degrees."""
+    if found.gimbal_lock:
+        return found.mounting, None
+    doubt = angle_uncertainty(mounting_matrix(found.mounting), joint.covariance[-3:, -3:])
+    u = {name: degrees(getattr(doubt, name)) for name in ANGLES}
+    angles = {name: radians(round_to(degrees(getattr(found.mounting, name)), u[name])) for name in u}
+    return Mounting(**angles), {name: significant(value, 4) for name, value in u.items()}
+
+
+def _record(found: MountingEstimate, measurements: Sequence[Measurement], jig: float | None) -> dict[str, Any]:
+    record: dict[str, Any] = {
+        "residuals_degrees": {
+            m.position: round(degrees(float(r)), 4) for m, r in zip(measurements, found.residuals, strict=True)
+        },
+        "degrees_of_freedom": found.dof,
+        "uncertainty_from": "stated jig" if found.stated else "residuals",
+    }
+    if found.stated and jig:
+        record["chi_square"] = significant(float(np.sum(found.residuals**2)) / radians(jig) ** 2, 4)
+    return record
+
+
+def _position(measurement: Measurement) -> dict[str, Any]:
+    return {
+        "position": measurement.position,
+        "mean": {c: round_to(s.mean, s.u) for c, s in measurement.summaries.items()},
+        "std": {c: significant(s.std, 4) for c, s in measurement.summaries.items()},
+        "n": next(iter(measurement.summaries.values())).n,
+        **({"temperature": round(measurement.temperature, 3)} if measurement.temperature is not None else {}),
+        **measurement.when,
+    }

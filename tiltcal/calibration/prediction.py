@@ -1,0 +1,177 @@
+"""What a procedure will determine of a sensor, before the operator starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import degrees, hypot, radians, sqrt
+
+import numpy as np
+
+from tiltcal.calibration.calibrate import MeasuredSensor, Nominal, design_of
+from tiltcal.core.estimation.design import Design
+from tiltcal.core.estimation.prediction import PlannedPosition, Prediction, predicted_covariance
+from tiltcal.core.model import AXES
+from tiltcal.core.orientation import STRAIGHT, Orientation
+from tiltcal.core.statistics import summarise
+from tiltcal.core.wahba import angle_uncertainty, solve_mounting
+from tiltcal.drivers.device import Model
+from tiltcal.errors import UsageError
+from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.coefficients import ANGLES
+from tiltcal.files.procedure import Procedure
+
+
+@dataclass(frozen=True)
+class PredictedUncertainty:
+    """What may be expected of a procedure.
+
+    Attributes
+    ----------
+    design : Design
+    prediction : Prediction
+    noise : float
+        Standard deviation of one sample that was counted with, unit.
+    unit : str
+    """
+
+    design: Design
+    prediction: Prediction
+    noise: float
+    unit: str
+
+
+def mounting_outlook(
+    procedure: Procedure,
+    model: Model,
+    *,
+    jig: float | None = None,
+    noise: float | None = None,
+    samples: int | None = None,
+) -> dict[str, float]:
+    """Predict the standard uncertainty of roll, pitch and yaw of a sensor that sits straight.
+
+    What the sensor's own calibration is uncertain by comes on top.
+
+    Parameters
+    ----------
+    procedure : Procedure
+        Of a mounting.
+    model, jig, noise, samples
+        As for :func:`outlook`.
+
+    Returns
+    -------
+    dict of str to float
+        Degrees.
+
+    Raises
+    ------
+    EstimateError
+        The positions leave the turn about gravity undetermined.
+    UsageError
+        The device is no tilt sensor.
+    """
+    require_tilt(procedure, model)
+    scatter = _usual_noise(model) if noise is None else noise
+    read = scatter / sqrt(samples or procedure.samples) / model.sensitivity
+    known = np.array([position.gravity for position in procedure.positions])
+    found = solve_mounting(known, known, np.full(len(known), hypot(radians(jig or 0.0), read)))
+    straight = angle_uncertainty(np.eye(3), found.covariance)
+    return {name: degrees(getattr(straight, name)) for name in ANGLES}
+
+
+def require_tilt(procedure: Procedure, model: Model) -> None:
+    """Refuse a device whose readings are no components of gravity.
+
+    Raises
+    ------
+    UsageError
+        What it reads, and what to do.
+    """
+    if not model.senses_tilt:
+        others = [channel for channel in model.channels if channel not in AXES]
+        raise UsageError(
+            f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
+            "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
+        )
+
+
+def outlook(
+    procedure: Procedure,
+    model: Model,
+    *,
+    jig: float | None = None,
+    thermometer: float | None = None,
+    noise: float | None = None,
+    samples: int | None = None,
+    orientation: Orientation = STRAIGHT,
+    sensors: int = 1,
+) -> PredictedUncertainty:
+    """Predict the standard uncertainty of every coefficient from the design alone.
+
+    Parameters
+    ----------
+    procedure : Procedure
+    model : Model
+    jig : float, optional
+        Standard uncertainty of a set angle, degrees; None counts with a perfect one.
+    thermometer : float, optional
+        Standard uncertainty of a temperature, °C; None counts with the step of the sensor's own thermometer.
+    noise : float, optional
+        Standard deviation of one sample, unit; None takes that of the model's virtual part.
+    samples : int, optional
+        Per position; None is the procedure's.
+    orientation : Orientation
+        How the sensor sits on the fixture.
+    sensors : int
+        How many alike sit on the fixture.
+
+    Raises
+    ------
+    EstimateError
+        The positions cannot determine what the procedure asks for; what to add is said.
+    UsageError
+        The device is no tilt sensor.
+    """
+    require_tilt(procedure, model)
+    identity = SensorIdentity(model.name, "", model.unit, model.channels)
+    warmth = model.thermometer_rounding if thermometer is None else thermometer
+    design = design_of(MeasuredSensor(identity, (), Nominal.of(model)), procedure, jig, warmth)
+    scatter = _usual_noise(model) if noise is None else noise
+    count = samples or procedure.samples
+    # A steady reading that is rounded keeps an error that no averaging removes.
+    adc = summarise([0.0] * 2, model.resolution).quantisation if scatter < model.resolution / 4 else 0.0
+    prediction = predicted_covariance(
+        design,
+        _planned(procedure, orientation),
+        scatter / sqrt(count),
+        sensitivity=model.sensitivity,
+        adc=adc,
+        sensors=sensors,
+    )
+    return PredictedUncertainty(design, prediction, scatter, model.unit)
+
+
+def _usual_noise(model: Model) -> float:
+    """The noise of a sample of the model's virtual part, at least that of rounding, unit."""
+    known = max(model.default_truth(0).noise.values(), default=0.0) if model.default_truth else 0.0
+    return hypot(known, model.resolution / sqrt(12))
+
+
+def _planned(procedure: Procedure, orientation: Orientation) -> Sequence[PlannedPosition]:
+    planned: list[PlannedPosition] = []
+    before = None
+    for position in procedure.positions:
+        stands = (position.gravity, position.heading)
+        planned.append(
+            PlannedPosition(
+                position.name,
+                orientation.seen(position.gravity),
+                position.temperature if position.temperature is not None else procedure.reference,
+                position.heading,
+                held=stands == before,
+            )
+        )
+        before = stands
+    return planned

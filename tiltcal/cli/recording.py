@@ -1,0 +1,125 @@
+"""What the commands that log a sensor share: what is logged, how long, and the line that tells how far it is."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tiltcal.bench.connection import connected, open_device
+from tiltcal.bench.event_log import EventLog
+from tiltcal.bench.recording import CsvRecorder, RecordingTally, header, record
+from tiltcal.bench.session_plan import VIRTUAL_START, places_of
+from tiltcal.bench.virtual import VirtualBench
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
+from tiltcal.errors import UsageError
+from tiltcal.files.bench import BenchFile
+
+SHOWN_EVERY = 0.25
+"""Seconds between two looks of the progress line."""
+
+
+@dataclass(frozen=True)
+class RecordedRows:
+    """What a capture came to.
+
+    Attributes
+    ----------
+    tally : RecordingTally
+    interrupted : bool
+        Whether it was stopped before its end.
+    """
+
+    tally: RecordingTally
+    interrupted: bool
+
+    @property
+    def missing(self) -> str:
+        """Readings that are missing, in words to append; empty where there are none."""
+        return _told_missing(self.tally)
+
+
+def capture(named: BenchFile, rate: float | None, rows: int | None, seconds: float | None, log: Path) -> RecordedRows:
+    """Log the sensors of a bench to a CSV file, until enough or until Ctrl-C.
+
+    Parameters
+    ----------
+    named : BenchFile
+        The sensors.
+    rate : float or None
+        Rows per second; None is as fast as the sensors renew themselves.
+    rows : int or None
+        How many.
+    seconds : float or None
+        How long. With neither it goes on until Ctrl-C, which then is no interruption.
+    log : Path
+        Made anew.
+
+    Raises
+    ------
+    UsageError
+        ``log`` exists, or there is no end on the virtual bench.
+    HardwareError
+        A sensor does not answer.
+    """
+    places, thermometer = places_of(named)
+    devices = places if thermometer is None else (*places, thermometer)
+    virtual = all(parse_address(place.address).simulated for place in devices)
+    interval = 1.0 / rate if rate else max(place.fitted.interval for place in places)
+    wanted = rows if seconds is None else min(rows or sys.maxsize, max(1, round(seconds / interval)))
+    if virtual and wanted is None:
+        raise UsageError("on the virtual bench time takes no time: say --rows or --for")
+    started = VIRTUAL_START if virtual else datetime.now(UTC)
+    clock: Clock = VirtualClock() if virtual else SystemClock(int(started.timestamp() * 1e9))
+    twins = VirtualBench(clock, devices)
+    for place in devices:
+        link = open_device(place, twins)
+        try:
+            place.fitted.driver(link, clock).probe()
+        finally:
+            link.close()
+    interrupted = False
+    tally = RecordingTally()
+    with connected(places, thermometer, EventLog(clock), clock, twins) as rack, _progress() as tell:
+        rows_log = CsvRecorder(log, header(rack.bays, thermometer=thermometer is not None))
+        try:
+            for tally in record(
+                *(rack, rows_log, clock, started), thermometer=thermometer is not None, interval=interval, rows=wanted
+            ):
+                tell(tally)
+        except KeyboardInterrupt:
+            interrupted = wanted is not None
+        finally:
+            rows_log.close()
+    return RecordedRows(tally, interrupted)
+
+
+def _told_missing(tally: RecordingTally) -> str:
+    return f", {tally.missing} readings missing ({tally.why})" if tally.missing else ""
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[RecordingTally], None]]:
+    """A line that tells a person how far it is; nothing for a program."""
+    shown = 0.0
+
+    def tell(tally: RecordingTally) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if now - shown >= SHOWN_EVERY:
+            shown = now
+            sys.stderr.write(f"\r\x1b[2K{tally.rows} rows{_told_missing(tally)[:100]}   Ctrl-C stops")
+            sys.stderr.flush()
+
+    if not sys.stderr.isatty():
+        yield lambda tally: None
+        return
+    try:
+        yield tell
+    finally:
+        sys.stderr.write("\r\x1b[2K")

@@ -1,0 +1,242 @@
+"""Whether two calibrations of one sensor differ by more than their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf, sqrt
+
+import numpy as np
+
+from tiltcal.core.budget import COVERAGE, NEGLIGIBLE, coverage_factor, welch_satterthwaite
+from tiltcal.core.model import Array, Coefficients, Thermal, polynomial
+from tiltcal.core.propagation import propagated, vector_of, with_vector
+
+
+@dataclass(frozen=True)
+class KnownCoefficient:
+    """How well a coefficient is known.
+
+    Attributes
+    ----------
+    u : float
+        Standard uncertainty.
+    dof : float
+        Its effective degrees of freedom; infinite where it was not estimated from a scatter.
+    """
+
+    u: float
+    dof: float = inf
+
+
+@dataclass(frozen=True)
+class CoefficientChange:
+    """How one coefficient changed.
+
+    Attributes
+    ----------
+    name : str
+        Dotted, such as ``sensitivity.x.y``.
+    before, after : float
+    u : float or None
+        Standard uncertainty of the difference; None where one of the files states none.
+    dof : float
+        Its effective degrees of freedom.
+    """
+
+    name: str
+    before: float
+    after: float
+    u: float | None
+    dof: float = inf
+
+    @property
+    def difference(self) -> float:
+        """After minus before."""
+        return self.after - self.before
+
+    @property
+    def ratio(self) -> float | None:
+        """The difference over its standard uncertainty; None where that is not known, or zero."""
+        return abs(self.difference) / self.u if self.u else None
+
+    def threshold(self, confidence: float) -> float:
+        """How many standard uncertainties the difference of an unchanged coefficient may be."""
+        from scipy.special import ndtri, stdtrit
+
+        upper = (1.0 + confidence) / 2.0
+        return float(ndtri(upper) if self.dof == inf else stdtrit(self.dof, upper))
+
+
+def known(
+    coefficients: Coefficients, names: Sequence[str], covariance: Array, factors: Array, reference: float | None = None
+) -> dict[str, KnownCoefficient]:
+    """How well each coefficient is known, counted from another reference temperature.
+
+    Parameters
+    ----------
+    coefficients : Coefficients
+    names : sequence of str
+        Of the uncertain coefficients.
+    covariance : ndarray, shape (k, k)
+    factors : ndarray, shape (k,)
+        What each standard uncertainty is multiplied with for an interval of 95 %: Student's t tells the degrees of
+        freedom.
+    reference : float, optional
+        °C; None for the coefficients' own.
+
+    Returns
+    -------
+    dict of str to Known
+        By dotted name; those that are certain are not there.
+    """
+    from scipy.special import stdtridf
+
+    def numbers(vector: Array) -> Array:
+        moved = with_vector(coefficients, names, vector)
+        return np.array(list(values(moved if reference is None else referred(moved, reference)).values()))
+
+    normal = float(coverage_factor(np.array([inf]))[0])
+    vector, wider = vector_of(coefficients, names), np.maximum(factors / normal, 1.0)
+    u = propagated(numbers, vector, covariance)
+    stretched = propagated(numbers, vector, covariance * np.outer(wider, wider))
+    found = {}
+    for name, own, stretch in zip(values(coefficients), u.tolist(), stretched.tolist(), strict=True):
+        if own > 0.0:
+            factor = normal * stretch / own
+            told = factor > normal * (1.0 + NEGLIGIBLE)
+            found[name] = KnownCoefficient(own, float(stdtridf(0.5 + COVERAGE / 2.0, factor)) if told else inf)
+    return found
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a sensor has changed.
+
+    Attributes
+    ----------
+    thresholds : mapping of str to float
+        How many standard uncertainties each change may be; empty where none has one to be compared with.
+    changed : tuple of str
+        The coefficients that changed by more.
+    """
+
+    thresholds: Mapping[str, float]
+    changed: tuple[str, ...]
+
+    @property
+    def threshold(self) -> float | None:
+        """The lowest of the thresholds; those of coefficients that rest on few residuals are higher."""
+        return min(self.thresholds.values(), default=None)
+
+    @property
+    def word(self) -> str:
+        """``changed``, ``unchanged`` or ``unknown``."""
+        return "unknown" if not self.thresholds else "changed" if self.changed else "unchanged"
+
+    def __str__(self) -> str:
+        if not self.thresholds:
+            return "no verdict: the files state no uncertainties to compare with"
+        if not self.changed:
+            return "unchanged: no change is more than its threshold of standard uncertainties"
+        return f"changed: {', '.join(self.changed)} by more than the threshold of standard uncertainties"
+
+
+def judge(found: Sequence[CoefficientChange]) -> Verdict:
+    """Whether any of some changes is too large for chance, allowing for their number (Šidák)."""
+    judged = [change for change in found if change.ratio is not None]
+    confidence = COVERAGE ** (1.0 / max(len(judged), 1))
+    thresholds = {change.name: change.threshold(confidence) for change in judged}
+    changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
+    return Verdict(thresholds, changed)
+
+
+def referred(coefficients: Coefficients, reference: float) -> Coefficients:
+    """The same coefficients counted from another reference temperature.
+
+    Parameters
+    ----------
+    coefficients : Coefficients
+        Without temperature terms they are the same at every temperature.
+    reference : float
+        °C.
+
+    Notes
+    -----
+    A polynomial p(dT) without a constant term becomes p(dT + s) - p(s) with s the shift of the reference; the offset
+    takes p(s) over, and the sensitivity the factor 1 + gain(s), by which the new gain is divided.
+    """
+    thermal = coefficients.thermal
+    if thermal is None or thermal.reference == reference:
+        return coefficients
+    shift = reference - thermal.reference
+    at = np.array([shift])
+    drift, gain = polynomial(thermal.drift, at)[0], polynomial(thermal.gain, at)[0]
+    return replace(
+        coefficients,
+        offset=coefficients.offset + drift,
+        sensitivity=coefficients.sensitivity * (1.0 + gain)[:, None],
+        thermal=Thermal(
+            reference,
+            thermal.range,
+            _shifted(thermal.drift, shift),
+            _shifted(thermal.gain, shift) / (1.0 + gain)[:, None],
+        ),
+    )
+
+
+def changes(
+    before: Coefficients,
+    after: Coefficients,
+    known_before: Mapping[str, KnownCoefficient],
+    known_after: Mapping[str, KnownCoefficient],
+) -> list[CoefficientChange]:
+    """Every coefficient that both have, the earlier ones referred to the later one's reference temperature.
+
+    Parameters
+    ----------
+    before, after : Coefficients
+    known_before, known_after : mapping of str to KnownCoefficient
+        By dotted name, at the later one's reference temperature; a name that is missing is not known.
+    """
+    if after.thermal is not None:
+        before = referred(before, after.thermal.reference)
+    old, new = values(before), values(after)
+    return [
+        CoefficientChange(name, old[name], new[name], *_apart(known_before.get(name), known_after.get(name)))
+        for name in new
+        if name in old
+    ]
+
+
+def _apart(before: KnownCoefficient | None, after: KnownCoefficient | None) -> tuple[float | None, float]:
+    """Standard uncertainty of a difference and its degrees of freedom (GUM, eq. G.2b)."""
+    if before is None or after is None:
+        return None, inf
+    total = before.u**2 + after.u**2
+    parts = [(np.array([one.u**2]), one.dof) for one in (before, after)]
+    return sqrt(total), float(welch_satterthwaite(np.array([total]), parts)[0])
+
+
+def values(coefficients: Coefficients) -> dict[str, float]:
+    """Every coefficient by its dotted name."""
+    named = {f"offset.{c}": float(v) for c, v in zip(coefficients.channels, coefficients.offset, strict=True)}
+    for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
+        named |= {f"sensitivity.{channel}.{axis}": float(v) for axis, v in zip(coefficients.axes, row, strict=True)}
+    if coefficients.thermal is not None:
+        for what, table in (("offset", coefficients.thermal.drift), ("sensitivity", coefficients.thermal.gain)):
+            for channel, row in zip(coefficients.channels, table, strict=True):
+                named |= {f"temperature.{what}.{channel}.{k}": float(v) for k, v in enumerate(row, start=1)}
+    if coefficients.nonlinearity is not None:
+        for channel, row in zip(coefficients.channels, coefficients.nonlinearity, strict=True):
+            named |= {f"nonlinearity.{channel}.{k}": float(v) for k, v in enumerate(row, start=2)}
+    return named
+
+
+def _shifted(table: Array, shift: float) -> Array:
+    """Coefficients of p(dT + shift) - p(shift), row by row, without the constant term."""
+    rows = []
+    for row in table:
+        moved = np.polynomial.Polynomial([0.0, *row])(np.polynomial.Polynomial([shift, 1.0]))
+        rows.append(np.pad(moved.coef[1:], (0, len(row) - len(moved.coef[1:]))))
+    return np.array(rows, dtype=float).reshape(table.shape)

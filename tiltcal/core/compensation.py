@@ -1,0 +1,500 @@
+"""The compensation kernel: from raw readings to gravity, tilt and quality flags.
+
+The model is turned round. With ``v_i = (u_i - offset_i - drift_i(dT)) / (1 + gain_i(dT))``::
+
+    v = S g    =>    g = S⁻¹ v    =>    a' = R g    =>    tilt_i = asin(a'_i)
+
+where R is the mounting rotation. A sensor with two channels does not see g_z. Where it is needed (a z column in S, or
+a mounting rotation) the missing equation is that gravity is a unit vector: with ``p = A⁻¹ v`` and ``q = A⁻¹ S_z``, A
+being the x and y columns of S,
+
+    (g_x, g_y) = p - q g_z    and    g_x² + g_y² + g_z² = 1
+
+which is a quadratic in g_z and is solved as one. Its sign is that of the sensor's face: up, unless the mounting turns
+the sensor upside down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import pi, radians, sin
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tiltcal.core.model import AXES, Array, Coefficients, Limits
+from tiltcal.core.mounting import mounting_matrix
+from tiltcal.errors import EstimateError
+
+Bytes = NDArray[np.uint8]
+Bits = NDArray[np.bool_]
+
+PASS, SUSPECT, FAIL, MISSING = 1, 3, 4, 9
+"""QARTOD flags, worst last."""
+
+CLIPPED, TEMPERATURE_RANGE, RAIL, TILT_RANGE, NO_TEMPERATURE, NOT_A_NUMBER = 1, 2, 4, 8, 16, 32
+"""Bits of a reason."""
+
+FLAGS = {PASS: "pass", SUSPECT: "suspect", FAIL: "fail", MISSING: "missing"}
+REASONS = {
+    CLIPPED: "arcsine argument beyond ±1",
+    TEMPERATURE_RANGE: "temperature outside the calibrated range",
+    RAIL: "reading at the rail",
+    TILT_RANGE: "tilt outside the calibrated range",
+    NO_TEMPERATURE: "temperature missing",
+    NOT_A_NUMBER: "not a number",
+}
+
+DIRECTIONS = ("pitch", "roll", "inclination")
+"""The angles over the full circle that three axes have."""
+
+CLIP_LIMIT = 1.02
+"""An arcsine argument up to this is taken for ±90°, g."""
+
+_CHUNK = 32_768  # rows whose columns stay in the cache from the first step to the last
+_ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
+_TILT_SLACK = radians(1e-9)
+_LARGEST_CONDITION = 1e12
+
+
+@dataclass(frozen=True)
+class Compensated:
+    """What the kernel makes of n rows; every array is NaN where the flag is 9.
+
+    Attributes
+    ----------
+    gravity : ndarray, shape (n, axes)
+        Up in the application frame, g.
+    tilt : ndarray, shape (n, axes)
+        asin of each column of ``gravity``, degrees; NaN where the argument is beyond ±1.02.
+    pitch, roll, inclination : ndarray, shape (n,), or None
+        Degrees over the full circle; None unless the sensor has three axes.
+    flag : ndarray of uint8, shape (n,)
+        1 pass, 3 suspect, 4 fail, 9 missing.
+    reason : ndarray of uint8, shape (n,)
+        Bit mask, see :data:`REASONS`.
+    """
+
+    gravity: Array
+    tilt: Array
+    pitch: Array | None
+    roll: Array | None
+    inclination: Array | None
+    flag: Bytes
+    reason: Bytes
+
+    @classmethod
+    def empty(cls, rows: int, axes: int) -> Compensated:
+        """Room for ``rows`` rows, laid out column after column."""
+        gravity, tilt = np.empty((2, axes, rows))
+        pitch, roll, inclination = np.empty((3, rows)) if axes == 3 else (None, None, None)
+        flag, reason = np.empty((2, rows), np.uint8)
+        return cls(gravity.T, tilt.T, pitch, roll, inclination, flag, reason)
+
+    def chunks(self) -> Iterator[tuple[slice, Compensated]]:
+        """Views of a cache's size, with the rows they cover."""
+        for start in range(0, len(self.flag), _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            pitch, roll, inclination = (
+                None if angle is None else angle[rows] for angle in (self.pitch, self.roll, self.inclination)
+            )
+            yield (
+                rows,
+                Compensated(
+                    self.gravity[rows], self.tilt[rows], pitch, roll, inclination, self.flag[rows], self.reason[rows]
+                ),
+            )
+
+
+@dataclass(frozen=True)
+class KernelChunk:
+    """Some rows on their way through the kernel, for who wants to know more of them than comes out.
+
+    Attributes
+    ----------
+    rows : slice
+        Which of all rows these are.
+    dt : ndarray, shape (n,), or None
+        T - T_ref, °C; 0 where the temperature is missing, None where none counts.
+    signal : ndarray, shape (channels, n)
+        S g: the readings without offset, drift, gain and bend, unit.
+    own : ndarray, shape (axes, n)
+        Up in the sensor's frame, g.
+    hidden : ndarray, shape (n,), or None
+        g_z in the sensor's frame, of a sensor that sees x and y only, where it is needed.
+    out : Compensated
+        What comes out.
+    """
+
+    rows: slice
+    dt: Array | None
+    signal: Array
+    own: Array
+    hidden: Array | None
+    out: Compensated
+
+
+class Compensation:
+    """One sensor's calibration, ready to be applied to any number of rows.
+
+    Parameters
+    ----------
+    coefficients : Coefficients
+        As many channels as axes, or two channels over x, y and z.
+    limits : Limits
+        The ranges that the calibration covers, and the rails of each channel. The tilt range is that of the sensor's
+        own axes, before the mounting rotation, because that is where it was covered.
+    first_order : bool
+        Use Cross-axis Compensation eq. 6 in place of the inverse of the matrix; two channels only.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        The axes that are reported: those of the sensor, without z where two channels measure x and y.
+    inverse : ndarray, shape (axes, channels)
+        From the signal to the sensor's own axes, g/unit.
+    coupling : ndarray, shape (2,)
+        What a hidden g_z adds to x and y.
+    rotation : ndarray, shape (3, 3), or None
+        From the sensor's frame to the application's; None where they are one.
+
+    Raises
+    ------
+    EstimateError
+        The coefficients cannot be turned round: too few channels, a singular matrix, or a mounting rotation of a
+        sensor that has no x and y.
+
+    Notes
+    -----
+    Two channels and a mounting rotation, or a z column: g_z is +sqrt(1 - g_x² - g_y²) unless element zz of the
+    mounting matrix is negative (the sensor hangs upside down), then it is minus that. Where g_x² + g_y² > 1, g_z is 0
+    and the row has flag 3 and reason 1.
+    """
+
+    def __init__(self, coefficients: Coefficients, limits: Limits | None = None, *, first_order: bool = False) -> None:
+        limits = limits or Limits()
+        channels = len(coefficients.channels)
+        own = tuple(axis for axis in AXES if axis in coefficients.axes)
+        sensitivity = coefficients.sensitivity[:, [coefficients.axes.index(axis) for axis in own]]
+        self.axes = own[:2] if (channels, own) == (2, AXES) else own
+        if len(self.axes) != channels:
+            raise EstimateError(
+                f"{channels} channel{'s' * (channels > 1)} ({', '.join(coefficients.channels)}) cannot be turned into "
+                f"{len(own)} axes ({', '.join(own)})"
+            )
+        if first_order and channels != 2:
+            raise EstimateError(f"the first-order compensation is for two channels; this sensor has {channels}")
+
+        self._offset = coefficients.offset
+        self._bend = None if coefficients.nonlinearity is None else Nonlinearity(coefficients)
+        self._thermal = coefficients.thermal
+        square = sensitivity[:, : len(self.axes)]
+        self.inverse = _first_order_inverse(square) if first_order else _inverse(square)
+        self.rotation: Array | None = None
+        if coefficients.mounting is not None:
+            rotation = mounting_matrix(coefficients.mounting)
+            if not np.array_equal(rotation, np.eye(3)):
+                if self.axes not in (("x", "y"), AXES):
+                    raise EstimateError("a mounting rotation takes a sensor that measures at least x and y")
+                self.rotation = rotation
+        self.coupling = self.inverse @ sensitivity[:, 2] if len(own) > channels else np.zeros(2)
+        self._hidden = channels == 2 and (len(own) > channels or self.rotation is not None)
+        self._upside_down = self.rotation is not None and bool(self.rotation[2, 2] < -_ROUNDING)
+
+        self._rails = _bounds(limits.reading, coefficients.channels)
+        self._reach = _bounds(
+            {axis: (_sine_of_limit(low, -1), _sine_of_limit(high, +1)) for axis, (low, high) in limits.tilt.items()},
+            self.axes,
+        )
+        self._temperatures = _overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
+
+    @property
+    def angles(self) -> tuple[str, ...]:
+        """Names of the columns of :meth:`table` that are angles."""
+        return (*(f"tilt_{axis}" for axis in self.axes), *(DIRECTIONS if len(self.axes) == 3 else ()))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns that :meth:`table` gives."""
+        return (*(f"g_{axis}" for axis in self.axes), *self.angles, "flag", "reason")
+
+    def table(self, compensated: Compensated) -> dict[str, NDArray[np.float64] | Bytes]:
+        """The columns of a result under the names that :attr:`columns` lists."""
+        angles = (compensated.pitch, compensated.roll, compensated.inclination)
+        return dict(
+            zip(
+                self.columns,
+                (
+                    *compensated.gravity.T,
+                    *compensated.tilt.T,
+                    *(angle for angle in angles if angle is not None),
+                    compensated.flag,
+                    compensated.reason,
+                ),
+                strict=True,
+            )
+        )
+
+    def __call__(
+        self,
+        readings: ArrayLike,
+        temperature: ArrayLike | None = None,
+        *,
+        out: Compensated | None = None,
+        follow: Callable[[KernelChunk], None] | None = None,
+    ) -> Compensated:
+        """Compensate rows.
+
+        Parameters
+        ----------
+        readings : array_like, shape (n, channels)
+            Raw readings in the unit of the calibration, columns in the order of its channels. Fastest where each
+            column is contiguous.
+        temperature : array_like, shape (n,), optional
+            °C; NaN where it is missing.
+        out : Compensated, optional
+            Room for n rows, from :meth:`Compensated.empty`, that an earlier call has filled: its memory is used again.
+        follow : callable, optional
+            Told of every few rows while they are in the cache.
+
+        Returns
+        -------
+        Compensated
+            ``out`` where it was given.
+
+        Raises
+        ------
+        ValueError
+            The shapes do not fit.
+        """
+        u = np.asarray(readings, dtype=float)
+        if u.ndim != 2 or u.shape[1] != len(self._offset):
+            raise ValueError(f"readings have shape {u.shape}; the calibration takes (n, {len(self._offset)})")
+        t = None if temperature is None else np.asarray(temperature, dtype=float)
+        if t is not None and t.shape != u.shape[:1]:
+            raise ValueError(f"temperature has shape {t.shape}; the readings need ({len(u)},)")
+        result = Compensated.empty(len(u), len(self.axes)) if out is None else out
+        if result.gravity.shape != (len(u), len(self.axes)):
+            raise ValueError(f"out has shape {result.gravity.shape}; the result has ({len(u)}, {len(self.axes)})")
+        with np.errstate(all="ignore"):
+            for rows, part in result.chunks():
+                stage = self._compensate(rows, u[rows].T, None if t is None else t[rows], part)
+                if follow is not None:
+                    follow(stage)
+        return result
+
+    def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
+        """One chunk, ``u`` having a row per channel, into ``out``."""
+        out.flag.fill(PASS)
+        out.reason.fill(0)
+        dt = self._warmth(temperature, out)
+        signal = self._signal(u, dt)
+        if self._bend is not None:
+            self._bend.linearise(signal)
+        own = self.inverse @ signal
+        hidden = self._solve_hidden(own, out) if self._hidden else None
+        application = out.gravity.T
+        self._mount(own, hidden, application)
+        for tilt, argument in zip(out.tilt.T, application, strict=True):
+            _arcsine(argument, tilt, out)
+        if len(self.axes) == 3:
+            _directions(application, out)
+        self._judge_tilt(own, out)
+        self._judge_readings(u, out)
+        return KernelChunk(rows, dt, signal, own, hidden, out)
+
+    def _warmth(self, temperature: Array | None, out: Compensated) -> Array | None:
+        """How much warmer than at the reference temperature, °C, where that counts; marks the rows that do not say."""
+        known = None
+        if temperature is not None:
+            known = np.isfinite(temperature)
+            if self._temperatures is not None:
+                low, high = self._temperatures
+                _mark(out, known & ((temperature < low) | (temperature > high)), SUSPECT, TEMPERATURE_RANGE)
+        if self._thermal is None:
+            return None
+        if temperature is None or known is None:
+            _mark(out, np.ones(len(out.flag), bool), SUSPECT, NO_TEMPERATURE)
+            return None
+        dt: Array = temperature - self._thermal.reference
+        if not known.all():
+            _mark(out, ~known, SUSPECT, NO_TEMPERATURE)
+            dt[~known] = 0.0
+        return dt
+
+    def _signal(self, u: Array, dt: Array | None) -> Array:
+        """The readings without offset, drift and gain: S g, still bent; unit."""
+        signal: Array = u - self._offset[:, None]
+        if self._thermal is None or dt is None:
+            return signal
+        for row, drift, gain in zip(signal, self._thermal.drift, self._thermal.gain, strict=True):
+            if drift.any():
+                row -= _polynomial(drift, dt)
+            if gain.any():
+                row /= 1.0 + _polynomial(gain, dt)
+        return signal
+
+    def _solve_hidden(self, own: Array, out: Compensated) -> Array:
+        """g_z of a sensor that sees x and y only; takes its coupling out of ``own``."""
+        q = self.coupling
+        excess = np.einsum("ij,ij->j", own, own) - 1.0
+        along = q @ own
+        curvature = 1.0 + q @ q
+        root = along * along - curvature * excess
+        beyond = root < 0.0
+        np.sqrt(root, out=root)
+        hidden: Array = np.minimum(along - root, 0.0) if self._upside_down else np.maximum(along + root, 0.0)
+        hidden /= curvature
+        hidden[beyond] = 0.0
+        if q.any():
+            own -= q[:, None] * hidden
+            excess = np.einsum("ij,ij->j", own, own) - 1.0
+        _mark(out, excess > _ROUNDING, SUSPECT, CLIPPED)
+        return hidden
+
+    def _mount(self, own: Array, hidden: Array | None, application: Array) -> None:
+        """Turn ``own`` into the application frame."""
+        if self.rotation is None:
+            application[...] = own
+        elif hidden is None:
+            np.matmul(self.rotation, own, out=application)
+        else:
+            np.matmul(self.rotation[:2, :2], own, out=application)
+            application += self.rotation[:2, 2:] * hidden
+
+    def _judge_tilt(self, own: Array, out: Compensated) -> None:
+        """Mark rows that tilt a sensor axis further than the calibration covers."""
+        for axis, (low, high) in self._reach.items():
+            argument = own[axis]
+            measured = np.abs(argument) <= CLIP_LIMIT + _ROUNDING
+            _mark(out, measured & ((argument < low) | (argument > high)), SUSPECT, TILT_RANGE)
+
+    def _judge_readings(self, u: Array, out: Compensated) -> None:
+        """Mark readings at the rail, and blank the rows that have a reading which is no number."""
+        for channel, (low, high) in self._rails.items():
+            _mark(out, (u[channel] <= low) | (u[channel] >= high), FAIL, RAIL)
+        finite = np.isfinite(u).all(axis=0)
+        if finite.all():
+            return
+        missing = ~finite
+        out.flag[missing] = MISSING
+        out.reason[missing] = NOT_A_NUMBER
+        for column in (out.gravity, out.tilt, out.pitch, out.roll, out.inclination):
+            if column is not None:
+                column[missing] = np.nan
+
+
+class Nonlinearity:
+    """The non-linearity of each channel, ready to be taken out of its signal.
+
+    Parameters
+    ----------
+    coefficients : Coefficients
+        With a non-linearity.
+    """
+
+    STEPS = 4
+    """Newton's steps: a bend of 5 % needs three to reach double precision."""
+
+    def __init__(self, coefficients: Coefficients) -> None:
+        axes = coefficients.axes
+        self._own = [
+            float(row[axes.index(c)]) for c, row in zip(coefficients.channels, coefficients.sensitivity, strict=True)
+        ]
+        table = coefficients.nonlinearity if coefficients.nonlinearity is not None else np.zeros((len(self._own), 0))
+        self._terms = [tuple(float(share) for share in np.pad(row, (0, 2 - len(row)))) for row in table]
+
+    def linearise(self, signal: Array) -> None:
+        """Turn S_ii (a + n2 a² + n3 a³) into S_ii a, in place; ``signal`` has a row per channel."""
+        for row, own, (square, cube) in zip(signal, self._own, self._terms, strict=True):
+            if square == 0.0 and cube == 0.0:
+                continue
+            bent = row / own
+            a = bent.copy()
+            for _ in range(self.STEPS):
+                a -= (a * (1.0 + a * (square + a * cube)) - bent) / (1.0 + a * (2.0 * square + 3.0 * a * cube))
+            np.multiply(a, own, out=row)
+
+
+def _arcsine(argument: Array, tilt: Array, out: Compensated) -> None:
+    """asin in degrees, trapped: ±90° a little beyond ±1, NaN further out, and the row says so."""
+    np.clip(argument, -1.0, 1.0, out=tilt)
+    np.arcsin(tilt, out=tilt)
+    tilt *= 180.0 / pi
+    size = np.abs(argument)
+    inside = size <= 1.0 + _ROUNDING
+    if inside.all():
+        return
+    _mark(out, ~inside, SUSPECT, CLIPPED)
+    lost = ~(size <= CLIP_LIMIT + _ROUNDING)
+    _mark(out, lost, FAIL, CLIPPED)
+    tilt[lost] = np.nan
+
+
+def _directions(gravity: Array, out: Compensated) -> None:
+    """Pitch, roll and inclination in degrees, over the full circle."""
+    g_x, g_y, g_z = gravity
+    for angle, up, across in (
+        (out.pitch, g_x, np.hypot(g_y, g_z)),
+        (out.roll, g_y, g_z),
+        (out.inclination, np.hypot(g_x, g_y), g_z),
+    ):
+        if angle is not None:
+            np.arctan2(up, across, out=angle)
+            angle *= 180.0 / pi
+
+
+def _mark(out: Compensated, rows: Bits, flag: int, reason: int) -> None:
+    """Add a reason to ``rows``, and raise their flag to ``flag`` where it is lower."""
+    if rows.any():
+        out.reason[rows] |= np.uint8(reason)
+        out.flag[rows] = np.maximum(out.flag[rows], np.uint8(flag))
+
+
+def _polynomial(coefficients: Array, dt: Array) -> Array:
+    """One channel's polynomial without a constant term, by Horner's rule in place."""
+    value = np.zeros_like(dt)
+    for coefficient in coefficients[::-1]:
+        value += coefficient
+        value *= dt
+    return value
+
+
+def _inverse(sensitivity: Array) -> Array:
+    if not np.isfinite(sensitivity).all() or not np.linalg.cond(sensitivity) < _LARGEST_CONDITION:
+        raise EstimateError(
+            "the sensitivity matrix is singular: two channels measure the same axis, or one measures none"
+        )
+    return np.asarray(np.linalg.inv(sensitivity), dtype=np.float64)
+
+
+def _first_order_inverse(sensitivity: Array) -> Array:
+    """The linear map that eq. 6 applies, for X and, with the letters exchanged, for Y."""
+    (xx, xy), (yx, yy) = sensitivity
+    if xx == 0.0 or yy == 0.0:
+        raise EstimateError(
+            "the first-order compensation divides by the sensitivity of each channel's own axis: one is 0"
+        )
+    return np.array([[1.0 / xx, -xy / (xx * yy)], [-yx / (xx * yy), 1.0 / yy]])
+
+
+def _bounds(named: dict[str, tuple[float, float]], names: tuple[str, ...]) -> dict[int, tuple[float, float]]:
+    """Bounds by position in ``names``; those of other names do not concern this sensor."""
+    return {names.index(name): bounds for name, bounds in named.items() if name in names}
+
+
+def _sine_of_limit(angle: float, side: int) -> float:
+    """The sine a tilt must pass to be outside a limit by more than the slack; none lies outside ±90°."""
+    widened = angle + side * _TILT_SLACK
+    if abs(widened) >= pi / 2:
+        return float(np.copysign(np.inf, widened))
+    return sin(widened)
+
+
+def _overlap(first: tuple[float, float] | None, second: tuple[float, float] | None) -> tuple[float, float] | None:
+    """The temperatures inside both ranges, °C."""
+    ranges = [given for given in (first, second) if given is not None]
+    if not ranges:
+        return None
+    return max(low for low, _ in ranges), min(high for _, high in ranges)

@@ -1,0 +1,196 @@
+"""What kinds of noise an Allan deviation is made of.
+
+The model is the sum of four that are independent of each other (IEEE Std 952-1997, annex C, with τ in seconds)::
+
+    σ²(τ) = N²/τ + (2 ln 2 / π) B² + K² τ/3 + R² τ²/2
+
+N is white noise (velocity random walk, where the reading is an acceleration), B flicker noise (bias instability), K
+random walk (of the bias), R a steady drift. Rounding of a reading that is noisy enough is white and part of N; the
+standard's quantisation term, of integrating sensors, does not occur.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from math import log, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.model import Array
+from tiltcal.core.noise.allan import Kind, degrees_of_freedom
+
+TERMS = ("N", "B", "K", "R")
+
+FLICKER = sqrt(2.0 * log(2.0) / pi)
+"""Deviation of flicker noise over its coefficient B: 0.664."""
+
+_KINDS: tuple[Kind, ...] = ("white", "flicker", "walk", "walk")
+
+_FEWEST_OCTAVES = 6
+"""Octaves that must be left when short ones are set aside."""
+
+_MOST_DOF = 1000.0
+"""Of an octave's weight: a model of four terms is not trusted to better than 2 % of a deviation."""
+
+_WORTH = 8.0
+"""By how much a term must lower the deviance to be believed in; chance does it once in two hundred times."""
+
+_DOUBTFUL = 1e-3
+"""A fit that chance makes worse less often than this is none."""
+
+_ROUNDS = 25
+
+
+@dataclass(frozen=True)
+class AllanFit:
+    """The kinds of noise that show.
+
+    Attributes
+    ----------
+    value, u : mapping of str to float
+        Coefficients of the terms that show, with their standard uncertainties: N in unit √s, B in unit, K in unit/√s,
+        R in unit/s.
+    first : int
+        Index of the octave from which on they describe the deviation. Before it neighbouring samples are alike, or
+        opposite, by a filter or an interference.
+    dof : ndarray, shape (k,)
+        Equivalent degrees of freedom of every octave, by the kind of noise that dominates there.
+    follows : bool
+        Whether the deviation follows them to within its uncertainty.
+    """
+
+    value: Mapping[str, float]
+    u: Mapping[str, float]
+    first: int
+    dof: Array
+    follows: bool
+
+    def variance(self, tau: Array) -> Array:
+        """Allan variance that the terms make, shape of ``tau`` (seconds)."""
+        squares = np.array([self.value.get(name, 0.0) ** 2 for name in TERMS])
+        return np.asarray(_columns(tau) @ squares)
+
+    def parts(self, tau: Array) -> dict[str, Array]:
+        """The deviation that each term would make alone, shape of ``tau`` (seconds)."""
+        columns = _columns(tau)
+        return {name: np.sqrt(columns[:, TERMS.index(name)]) * value for name, value in self.value.items()}
+
+
+def terms_of(tau: Array, variance: Array, factor: NDArray[np.int64], samples: int) -> AllanFit:
+    """The fewest kinds of noise that make an Allan variance.
+
+    Parameters
+    ----------
+    tau : ndarray, shape (k,)
+        Averaging times, seconds, rising by octaves.
+    variance : ndarray, shape (k,)
+        Overlapping Allan variance, above 0.
+    factor : ndarray of int, shape (k,)
+        Samples per average.
+    samples : int
+        In the record.
+
+    Notes
+    -----
+    Maximum likelihood of variances that are chi-square distributed with their equivalent degrees of freedom, for each
+    choice of terms; of the choices the one whose deviance, with a price for each term, is lowest. Short octaves that no
+    choice describes are set aside one by one.
+    """
+    spectrum = _Spectrum(tau, variance, factor, samples)
+    whole = None
+    for first in range(max(1, len(tau) - _FEWEST_OCTAVES + 1)):
+        terms = spectrum.fitted(first)
+        whole = whole or terms
+        if terms.follows:
+            return terms
+    return whole or spectrum.fitted(0)
+
+
+@dataclass(frozen=True)
+class _Spectrum:
+    tau: Array
+    variance: Array
+    factor: NDArray[np.int64]
+    samples: int
+
+    def fitted(self, first: int) -> AllanFit:
+        """The best terms from an octave on."""
+        dof = self._dof(np.zeros(len(self.tau), dtype=np.intp))
+        for _ in range(3):  # which kind dominates decides the weights, and they the fit
+            chosen, squares = self._best(first, np.minimum(dof, _MOST_DOF))
+            columns = _columns(self.tau)[:, chosen] * squares
+            dof = self._dof(np.array(chosen)[np.argmax(columns, axis=1)])
+        weights = np.minimum(dof, _MOST_DOF)[first:]
+        made = columns[first:].sum(axis=1)
+        parts = columns[first:] / made[:, None]
+        covariance = np.linalg.pinv(parts.T @ (parts * weights[:, None] / 2.0))
+        relative = np.sqrt(np.diag(covariance)) / 2.0
+        values = np.sqrt(squares)
+        names = [TERMS[index] for index in chosen]
+        return AllanFit(
+            dict(zip(names, values.tolist(), strict=True)),
+            dict(zip(names, (relative * values).tolist(), strict=True)),
+            first,
+            dof,
+            self._follows(self.variance[first:] / made, weights, len(chosen)),
+        )
+
+    def _dof(self, dominating: NDArray[np.intp]) -> Array:
+        return np.array(
+            [
+                degrees_of_freedom(_KINDS[kind], self.samples, factor)
+                for kind, factor in zip(dominating.tolist(), self.factor.tolist(), strict=True)
+            ]
+        )
+
+    def _best(self, first: int, dof: Array) -> tuple[list[int], Array]:
+        best: tuple[float, list[int], Array] | None = None
+        for chosen in _choices(min(len(TERMS), len(self.tau) - first)):
+            squares = _likeliest(_columns(self.tau[first:])[:, chosen], self.variance[first:], dof[first:])
+            if not np.all(squares > 0.0):
+                continue  # the choice without the term that is nothing does as well
+            ratio = self.variance[first:] / (_columns(self.tau[first:])[:, chosen] @ squares)
+            price = float(np.sum(dof[first:] * (ratio - 1.0 - np.log(ratio)))) + _WORTH * len(chosen)
+            if best is None or price < best[0]:
+                best = price, chosen, squares
+        if best is None:
+            raise ValueError("an Allan variance must be above zero")
+        return best[1], best[2]
+
+    @staticmethod
+    def _follows(ratio: Array, dof: Array, terms: int) -> bool:
+        from scipy.special import chdtrc
+
+        left = len(ratio) - terms
+        return left <= 0 or float(chdtrc(left, np.sum(dof * (ratio - 1.0 - np.log(ratio))))) > _DOUBTFUL
+
+
+def _columns(tau: Array) -> Array:
+    """What one of each term's squares makes at each averaging time, shape (k, terms)."""
+    return np.stack([1.0 / tau, np.full(len(tau), FLICKER**2), tau / 3.0, tau**2 / 2.0], axis=1)
+
+
+def _choices(most: int) -> Iterator[list[int]]:
+    for count in range(1, most + 1):
+        for chosen in combinations(range(len(TERMS)), count):
+            yield list(chosen)
+
+
+def _likeliest(columns: Array, variance: Array, dof: Array) -> Array:
+    """Squares of the coefficients, by least squares whose weights follow the model."""
+    from scipy.optimize import nnls
+
+    made = variance
+    squares = np.zeros(columns.shape[1])
+    for _ in range(_ROUNDS):
+        weights = np.sqrt(dof) / made
+        scale = np.max(columns * weights[:, None], axis=0)
+        found = nnls(columns * weights[:, None] / scale, variance * weights)[0] / scale
+        settled = np.allclose(found, squares, rtol=1e-9, atol=0.0)
+        squares, made = found, columns @ found
+        if settled or not np.all(made > 0.0):
+            break
+    return squares

@@ -1,0 +1,166 @@
+"""What does not belong into a record at rest: motion, and a reading that hangs.
+
+Means of short blocks differ from their neighbours by the noise, and by what it wanders from one to the next; in a block
+that differs by far more, or scatters by far more within, the sensor was moved. How much is usual the median says, which
+a knock or two does not shift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.model import Array
+
+BLOCK = 16
+"""Rows of a block, in a short record."""
+
+MOST_BLOCKS = 1 << 16
+"""Blocks kept; in a longer record they are of twice the rows, and twice that, ..."""
+
+_FEWEST_BLOCKS = 8
+
+JUMP = 8.0
+"""A difference of block means beyond so many standard deviations is motion."""
+
+BURST = 5.0
+"""So is a scatter within a block beyond so many times the usual one."""
+
+_SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
+
+_ODD_RUN = 3.0  # a run of identical rows so many times longer than the longest that chance makes is none of chance
+
+
+@dataclass(frozen=True)
+class RowRange:
+    """Some rows of a record, the end exclusive."""
+
+    start: int
+    end: int
+
+
+class Disturbances:
+    """Collects what shows motion and hanging readings along the samples of some channels.
+
+    Parameters
+    ----------
+    channels : int
+    """
+
+    def __init__(self, channels: int) -> None:
+        empty = np.empty((0, channels))
+        self._rows = 0
+        self._size = BLOCK
+        self._pending, self._pending_present = empty, empty.astype(np.bool_)
+        self._blocks = [_Blocks(empty, empty, empty)]
+        self._held = 0
+        self._last = np.full((1, channels), np.nan)
+        self._repeats, self._run, self._longest = 0, 0, RowRange(0, 0)
+
+    def add(self, samples: Array, present: NDArray[np.bool_]) -> None:
+        """Take more samples, zero where they are missing, shape (n, channels)."""
+        self._follow_runs(np.where(present, samples, np.nan))
+        self._rows += len(samples)
+        samples, present = np.concatenate([self._pending, samples]), np.concatenate([self._pending_present, present])
+        whole = len(samples) // self._size * self._size
+        self._pending, self._pending_present = samples[whole:], present[whole:]
+        if whole:
+            shape = (-1, self._size, samples.shape[1])
+            cut, counted = samples[:whole].reshape(shape), present[:whole].reshape(shape)
+            self._blocks.append(_Blocks(cut.sum(axis=1), (cut**2).sum(axis=1), counted.sum(axis=1).astype(np.float64)))
+            self._held += whole // self._size
+        while self._held > MOST_BLOCKS:
+            self._coarsen()
+
+    def moved(self, step: Array) -> list[RowRange]:
+        """Rows in which the sensor was moved.
+
+        Parameters
+        ----------
+        step : ndarray, shape (channels,)
+            Of the readings; 0 where they are continuous.
+        """
+        blocks = _joined(self._blocks)
+        if len(blocks.counts) < _FEWEST_BLOCKS:
+            return []
+        rounding = step / sqrt(12.0)
+        found = blocks.jumps(rounding) | blocks.bursts(rounding)
+        edges = np.flatnonzero(np.diff(np.r_[False, found.any(axis=1), False].astype(np.int8)))
+        return [RowRange(start * self._size, end * self._size) for start, end in edges.reshape(-1, 2).tolist()]
+
+    def hung(self) -> RowRange | None:
+        """The longest run of rows that are identical in all channels, where chance does not make such a one."""
+        length = self._longest.end - self._longest.start
+        others = max(self._repeats - length + 1, 1) / max(self._rows - length, 2)
+        if others >= 0.9:
+            return None  # a reading that hardly ever changes: rest looks like that
+        likely = log(max(self._rows, 3)) / -log(others)
+        return self._longest if length > 10 + _ODD_RUN * likely else None
+
+    def _follow_runs(self, samples: Array) -> None:
+        if not len(samples):
+            return
+        beside = np.concatenate([self._last, samples])
+        same = (beside[1:] == beside[:-1]).all(axis=1)
+        self._last = samples[-1:]
+        self._repeats += int(same.sum())
+        breaks = np.flatnonzero(~same)
+        starts = np.r_[-self._run, breaks]
+        ends = np.r_[breaks, len(samples)]
+        longest = int(np.argmax(ends - starts))
+        if ends[longest] - starts[longest] > self._longest.end - self._longest.start:
+            self._longest = RowRange(self._rows + int(starts[longest]), self._rows + int(ends[longest]))
+        self._run = int(ends[-1] - starts[-1])
+
+    def _coarsen(self) -> None:
+        """Join blocks by twos; an odd one stays as it is, half as long, which moves those behind it by as much."""
+        blocks = _joined(self._blocks)
+        even = len(blocks.counts) // 2 * 2
+        odd = _Blocks(blocks.sums[even:], blocks.squares[even:], blocks.counts[even:])
+        self._blocks = [blocks.halved(even), odd]
+        self._held = even // 2 + len(odd.counts)
+        self._size *= 2
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Sums, sums of squares and numbers of present samples, shape (blocks, channels)."""
+
+    sums: Array
+    squares: Array
+    counts: Array
+
+    def halved(self, even: int) -> _Blocks:
+        parts = (self.sums, self.squares, self.counts)
+        return _Blocks(*(part[0:even:2] + part[1:even:2] for part in parts))
+
+    @property
+    def mean(self) -> Array:
+        return np.asarray(self.sums / np.where(self.counts > 1, self.counts, np.nan))
+
+    def jumps(self, rounding: Array) -> NDArray[np.bool_]:
+        """Blocks before and behind a difference of means that stands out."""
+        mean = self.mean
+        difference = np.abs(np.diff(mean, axis=0) - np.nanmedian(np.diff(mean, axis=0), axis=0))
+        usual = np.maximum(_SIGMA_OF_MEDIAN * np.nanmedian(difference, axis=0), rounding)
+        far = difference > JUMP * usual
+        none = np.zeros((1, far.shape[1]), dtype=np.bool_)
+        return np.asarray(np.concatenate([far, none]) | np.concatenate([none, far]))
+
+    def bursts(self, rounding: Array) -> NDArray[np.bool_]:
+        """Blocks whose scatter stands out."""
+        variance = self.squares / np.where(self.counts > 1, self.counts, np.nan) - self.mean**2
+        scatter = np.sqrt(np.maximum(variance, 0.0))
+        usual = np.maximum(np.nanmedian(scatter, axis=0), rounding)
+        return np.asarray(scatter > BURST * usual)
+
+
+def _joined(blocks: list[_Blocks]) -> _Blocks:
+    return _Blocks(
+        np.concatenate([one.sums for one in blocks]),
+        np.concatenate([one.squares for one in blocks]),
+        np.concatenate([one.counts for one in blocks]),
+    )

@@ -1,0 +1,170 @@
+"""What a position should read before it is measured, so that a wrong position is caught at once.
+
+The coefficients are taken as normal, centred on the model's nominal values with the spread of its parts, and every
+accepted position sharpens them (recursive linear least squares). A reading is then so many standard deviations from
+what each position of the procedure should give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import cos, radians, sin
+
+import numpy as np
+
+from tiltcal.core.frames import Vector
+from tiltcal.core.model import AXES, Array
+
+POSE = sin(radians(1.5))
+"""How far a careful operator may be off, g: well above any jig, well below the distance of two positions."""
+
+MATCHED, ODD = 5.0, 8.0
+"""Standard deviations from which a reading is refused: where another position fits better, and where none does."""
+
+SAME = radians(5.0)
+"""Attitudes closer than this are one attitude taken again."""
+
+CROSS_SPREAD = 0.03
+"""Standard deviation of a cross-axis sensitivity over parts, relative to the main one (4 % at most, SCA100T)."""
+
+OFFSET_FLOOR = 0.03
+"""Offsets may differ by this much more than the part's specification: boards are soldered askew, g."""
+
+DRIFT = 0.005
+"""How far an offset may move per °C before the drift is known, g/°C: the ADXL202's worst part."""
+
+
+class ExpectedReadings:
+    """The reading that each position should give.
+
+    Parameters
+    ----------
+    channels : tuple of str
+    offset : float
+        Nominal, unit.
+    sensitivity : float
+        Nominal, unit/g.
+    offset_spread : float
+        Standard deviation over parts, g.
+    sensitivity_spread : float
+        Standard deviation over parts, relative.
+    """
+
+    def __init__(
+        self,
+        channels: tuple[str, ...],
+        offset: float,
+        sensitivity: float,
+        offset_spread: float,
+        sensitivity_spread: float,
+    ) -> None:
+        self._channels = channels
+        self._offset, self._sensitivity = offset, sensitivity
+        prior = np.diag([offset_spread**2 + OFFSET_FLOOR**2, *(3 * [CROSS_SPREAD**2])])
+        self._mean: list[Array] = []
+        self._covariance: list[Array] = []
+        for channel in channels:
+            own = 1 + AXES.index(channel)
+            mean, covariance = np.zeros(4), prior.copy()
+            mean[own], covariance[own, own] = 1.0, sensitivity_spread**2
+            self._mean.append(mean)
+            self._covariance.append(covariance)
+        self._first_temperature: float | None = None
+
+    def distance(self, gravity: Vector, reading: Array, temperature: float | None = None) -> float:
+        """Standard deviations between a reading and what ``gravity`` should give, the worst channel's."""
+        row = np.array([1.0, *gravity])
+        sigma = self._pose(temperature)
+        worst = 0.0
+        for mean, covariance, value in zip(self._mean, self._covariance, self._in_g(reading), strict=True):
+            worst = max(worst, abs(value - row @ mean) / np.sqrt(row @ covariance @ row + sigma**2))
+        return float(worst)
+
+    def learn(self, gravity: Vector, reading: Array, temperature: float | None = None) -> None:
+        """Take an accepted position into account."""
+        if self._first_temperature is None:
+            self._first_temperature = temperature
+        row = np.array([1.0, *gravity])
+        sigma = self._pose(temperature)
+        for i, value in enumerate(self._in_g(reading)):
+            spread = self._covariance[i] @ row
+            gain = spread / (row @ spread + sigma**2)
+            self._mean[i] = self._mean[i] + gain * (value - row @ self._mean[i])
+            self._covariance[i] = self._covariance[i] - np.outer(gain, spread)
+
+    def expected(self, gravity: Vector) -> dict[str, float]:
+        """Reading per channel that ``gravity`` should give, in the sensor's unit."""
+        row = np.array([1.0, *gravity])
+        return {
+            channel: float(self._offset + self._sensitivity * (row @ mean))
+            for channel, mean in zip(self._channels, self._mean, strict=True)
+        }
+
+    def objection(
+        self,
+        position: str,
+        positions: Mapping[str, Vector],
+        reading: Array,
+        temperature: float | None = None,
+    ) -> str | None:
+        """Why a reading cannot be that of ``position``, or None where it can.
+
+        Parameters
+        ----------
+        position : str
+            The one that was asked for.
+        positions : mapping of str to Vector
+            Gravity of every position of the procedure; ``position`` as it was set.
+        reading : ndarray, shape (channels,)
+            In the sensor's unit.
+        temperature : float, optional
+            °C.
+        """
+        own = self.distance(positions[position], reading, temperature)
+        others = {
+            name: self.distance(gravity, reading, temperature)
+            for name, gravity in positions.items()
+            if name != position
+        }
+        nearest = min(others, key=lambda name: others[name], default=None)
+        if nearest is not None and own > MATCHED and others[nearest] < own / 2:
+            return f"this looks like {nearest}: is the sensor turned round?"
+        if own > ODD:
+            expected = self.expected(positions[position])
+            told = ", ".join(
+                f"{channel} reads {value:.6g} where about {expected[channel]:.6g} is expected"
+                for channel, value in zip(self._channels, reading, strict=True)
+            )
+            return (
+                f"no position of this procedure reads like this ({told}): is the sensor at the angle, and are its axes "
+                "named right?"
+            )
+        return None
+
+    def repeated(self, readings: Mapping[str, Array], reading: Array) -> str | None:
+        """Why a reading is no attitude of its own, or None where it is one.
+
+        The offset that the part really has moves all attitudes alike: how far they are apart is seen without it.
+
+        Parameters
+        ----------
+        readings : mapping of str to ndarray, shape (3,)
+            Of the attitudes before, in the sensor's unit.
+        reading : ndarray, shape (3,)
+        """
+        own = np.array(self._in_g(reading))
+        for name, before in readings.items():
+            other = np.array(self._in_g(before))
+            if float(own @ other) > cos(SAME) * float(np.linalg.norm(own) * np.linalg.norm(other)):
+                return (
+                    f"this is the attitude of {name} again: hold the sensor another way, the more different the better"
+                )
+        return None
+
+    def _in_g(self, reading: Array) -> list[float]:
+        return [(float(value) - self._offset) / self._sensitivity for value in reading]
+
+    def _pose(self, temperature: float | None) -> float:
+        if temperature is None or self._first_temperature is None:
+            return POSE
+        return float(np.hypot(POSE, DRIFT * (temperature - self._first_temperature)))

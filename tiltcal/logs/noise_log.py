@@ -1,0 +1,153 @@
+"""A recorded log of a sensor at rest, on its way through the characterisation of its noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tiltcal.core.noise.characterise import FEWEST, ChannelNoise, Characteriser
+from tiltcal.core.noise.disturbances import RowRange
+from tiltcal.errors import EstimateError, InputError
+from tiltcal.logs.uniform_sampling import SamplingInterval, UniformLog
+
+
+@dataclass(frozen=True)
+class NoiseLog:
+    """What a log says of the noise of its sensor.
+
+    Attributes
+    ----------
+    pace : SamplingInterval
+    channels : mapping of str to ChannelNoise
+    missing : mapping of str to int
+        Values that are missing in the log's own rows, per channel that lacks some.
+    moved : sequence of RowRange
+        Where the sensor was moved; rows at an even pace, missing ones counted.
+    hung : RowRange or None
+        Where its reading hung.
+    """
+
+    pace: SamplingInterval
+    channels: Mapping[str, ChannelNoise]
+    missing: Mapping[str, int]
+    moved: Sequence[RowRange]
+    hung: RowRange | None
+
+    def seconds(self, rows: RowRange) -> tuple[float, float]:
+        """When rows begin and end, seconds from the beginning of the log."""
+        return rows.start * self.pace.interval, rows.end * self.pace.interval
+
+    @property
+    def span(self) -> float:
+        """From the beginning of the first row to the end of the last, seconds."""
+        return (self.pace.rows + self.pace.lost) * self.pace.interval
+
+    def as_text(self) -> str:
+        """What was looked at, in words."""
+        return (
+            f"{self.pace.rows} samples of {', '.join(self.channels)}, {self.pace.interval:.4g} s apart "
+            f"({1.0 / self.pace.interval:.4g} Hz), {self.span:.6g} s"
+        )
+
+    def as_data(self) -> dict[str, Any]:
+        """What was looked at, and what is to be known of it, as plain data."""
+        return {
+            "samples": self.pace.rows,
+            "interval": self.pace.interval,
+            "seconds": self.span,
+            "gaps": {"count": self.pace.gaps, "rows": self.pace.lost},
+            "missing": dict(self.missing),
+            "bad_rows": self.pace.faulty,
+            "moved": [list(self.seconds(rows)) for rows in self.moved],
+            "hung": None if self.hung is None else list(self.seconds(self.hung)),
+            "remarks": self.remarks(),
+        }
+
+    def remarks(self) -> list[str]:
+        """What should be known before the numbers are believed, in words."""
+        said = []
+        if self.moved:
+            begin, end = self.seconds(self.moved[0])
+            more = f", and {len(self.moved) - 1} times more" if len(self.moved) > 1 else ""
+            said.append(
+                f"it was not still: moved or knocked from {begin:.4g} to {end:.4g} s{more}; the numbers are of noise "
+                "and motion together: take a record at rest, or its rows at rest"
+            )
+        if self.hung is not None:
+            begin, end = self.seconds(self.hung)
+            said.append(f"the readings hung from {begin:.4g} to {end:.4g} s: no channel changed, as if it were stuck")
+        if self.pace.gaps:
+            said.append(f"{_counted(self.pace.gaps, 'gap')} in its times, {_counted(self.pace.lost, 'row')} long")
+        said += [f"{channel} is missing in {_counted(count, 'row')}" for channel, count in self.missing.items()]
+        said += [
+            f"{channel}: no sum of white noise, flicker noise, random walk and drift follows its Allan deviation; a "
+            "vibration may be in it, or a filter"
+            for channel, noise in self.channels.items()
+            if not noise.terms.follows
+        ]
+        return said
+
+
+def characterise_log(
+    log: UniformLog,
+    channels: Sequence[str],
+    sizes: Sequence[int],
+    *,
+    file: str,
+    progress: Callable[[int], None] | None = None,
+) -> NoiseLog:
+    """Characterise the noise of a log, read once from its beginning to its end.
+
+    Parameters
+    ----------
+    log : UniformLog
+    channels : sequence of str
+        As the log has them.
+    sizes : sequence of int
+        Sizes of averages that are asked for beside 1, 10, 100, ...
+    file : str
+        The log as the user named it.
+    progress : callable, optional
+        Told how many bytes of the log have been read.
+
+    Raises
+    ------
+    InputError
+        A row cannot be parsed, or a reading is stuck.
+    EstimateError
+        There is too little to say anything.
+    """
+    found = Characteriser(len(channels), sizes)
+    for samples in log.samples(progress):
+        found.add(samples)
+    for place, channel in enumerate(channels):
+        _require_noise(found, place, channel, file)
+    pace = log.pace
+    noises = {channel: found.channel(place, pace.interval) for place, channel in enumerate(channels)}
+    missing = {channel: pace.rows - count for channel, count in zip(channels, found.counts, strict=True)}
+    return NoiseLog(
+        pace,
+        noises,
+        {channel: count for channel, count in missing.items() if count},
+        found.moved([noise.step for noise in noises.values()]),
+        found.hung,
+    )
+
+
+def _require_noise(found: Characteriser, place: int, channel: str, file: str) -> None:
+    count, value = found.counts[place], found.constant(place)
+    if not count:
+        raise InputError(f"column {channel!r} has no value in any row: is {channel} connected?", file=file)
+    if count < FEWEST:
+        raise EstimateError(f"{file}: {channel} has {count} samples; nothing is said of noise from fewer than {FEWEST}")
+    if value is not None:
+        raise InputError(
+            f"{channel} reads {value:g} in all {count} samples: identical samples are not still, they are stuck (or "
+            "the noise is far below the step of the reading, and no averaging helps)",
+            file=file,
+        )
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"

@@ -1,0 +1,206 @@
+"""A recorded log on its way through the demodulation of accelerometer pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+
+import numpy as np
+
+from tiltcal.core.model import Array
+from tiltcal.core.pair.demodulate import Demodulation, Demodulator
+from tiltcal.core.pair.encoder import AngleTracker
+from tiltcal.core.pair.spin import Spin, estimate_spin, followed_spin
+from tiltcal.errors import EstimateError, InputError
+from tiltcal.logs.columns import TIME, locate_columns
+from tiltcal.logs.log import Log, LogBlock
+from tiltcal.logs.pair_block import PairBlock
+from tiltcal.logs.stuck_values import StuckValues
+
+ROWS_FOR_SPIN = 1 << 20
+"""Rows from whose beginning the spin is estimated where there is no encoder; they are what is kept in memory."""
+
+
+@dataclass
+class Demodulated:
+    """What came out of a log.
+
+    Attributes
+    ----------
+    demodulation : Demodulation
+    turns : float
+        Of the stage.
+    rows : int
+        That were used.
+    missing : int
+        That were left out because a value is missing.
+    seconds : float or None
+        From the first row used to the last; None without time.
+    spin : Spin or None
+        Where it was estimated.
+    """
+
+    demodulation: Demodulation
+    turns: float
+    rows: int
+    missing: int
+    seconds: float | None
+    spin: Spin | None = field(default=None)
+
+    @property
+    def frequency(self) -> float | None:
+        """Of the spin, Hz; None where the log has no time."""
+        return self.turns / self.seconds if self.seconds else None
+
+    @property
+    def rate(self) -> float | None:
+        """Rows per second; None where the log has no time."""
+        return (self.rows + self.missing - 1) / self.seconds if self.seconds else None
+
+
+def demodulate_log(
+    log: Log[LogBlock],
+    channels: Sequence[str],
+    phase: str | None,
+    *,
+    file: str,
+    witness: Sequence[Callable[[PairBlock], None]] = (),
+    say: Callable[[str], None] = lambda line: None,
+    live: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> Demodulated:
+    """Demodulate the readings of a log, read once from its beginning to its end.
+
+    Parameters
+    ----------
+    log : Log
+    channels : sequence of str
+        The columns of the readings.
+    phase : str or None
+        The column of the stage angle in degrees; None where there is no encoder and the spin is to be estimated, from
+        the column ``time`` or, without one, from the number of the row.
+    file : str
+        The log as the user named it.
+    witness : sequence of callable
+        Shown every stretch as it is read, rows with missing values and all; stuck ones are among them.
+    say : callable
+        Told which channel is stuck, and from which row on.
+    live : bool
+        The log is taken for a stream: a stage that turns too little, or backwards, is left to the witnesses.
+    progress : callable, optional
+        Told how many bytes of the log have been read.
+
+    Raises
+    ------
+    InputError
+        A column is missing or has no values, or a row cannot be parsed.
+    EstimateError
+        The stage does not turn as it must.
+    """
+    stage, demodulator, tally = AngleTracker(), Demodulator(channels), _Tally(len(channels))
+    angles = _Angles(phase)
+    rows = tally.counted(angles.told(_stretches(log, channels, phase, file)))
+    for stretch in StuckValues(channels, say).cleaned(rows):
+        theta, readings, numbers = stretch.complete()
+        demodulator.add(stage.follow(theta), readings, numbers)
+        for look in witness:
+            look(stretch)
+        if progress is not None:
+            progress(log.bytes_read)
+    for name, present in zip((*channels, str(phase)), tally.present.tolist(), strict=True):
+        if not present:
+            raise InputError(f"column {name!r} has no value in any row: is {name} connected?", file=file)
+    if not live or not stage.moved:
+        stage.require_turns()
+    missing = tally.rows - stage.rows
+    return Demodulated(demodulator.result(), stage.turns, stage.rows, missing, tally.seconds, angles.spin)
+
+
+class _Tally:
+    """Counts the values of a log, and keeps when it begins and ends."""
+
+    def __init__(self, channels: int) -> None:
+        self.rows = 0
+        self.present = np.zeros(channels + 1, dtype=np.int64)
+        self._begin: float | None = None
+        self._end = 0.0
+
+    def counted(self, stretches: Iterator[PairBlock]) -> Iterator[PairBlock]:
+        """The stretches, counted."""
+        for stretch in stretches:
+            self.rows += len(stretch.theta)
+            self.present += [*np.isfinite(stretch.readings).sum(axis=0), np.isfinite(stretch.theta).sum()]
+            timed = np.empty(0) if stretch.time is None else stretch.time[np.isfinite(stretch.time)]
+            if len(timed):
+                self._begin = float(timed[0]) if self._begin is None else self._begin
+                self._end = float(timed[-1])
+            yield stretch
+
+    @property
+    def seconds(self) -> float | None:
+        """From the first row with a time to the last; None without time."""
+        return None if self._begin is None or self._end <= self._begin else self._end - self._begin
+
+
+class _Angles:
+    """The stage angle of a log's rows, as it was measured, or estimated where it was not."""
+
+    def __init__(self, phase: str | None) -> None:
+        self._measured = phase is not None
+        self.spin: Spin | None = None
+
+    def told(self, stretches: Iterator[PairBlock]) -> Iterator[PairBlock]:
+        """The stretches with their stage angle."""
+        if self._measured:
+            yield from stretches
+            return
+        held: list[PairBlock] = []
+        rows = 0
+        for stretch in stretches:
+            held.append(stretch)
+            rows += len(stretch.theta)
+            if rows >= ROWS_FOR_SPIN:
+                break
+        self.spin = _spin_of(held)
+        for stretch in chain(held, stretches):
+            self.spin = _followed(self.spin, stretch)
+            yield PairBlock(self.spin.theta(_clock(stretch)), stretch.readings, stretch.time, stretch.first)
+
+
+def _stretches(log: Log[LogBlock], channels: Sequence[str], phase: str | None, file: str) -> Iterator[PairBlock]:
+    """The log's rows."""
+    line = log.header_line
+    where = locate_columns(log.names, channels, {}, file=file, line=line, option="--pair or --orthogonal ")
+    if phase is not None:
+        where |= locate_columns(log.names, (phase,), {}, file=file, line=line, option="--phase ")
+    if TIME in log.names:
+        where[TIME] = log.names.index(TIME)
+    first = 0
+    for rows in log.rows(sorted(set(where.values())), where.get(TIME)):
+        readings = np.stack([rows.values[where[channel]] for channel in channels], axis=1)
+        theta = np.full(len(readings), np.nan) if phase is None else rows.values[where[phase]]
+        yield PairBlock(theta, readings, rows.values[where[TIME]] if TIME in where else None, first)
+        first += len(readings)
+
+
+def _clock(stretch: PairBlock) -> Array:
+    """Seconds, or numbers of rows where there are none."""
+    return stretch.time if stretch.time is not None else stretch.first + np.arange(float(len(stretch.theta)))
+
+
+def _spin_of(held: Sequence[PairBlock]) -> Spin:
+    time = np.concatenate([_clock(stretch) for stretch in held])
+    readings = np.concatenate([stretch.readings for stretch in held])
+    good = np.isfinite(time) & np.isfinite(readings).all(axis=1)
+    if not np.isfinite(time).any():
+        raise EstimateError("no row has a time: write it in seconds, or in ISO 8601 such as 2026-05-01T12:00:00.5Z")
+    if not good.any():
+        raise EstimateError("no row of the record has all readings: is every accelerometer connected?")
+    return estimate_spin(time[good], readings[good])
+
+
+def _followed(spin: Spin, stretch: PairBlock) -> Spin:
+    time = _clock(stretch)
+    good = np.isfinite(time) & np.isfinite(stretch.readings).all(axis=1)
+    return followed_spin(spin, time[good], stretch.readings[good])

@@ -1,0 +1,318 @@
+"""Still intervals of a recorded log: when the sensor was held still, found in the readings themselves.
+
+A row is still where the standard deviation in the window around it stays below a threshold, a multiple of the noise in
+the stillest part of the log (the static detector of Tedaldi, Pretto and Menegatti, 2014). What multiple and what window
+is for the calibration to say. Too loose lets motion in, and the fit leaves a large scatter; too strict leaves few
+attitudes, and nine of them fit nine unknowns perfectly and wrongly. So every choice is fitted and judged by the
+expanded uncertainty of the coefficients, in which noise, scatter, number and spread of the attitudes and Student's t
+for the degrees of freedom that are left all have their say, and nine attitudes have no say at all. Of those that are as
+good as the best, as far as its degrees of freedom can tell, the one with the most attitudes is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import cos, inf, radians, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.estimation.ellipsoid import UNKNOWNS, Ellipsoid, fit_ellipsoid
+from tiltcal.core.model import Array
+from tiltcal.core.statistics import BLOCKS
+from tiltcal.errors import EstimateError
+from tiltcal.files.segments import Segment
+
+WINDOWS = (200, 100, 50, 25)
+"""Rows of the windows that are tried."""
+
+MULTIPLES = (1.4, 1.7, 2.0, 2.4, 2.8, 3.4, 4.0, 5.0, 6.0, 8.0, 10.0)
+"""Thresholds that are tried, in units of the noise of the stillest part."""
+
+STILLEST = 0.01
+"""The share of the windows that counts as the stillest part."""
+
+STUCK = 25
+"""Rows that are identical in all channels, one after the other, where the noise would have changed them."""
+
+SAME = cos(radians(0.5))
+"""Still intervals one after the other, with less of a turn between them than this, are one attitude."""
+
+Mask = NDArray[np.bool_]
+Span = tuple[int, int]
+
+_CHUNK = 1 << 14
+
+
+@dataclass(frozen=True)
+class StaticDetection:
+    """One way to tell still from moving, and what it leads to.
+
+    Attributes
+    ----------
+    window : int
+        Rows.
+    multiple : float
+        Threshold over noise.
+    noise : float
+        Standard deviation in the stillest part, all channels together (root of the sum of squares), unit.
+    holds : tuple of tuple of (start, end)
+        The rows of each attitude, ends exclusive; an attitude may have several intervals.
+    ellipsoid : Ellipsoid or None
+        The unit-gravity fit of the attitudes; None where they cannot determine it.
+    """
+
+    window: int
+    multiple: float
+    noise: float
+    holds: tuple[tuple[Span, ...], ...]
+    ellipsoid: Ellipsoid | None
+
+    @property
+    def threshold(self) -> float:
+        """The standard deviation below which a window is still, unit."""
+        return self.multiple * self.noise
+
+    @property
+    def distinct(self) -> int:
+        """How many different attitudes there are."""
+        return 0 if self.ellipsoid is None else self.ellipsoid.distinct
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty (95 %) of the unknowns on average, g; infinite where nothing judges them."""
+        return inf if self.ellipsoid is None else self.ellipsoid.expanded
+
+
+def find_still(
+    readings: Array, windows: Sequence[int] = WINDOWS
+) -> tuple[StaticDetection, tuple[StaticDetection, ...]]:
+    """Find the still intervals of a log by the threshold that calibrates best.
+
+    Parameters
+    ----------
+    readings : ndarray, shape (rows, 3)
+        Of the channels x, y, z, in the sensor's unit; NaN where one is missing.
+    windows : sequence of int
+        Rows of the windows to try.
+
+    Returns
+    -------
+    chosen : StaticDetection
+    tried : tuple of StaticDetection
+        All of them, the strictest of each window first.
+
+    Raises
+    ------
+    EstimateError
+        No threshold finds more attitudes than there are unknowns.
+    """
+    lost = ~np.isfinite(readings).all(axis=1) | _stuck(readings)
+    tried = tuple(_choices(readings, lost, windows))
+    best = min(tried, key=lambda choice: choice.expanded, default=None)
+    if best is None or best.ellipsoid is None or best.expanded == inf:
+        raise EstimateError(_too_few(tried, lost))
+    # What is left over knows the scatter no better than this. A choice that is better by less has but left out some
+    # attitude that fits badly, and would be surer of itself than it is.
+    luck = 1.0 + 1.0 / sqrt(2.0 * (len(best.holds) - UNKNOWNS))
+    good = [choice for choice in tried if choice.expanded <= luck * best.expanded]
+    return max(good, key=lambda choice: (choice.distinct, -choice.expanded)), tried
+
+
+def still_segments(choice: StaticDetection) -> list[Segment]:
+    """The still intervals as segments, named in their order; those of one attitude have one name."""
+    digits = len(str(len(choice.holds)))
+    return [
+        Segment(f"still-{number:0{digits}}", start, end, None, None)
+        for number, spans in enumerate(choice.holds, start=1)
+        for start, end in spans
+    ]
+
+
+def told(chosen: StaticDetection, tried: Sequence[StaticDetection], unit: str) -> str:
+    """What was tried with the chosen window, and what was chosen, as a table.
+
+    Parameters
+    ----------
+    chosen : StaticDetection
+    tried : sequence of StaticDetection
+    unit : str
+        Of the readings.
+    """
+    windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried))
+    lines = [
+        f"still: standard deviation over {chosen.window} rows up to {chosen.threshold:.4g} {unit}, "
+        f"{chosen.multiple:g} times the noise of the stillest part (windows tried: {windows} rows)",
+        f"  {'threshold':>10}{'intervals':>11}{'attitudes':>11}{'distinct':>10}{'misfit rms':>14}{'expanded u':>14}",
+    ]
+    for choice in tried:
+        if choice.window == chosen.window:
+            fit = choice.ellipsoid
+            row = f"{choice.threshold:>10.4g}{sum(map(len, choice.holds)):>11}{len(choice.holds):>11}"
+            row += f"{fit.distinct:>10}{1e3 * fit.rms:>11.3f} mg" if fit else f"{'-':>10}{'-':>14}"
+            row += "             -" if choice.expanded == inf else f"{1e3 * choice.expanded:>11.3f} mg"
+            lines.append(f"{'*' if choice is chosen else ' '} {row}")
+    return "\n".join(lines)
+
+
+def still_holds(readings: Array, lost: Mask, window: int, threshold: float) -> list[list[Span]]:
+    """The still intervals of a log, those of one attitude together.
+
+    Parameters
+    ----------
+    readings : ndarray, shape (rows, channels)
+    lost : ndarray of bool, shape (rows,)
+        Rows that cannot be used.
+    window : int
+        Rows.
+    threshold : float
+        Standard deviation, all channels together, unit.
+
+    Returns
+    -------
+    list of list of (start, end)
+        Rows, ends exclusive, in order.
+    """
+    scatter = window_scatter(readings, lost, window)
+    middle = window // 2
+    still = np.zeros(len(readings), dtype=bool)
+    still[middle : middle + len(scatter)] = scatter <= threshold
+    # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
+    spans = [(start, end) for start, end in _runs(still) if end - start >= max(middle, 2)]
+    spans = [span for span in spans if np.any(np.ptp(readings[slice(*span)], axis=0) > 0.0)]
+    return _merged(readings, spans)
+
+
+def window_scatter(readings: Array, lost: Mask, window: int) -> Array:
+    """Standard deviation in every window, all channels together (root of the sum of squares).
+
+    Parameters
+    ----------
+    readings : ndarray, shape (rows, channels)
+    lost : ndarray of bool, shape (rows,)
+    window : int
+        Rows.
+
+    Returns
+    -------
+    ndarray, shape (rows - window + 1,)
+        Infinite where a window holds a lost row; empty where the log is shorter than the window.
+    """
+    return np.asarray(np.sqrt(np.sum(_variances(readings, lost, window), axis=1)))
+
+
+def _choices(readings: Array, lost: Mask, windows: Sequence[int]) -> Iterator[StaticDetection]:
+    for window in windows:
+        noise = _noise(window_scatter(readings, lost, window))
+        if noise is None:
+            continue
+        for multiple in MULTIPLES:
+            holds = still_holds(readings, lost, window, multiple * noise)
+            yield StaticDetection(window, multiple, noise, tuple(map(tuple, holds)), _ellipsoid(readings, holds))
+
+
+def _ellipsoid(readings: Array, holds: Sequence[Sequence[Span]]) -> Ellipsoid | None:
+    samples = [np.concatenate([readings[start:end] for start, end in spans]) for spans in holds]
+    if not samples:
+        return None
+    try:
+        return fit_ellipsoid(
+            np.array([run.mean(axis=0) for run in samples]), np.array([_uncertainty(run) for run in samples])
+        )
+    except EstimateError:
+        return None
+
+
+def _uncertainty(samples: Array) -> Array:
+    """Standard uncertainty of the mean, as :func:`tiltcal.core.statistics.summarise` has it, on arrays."""
+    size = len(samples) // BLOCKS
+    if size < 2:
+        return np.asarray(samples.std(axis=0, ddof=1) / sqrt(len(samples)))
+    means = samples[: BLOCKS * size].reshape(BLOCKS, size, -1).mean(axis=1)
+    return np.asarray(means.std(axis=0, ddof=1) / sqrt(BLOCKS))
+
+
+def _variances(readings: Array, lost: Mask, window: int) -> Array:
+    """Sample variance of every channel in every window; infinite where a window holds a lost row."""
+    rows, channels = readings.shape
+    if rows < window:
+        return np.zeros((0, channels))
+    filled = np.where(lost[:, None], 0.0, readings)
+    pieces = []
+    for start in range(0, rows - window + 1, _CHUNK):
+        piece = filled[start : start + _CHUNK + window - 1]
+        # Running sums about the piece's own mean: over a long log they would lose the noise in their last digits.
+        centred = piece - piece.mean(axis=0)
+        sums, squares = (_window_sums(values, window) for values in (centred, centred**2))
+        pieces.append(np.maximum(squares - sums**2 / window, 0.0) / (window - 1))
+    variances = np.concatenate(pieces)
+    variances[_window_sums(lost[:, None].astype(float), window)[:, 0] > 0.5] = inf
+    return variances
+
+
+def _window_sums(values: Array, window: int) -> Array:
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return np.asarray(total[window:] - total[:-window])
+
+
+def _noise(scatter: Array) -> float | None:
+    """Scatter in the stillest part; None where there is none, or no noise in it."""
+    usable = scatter[np.isfinite(scatter) & (scatter > 0.0)]
+    return float(np.quantile(usable, STILLEST)) if len(usable) else None
+
+
+def _stuck(readings: Array) -> Mask:
+    """Rows in long runs of identical samples, where the stillest part of the rest has noise that forbids them."""
+    change = np.abs(np.diff(readings, axis=0))
+    held = np.concatenate([[False], (change == 0.0).all(axis=1)])
+    runs = np.zeros(len(readings), dtype=bool)
+    for start, end in _runs(held):
+        if end - start >= STUCK - 1:
+            runs[start - 1 : end] = True
+    if not runs.any():
+        return runs
+    elsewhere = _variances(np.nan_to_num(readings), runs | ~np.isfinite(readings).all(axis=1), STUCK)
+    elsewhere = elsewhere[np.isfinite(elsewhere).all(axis=1)]
+    if not len(elsewhere):
+        return runs
+    noise = np.sqrt(np.quantile(elsewhere, STILLEST, axis=0))
+    steps = np.array([np.min(column[column > 0.0], initial=inf) for column in change.T])
+    # Noise of half a step changes every other reading: a run of identical ones is then no chance.
+    return runs if np.any(noise >= steps / 2) else np.zeros(len(readings), dtype=bool)
+
+
+def _merged(readings: Array, spans: Sequence[Span]) -> list[list[Span]]:
+    """Intervals that follow each other in one attitude, together."""
+    if not spans:
+        return []
+    means = np.array([readings[slice(*span)].mean(axis=0) for span in spans])
+    middle = (means.max(axis=0) + means.min(axis=0)) / 2
+    directions = means - middle
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
+    holds: list[list[Span]] = []
+    first = directions[0]
+    for span, direction in zip(spans, directions, strict=True):
+        if holds and direction @ first >= SAME:
+            holds[-1].append(span)
+        else:
+            holds.append([span])
+            first = direction
+    return holds
+
+
+def _runs(mask: Mask) -> list[Span]:
+    """Start and end of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
+
+
+def _too_few(tried: Sequence[StaticDetection], lost: Mask) -> str:
+    most = max((len(choice.holds) for choice in tried), default=0)
+    windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried)) or "any number of"
+    stuck = f" ({int(lost.sum())} rows are missing, or stuck at one value)" if lost.any() else ""
+    return (
+        "no threshold of stillness finds attitudes enough to determine the sensor and to judge it: at most "
+        f"{most} still intervals in windows of {windows} rows{stuck}. Hold the sensor still for longer and in more "
+        "attitudes, 12 to 18 or more; try a shorter --window; or give the intervals with --segments"
+    )

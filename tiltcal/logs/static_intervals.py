@@ -1,0 +1,348 @@
+"""A recorded log as positions: what the sensor read while it was held still, ready for the estimator."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from itertools import groupby
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiltcal.calibration.calibrate import Measurement
+from tiltcal.core.frames import Vector
+from tiltcal.core.model import AXES, Array
+from tiltcal.core.statistics import SampleSummary, summarise
+from tiltcal.errors import InputError
+from tiltcal.files.positions import TabledPosition
+from tiltcal.files.procedure import Position, Procedure
+from tiltcal.files.segments import Segment
+from tiltcal.logs.columns import TEMPERATURE, locate_columns
+from tiltcal.logs.formats import log_of
+from tiltcal.logs.resolution import alike_by_chance, step_of
+
+FEWEST = 2
+"""Samples that a segment needs for a standard deviation."""
+
+FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
+"""Samples that tell a rise from their scatter, and by how many of its standard deviations."""
+
+TILTED = 0.1
+"""How far a channel's axis has to move before its reading must, g."""
+
+
+@dataclass(frozen=True)
+class RecordedReadings:
+    """The number columns of a log, whole.
+
+    Attributes
+    ----------
+    path : Path
+    columns : mapping of str to ndarray, shape (rows,)
+        By role: the channels and, where there is one, the temperature; NaN where a value is missing.
+    """
+
+    path: Path
+    columns: Mapping[str, Array]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(next(iter(self.columns.values())))
+
+    def readings(self, channels: Sequence[str]) -> Array:
+        """The channels side by side, shape (rows, channels)."""
+        return np.stack([self.columns[channel] for channel in channels], axis=1)
+
+
+@dataclass(frozen=True)
+class StaticInterval:
+    """What a sensor read while it was held in one place.
+
+    Attributes
+    ----------
+    name : str
+        Of the position; another one for each hold.
+    position : str
+        As the file names it; the same where the sensor was put there again.
+    gravity : tuple of float or None
+        Up in the sensor frame as the file says it; None where it does not.
+    summaries : mapping of str to SampleSummary
+        Per channel.
+    temperature : float or None
+        °C.
+    line : int or None
+        Where it stands in its file.
+    warming : float
+        By how much the temperature rose from beginning to end, °C.
+    where : mapping of str to Any
+        How it is found again: rows of the log, or the line of a table.
+    """
+
+    name: str
+    position: str
+    gravity: Vector | None
+    summaries: Mapping[str, SampleSummary]
+    temperature: float | None
+    line: int | None
+    warming: float = 0.0
+    where: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_record(path: Path, channels: Sequence[str], named: Mapping[str, str]) -> RecordedReadings:
+    """Read the readings of a log.
+
+    Parameters
+    ----------
+    path : Path
+    channels : sequence of str
+    named : mapping of str to str
+        Column name by role, from ``--columns``.
+
+    Raises
+    ------
+    InputError
+        A column is missing, or a row cannot be parsed.
+    """
+    try:
+        with open(path, "rb") as stream:
+            log = log_of(stream, str(path))
+            where = locate_columns(log.names, channels, named, file=str(path), line=log.header_line)
+            blocks = [rows.values for rows in log.rows(sorted(set(where.values())))]
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file=path) from None
+    return RecordedReadings(
+        path, {role: np.concatenate([block[index] for block in blocks]) for role, index in where.items()}
+    )
+
+
+def holds_of(record: RecordedReadings, segments: Sequence[Segment], *, file: str) -> list[StaticInterval]:
+    """What the sensor read in each segment.
+
+    Parameters
+    ----------
+    record : RecordedReadings
+    segments : sequence of Segment
+        Segments of one name that follow each other are parts of one hold.
+    file : str
+        Where the segments stand, for messages.
+
+    Raises
+    ------
+    InputError
+        A segment reaches beyond the log, has a missing value, or is stuck.
+    """
+    parts = [list(group) for _, group in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
+    names = _distinct([part[0].name for part in parts])
+    step = step_of(values for role, values in record.columns.items() if role != TEMPERATURE)
+    holds = [_hold(record, step, part, name, file) for part, name in zip(parts, names, strict=True)]
+    _require_alive(holds, step, file)
+    return holds
+
+
+def holds_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterval]:
+    """What a table of positions says of each."""
+    names = _distinct([position.name for position in positions])
+    return [
+        StaticInterval(
+            name,
+            position.name,
+            position.gravity,
+            _tabled(position),
+            position.temperature,
+            position.line,
+            where={} if position.line is None else {"line": position.line},
+        )
+        for position, name in zip(positions, names, strict=True)
+    ]
+
+
+def placed(holds: Sequence[StaticInterval], procedure: Procedure, *, file: str) -> list[Measurement]:
+    """Holds in known directions.
+
+    Parameters
+    ----------
+    holds : sequence of StaticInterval
+    procedure : Procedure
+        Says the direction of a position that is only named, and its temperature where none was recorded.
+    file : str
+        Where the positions are named, for messages.
+
+    Raises
+    ------
+    InputError
+        A position is named that the procedure does not have, the temperature did not stand still where it counts or is
+        missing in some, or a channel is the same in all.
+    """
+    known = {position.name: position for position in procedure.positions}
+    if procedure.determines.drift or procedure.determines.gain:
+        for hold in holds:
+            _require_steady(hold, procedure, file)
+        _require_temperatures(holds, file)
+    measurements = [_placed(hold, _place(hold, known, procedure, file)) for hold in holds]
+    _require_moved(measurements, file)
+    return measurements
+
+
+def oriented(holds: Sequence[StaticInterval], attitudes: Array) -> list[Measurement]:
+    """Holds in the directions that a fit has found.
+
+    Parameters
+    ----------
+    holds : sequence of StaticInterval
+    attitudes : ndarray, shape (holds, 3)
+        Unit vectors, up in the sensor frame.
+    """
+    return [
+        Measurement(hold.name, (x, y, z), None, hold.temperature, hold.summaries, hold.where)
+        for hold, (x, y, z) in zip(holds, attitudes.tolist(), strict=True)
+    ]
+
+
+def _place(hold: StaticInterval, known: Mapping[str, Position], procedure: Procedure, file: str) -> Position:
+    """The position that a hold was in."""
+    if hold.gravity is not None:
+        heading = known[hold.position].heading if hold.position in known else None
+        return Position(hold.position, "", hold.gravity, heading=heading)
+    if hold.position in known:
+        return known[hold.position]
+    near = get_close_matches(hold.position, known, n=1)
+    raise InputError(
+        f"{procedure.name} has no position {hold.position!r}"
+        + (f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(known)}")
+        + ", and no gx, gy, gz are given for it",
+        file=file,
+        line=hold.line,
+    )
+
+
+def _placed(hold: StaticInterval, position: Position) -> Measurement:
+    temperature = position.temperature if hold.temperature is None else hold.temperature
+    return Measurement(
+        hold.name, position.gravity, position.tilt, temperature, hold.summaries, hold.where, heading=position.heading
+    )
+
+
+def _require_steady(hold: StaticInterval, procedure: Procedure, file: str) -> None:
+    """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
+    if abs(hold.warming) > procedure.soak_drift:
+        raise InputError(
+            f"segment {hold.name}: the temperature drifts by {hold.warming:+.2f} °C within it, more than the "
+            f"{procedure.soak_drift:g} °C that {procedure.name} allows: thermometer and sensor are apart while they "
+            "change; take rows where both stand still, or go slower",
+            file=file,
+            line=hold.line,
+        )
+
+
+def _require_temperatures(holds: Sequence[StaticInterval], file: str) -> None:
+    """Refuse holds of which only some have a temperature: the procedure's is no stand-in for one that was lost."""
+    told = [hold for hold in holds if hold.temperature is not None]
+    silent = next((hold for hold in holds if hold.temperature is None), None)
+    if told and silent is not None:
+        raise InputError(
+            f"segment {silent.name}: there is no temperature in its rows, and {told[0].name} has one; choose rows that "
+            "have it, or fill it in",
+            file=file,
+            line=silent.line,
+        )
+
+
+def _require_alive(holds: Sequence[StaticInterval], step: float, file: str) -> None:
+    """Refuse a channel that stood at one value where its own noise would have moved it."""
+    usual = {c: float(np.median([hold.summaries[c].std for hold in holds])) for c in holds[0].summaries}
+    for channel, noise in usual.items():
+        for hold in holds:
+            summary = hold.summaries[channel]
+            if summary.std == 0.0 and not alike_by_chance(summary.n, noise, step):
+                raise InputError(
+                    f"segment {hold.position}: all samples of {channel} are identical, and elsewhere they scatter by "
+                    f"{noise:.3g}: it was stuck, not still; choose other rows",
+                    file=file,
+                    line=hold.line,
+                )
+
+
+def _require_moved(measurements: Sequence[Measurement], file: str) -> None:
+    """Refuse a channel that reads the same however far its axis is tilted."""
+    for axis, channel in enumerate(AXES):
+        reach = {one.gravity[axis] for one in measurements if channel in one.summaries}
+        means = {one.summaries[channel].mean for one in measurements if channel in one.summaries}
+        if len(means) == 1 and max(reach) - min(reach) > TILTED:
+            raise InputError(f"{channel} reads {means.pop():g} in every position: is it connected?", file=file)
+
+
+def _hold(record: RecordedReadings, step: float, parts: Sequence[Segment], name: str, file: str) -> StaticInterval:
+    samples = {role: _samples(record, role, parts) for role in record.columns}
+    temperature = samples.pop(TEMPERATURE, None)
+    for part in parts:
+        _require_readings(record, part, list(samples), file)
+    if all(np.ptp(values) == 0.0 for values in samples.values()):
+        raise _refusal(parts[0], "all samples are identical: the sensor was stuck, not still; choose other rows", file)
+    known = None if temperature is None else temperature[np.isfinite(temperature)]
+    rows = [[part.start, part.end] for part in parts]
+    return StaticInterval(
+        name,
+        parts[0].name,
+        parts[0].gravity,
+        {channel: summarise(values.tolist(), step) for channel, values in samples.items()},
+        None if known is None or not len(known) else summarise(known.tolist()).mean,
+        parts[0].line,
+        0.0 if known is None else _rise(known),
+        {"rows": rows[0] if len(rows) == 1 else rows},
+    )
+
+
+def _rise(values: Array) -> float:
+    """From beginning to end along the straight line through all values, as far as their scatter leaves no doubt."""
+    count = len(values)
+    if count < FEWEST_FOR_A_RISE:
+        return 0.0
+    place = np.linspace(-0.5, 0.5, count)
+    rise = float(place @ values / (place @ place))
+    scatter = values - values.mean() - rise * place
+    doubt = CERTAIN * sqrt(float(scatter @ scatter) / (count - 2) / float(place @ place))
+    return float(np.sign(rise)) * max(abs(rise) - doubt, 0.0)
+
+
+def _samples(record: RecordedReadings, role: str, parts: Iterable[Segment]) -> Array:
+    return np.concatenate([record.columns[role][part.start : part.end] for part in parts])
+
+
+def _require_readings(record: RecordedReadings, segment: Segment, channels: Iterable[str], file: str) -> None:
+    if segment.end > record.rows:
+        raise _refusal(segment, f"ends at row {segment.end}; {record.path} has {record.rows} rows", file)
+    if segment.end - segment.start < FEWEST:
+        raise _refusal(segment, f"has {segment.end - segment.start} row; at least {FEWEST} are needed", file)
+    for channel in channels:
+        lost = np.flatnonzero(~np.isfinite(record.columns[channel][segment.start : segment.end]))
+        if len(lost):
+            row = segment.start + int(lost[0])
+            raise _refusal(segment, f"{channel} has no number in row {row} of {record.path}", file)
+
+
+def _refusal(segment: Segment, why: str, file: str) -> InputError:
+    return InputError(f"segment {segment.name}: {why}", file=file, line=segment.line)
+
+
+def _tabled(position: TabledPosition) -> dict[str, SampleSummary]:
+    """Summaries as far as a table gives them: what it leaves out is zero here, and not recorded."""
+    n = position.n or 1
+    u = position.u or dict.fromkeys(position.mean, 0.0)
+    return {
+        channel: SampleSummary(mean, u[channel] * sqrt(n), n, u[channel]) for channel, mean in position.mean.items()
+    }
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """The names, numbered from the second of a kind on."""
+    seen: Counter[str] = Counter()
+    distinct = []
+    for name in names:
+        seen[name] += 1
+        distinct.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return distinct

@@ -1,0 +1,181 @@
+"""A recorded log as evenly spaced samples: what is not there is missing, and keeps its place in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiltcal.core.model import Array
+from tiltcal.errors import InputError
+from tiltcal.logs.columns import TIME, locate_columns
+from tiltcal.logs.csv_log import CsvLog
+
+_LATE = 1.5
+"""Intervals after which the next row is late by so much that rows must be missing between."""
+
+_MILLISECOND = 1e-3
+"""Times that are written to the millisecond may be off by as much."""
+
+_PIECE = 1 << 16
+"""Rows that a gap is filled with at a time."""
+
+
+@dataclass
+class SamplingInterval:
+    """How the rows of a log follow each other.
+
+    Attributes
+    ----------
+    interval : float
+        Seconds from row to row.
+    rows : int
+        In the log.
+    gaps : int
+        Places where rows are missing.
+    lost : int
+        Rows that are missing there.
+    faulty : int
+        Rows that could not be parsed.
+    """
+
+    interval: float = 0.0
+    rows: int = 0
+    gaps: int = 0
+    lost: int = 0
+    faulty: int = 0
+
+
+class UniformLog:
+    """The readings of a log, evenly spaced.
+
+    Parameters
+    ----------
+    log : CsvLog
+    channels : sequence of str
+        The readings.
+    named : mapping of str to str
+        Column name by role, from ``--columns``.
+    rate : float or None
+        Rows per second, of a log whose time is not to be asked; None where the column of the time says it, as seconds
+        or as ISO 8601.
+    file : str
+        The log as the user named it.
+
+    Attributes
+    ----------
+    pace : SamplingInterval
+        Of the rows so far; whole once all of them were read.
+
+    Raises
+    ------
+    InputError
+        A column is not there, or nothing says how fast the rows follow each other.
+    """
+
+    def __init__(
+        self, log: CsvLog, channels: Sequence[str], named: Mapping[str, str], rate: float | None, *, file: str
+    ) -> None:
+        self._log, self._channels, self._file = log, channels, file
+        self._where = locate_columns(log.names, channels, named, file=file)
+        self._time: int | None = None
+        self.pace = SamplingInterval(0.0 if rate is None else 1.0 / rate)
+        if rate is None:
+            name = named.get(TIME, TIME)
+            if name not in log.names:
+                raise InputError(
+                    "nothing says how fast its rows were taken: there is no column 'time'; name it with --columns "
+                    "time=NAME, or say --rate HZ",
+                    file=file,
+                    line=1,
+                )
+            self._time = log.names.index(name)
+        self._last = np.nan
+        self._slack = 0.0
+        self._regular, self._regular_span = 0, 0.0
+
+    def samples(self, progress: Callable[[int], None] | None = None) -> Iterator[Array]:
+        """The readings, block after block.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Told how many bytes of the log have been read.
+
+        Yields
+        ------
+        ndarray, shape (n, channels)
+            NaN where a value is missing.
+
+        Raises
+        ------
+        InputError
+            A row cannot be parsed, or time stands still or goes back.
+        """
+        columns = {self._where[channel] for channel in self._channels}
+        if self._time is not None:
+            columns.add(self._time)
+        for rows in self._log.rows(sorted(columns), self._time):
+            readings = np.stack([rows.values[self._where[channel]] for channel in self._channels], axis=1)
+            readings[list(rows.faults)] = np.nan
+            if self._time is None:
+                yield readings
+            else:
+                yield from self._spaced(readings, rows.values[self._time])
+            self.pace.rows += len(readings)
+            self.pace.faulty += len(rows.faults)
+            if progress is not None:
+                progress(self._log.bytes_read)
+        if self._time is not None:
+            if self._regular == 0:
+                raise self._unclear("it has no two rows with a time")
+            self.pace.interval = self._regular_span / self._regular
+
+    def _spaced(self, readings: Array, times: Array) -> Iterator[Array]:
+        """The readings with missing rows where time leaps; a row without a time follows the one before it."""
+        known = np.flatnonzero(np.isfinite(times))
+        if not len(known) and self.pace.interval:
+            self._last = np.nan
+            yield readings
+            return
+        if not len(known):
+            raise self._unclear(f"its times from row {self.pace.rows} on are neither seconds nor ISO 8601")
+        before = np.r_[self._last, times[known][:-1]]
+        steps = times[known] - before
+        # A first row, and one behind rows without a time, has no step of one interval.
+        single = np.r_[not np.isnan(self._last) and known[0] == 0, np.diff(known) == 1]
+        steps = np.where(single, steps, np.nan)
+        if np.nanmin(steps, initial=0.0) < 0.0:
+            row = self.pace.rows + int(known[np.nanargmin(steps)])
+            raise InputError(f"time goes back at row {row}: sort the log, or say --rate HZ", file=self._file)
+        self._last = float(times[-1])
+        there = steps[np.isfinite(steps)]
+        if not self.pace.interval and len(there):
+            self.pace.interval = self._first_interval(there)
+            milliseconds = times[known] / _MILLISECOND
+            self._slack = _MILLISECOND if np.all(np.abs(milliseconds - np.round(milliseconds)) < 1e-3) else 0.0
+        late = (np.nan_to_num(steps) > _LATE * self.pace.interval + self._slack) & (self.pace.interval > 0.0)
+        usual = np.isfinite(steps) & ~late
+        self._regular += int(usual.sum())
+        self._regular_span += float(steps[usual].sum())
+        done = 0
+        for row, step in zip(known[late].tolist(), steps[late].tolist(), strict=True):
+            yield readings[done:row]
+            lost = max(1, round(step / self.pace.interval) - 1)
+            self.pace.gaps += 1
+            self.pace.lost += lost
+            for start in range(0, lost, _PIECE):
+                yield np.full((min(_PIECE, lost - start), readings.shape[1]), np.nan)
+            done = row
+        yield readings[done:]
+
+    def _first_interval(self, steps: Array) -> float:
+        # Times that are written to the millisecond may stand still between rows that are taken faster.
+        interval = float(np.median(steps)) or float(np.mean(steps))
+        if interval <= 0.0:
+            raise self._unclear("its times stand still")
+        return interval
+
+    def _unclear(self, why: str) -> InputError:
+        return InputError(f"nothing says how fast its rows were taken: {why}; say --rate HZ", file=self._file)

@@ -1,0 +1,352 @@
+"""How noisy a sensor is at rest: table of averages, kinds of noise, advice, and the picture of the Allan deviation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from math import degrees, radians, sqrt
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tiltcal.core.noise.allan_fit import FLICKER
+from tiltcal.core.noise.characterise import ChannelNoise
+from tiltcal.core.noise.sample_size import Limit, SampleSize, advise, uncertainty
+from tiltcal.files.whole import whole_file
+from tiltcal.report.figure import house_style, save
+from tiltcal.report.number_format import bracketed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MEASURED, MODEL, PART = "#1f6f8b", "#c0504d", "#8a8a8a"
+
+_SHOWS = 0.1
+"""Share of the lowest deviation above which what rounding leaves is worth a word."""
+
+_FEWEST_SAMPLES = 2
+"""Of a position, for `measure`."""
+
+_NAMES = {"N": "white noise", "B": "flicker noise", "K": "random walk", "R": "drift"}
+
+_DASHES = {"N": "--", "B": ":", "K": "-.", "R": (0, (8, 3))}
+
+_WHY: dict[Limit, str] = {
+    "target": "the smallest number that meets the target",
+    "record": "the longest that the record tells of, and more still help: record longer to see where they stop",
+    "rounding": "more do not help: the noise is too small to average the rounding out",
+    "flicker": "twice as many gain less than a tenth: flicker noise stays, however long the average",
+    "walk": "twice as many gain less than a tenth: its zero wanders (random walk)",
+    "drift": "twice as many gain less than a tenth: it drifts",
+    "unknown": "twice as many gain less than a tenth, and none of the usual kinds of noise says why",
+}
+
+
+@dataclass(frozen=True)
+class NoiseScale:
+    """What a reading's unit is worth.
+
+    Attributes
+    ----------
+    unit : str
+    per_g : mapping of str to float
+        Unit/g, of the channels of which it is known; above 0.
+    source : str
+        Where that is from.
+    """
+
+    unit: str
+    per_g: Mapping[str, float]
+    source: str
+
+    def degrees(self, channel: str, value: float) -> float | None:
+        """A small difference of readings as degrees of an axis near level; None where it is not known."""
+        return degrees(value / self.per_g[channel]) if channel in self.per_g else None
+
+    def from_degrees(self, channel: str, angle: float | None) -> float | None:
+        """The inverse of :meth:`degrees`."""
+        return None if angle is None or channel not in self.per_g else radians(angle) * self.per_g[channel]
+
+
+@dataclass(frozen=True)
+class NoisePositions:
+    """What the channels' advice comes to for a position that all of them need.
+
+    Attributes
+    ----------
+    advice : mapping of str to SampleSize
+    channel : str
+        The one that settles it.
+    samples : int
+        Of a position.
+    uncertainty : mapping of str to float
+        Of each channel's mean of so many samples, unit.
+    met : mapping of str to bool
+        Whether it is as good as the target; empty without one.
+    """
+
+    advice: Mapping[str, SampleSize]
+    channel: str
+    samples: int
+    uncertainty: Mapping[str, float]
+    met: Mapping[str, bool]
+
+
+def positions(
+    noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: float | None
+) -> NoisePositions:
+    """How many samples a position needs.
+
+    Parameters
+    ----------
+    noises : mapping of str to ChannelNoise
+    interval : float
+        Seconds from sample to sample.
+    scale : NoiseScale
+    target : float or None
+        Standard uncertainty of a mean, degrees.
+    """
+    targets = {channel: scale.from_degrees(channel, target) for channel in noises}
+    advice = {channel: advise(noise, interval, targets[channel]) for channel, noise in noises.items()}
+    # A channel that misses the target is what settles it, whatever the others need.
+    settles = max(advice, key=lambda channel: (advice[channel].met is False, advice[channel].samples))
+    samples = max(_FEWEST_SAMPLES, advice[settles].samples)
+    tau = np.array([samples * interval])
+    u = {channel: float(uncertainty(noise, tau)[0]) for channel, noise in noises.items()}
+    met = {channel: u[channel] <= wanted for channel, wanted in targets.items() if wanted is not None}
+    return NoisePositions(advice, settles, samples, u, met)
+
+
+def summary(noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: float | None = None) -> str:
+    """Table, kinds of noise and advice, for people; parameters as of :func:`positions`."""
+    return "\n".join(
+        [
+            *_table(noises, scale),
+            "",
+            *(line for channel, noise in noises.items() for line in _kinds(channel, noise, scale)),
+            "",
+            *_advice(positions(noises, interval, scale, target), interval, scale, target),
+        ]
+    )
+
+
+def as_data(
+    noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: float | None = None
+) -> dict[str, Any]:
+    """The same for a program, with the whole Allan deviation; parameters as of :func:`positions`."""
+    found = positions(noises, interval, scale, target)
+    worst = found.advice[found.channel]
+    return {
+        "unit": scale.unit,
+        "sensitivity": {"source": scale.source, **scale.per_g} if scale.per_g else None,
+        "channels": {channel: _channel_data(channel, noise, scale) for channel, noise in noises.items()},
+        "recommendation": {
+            "samples": found.samples,
+            "seconds": found.samples * interval,
+            "channel": found.channel,
+            "limit": worst.limit,
+            "target_degrees": target,
+            "met": all(found.met.values()) if found.met else None,
+            "channels": {
+                channel: {
+                    "samples": advice.samples,
+                    "limit": advice.limit,
+                    **_both("uncertainty", channel, found.uncertainty[channel], scale),
+                    "met": found.met.get(channel),
+                    "useful": advice.useful,
+                    "predicted": advice.predicted,
+                }
+                for channel, advice in found.advice.items()
+            },
+        },
+    }
+
+
+def _channel_data(channel: str, noise: ChannelNoise, scale: NoiseScale) -> dict[str, Any]:
+    value, u = noise.terms.value, noise.terms.u
+    tau_lowest, lowest = noise.lowest
+    named: dict[str, Any] = {
+        name: {"value": factor * value[term], "u": factor * u[term]} if term in value else None
+        for name, term, factor in (
+            ("noise_density", "N", sqrt(2.0)),
+            ("velocity_random_walk", "N", 1.0),
+            ("flicker", "B", 1.0),
+            ("bias_random_walk", "K", 1.0),
+            ("drift", "R", 1.0),
+        )
+    }
+    return {
+        "mean": noise.mean,
+        "samples": noise.count,
+        "step": noise.step or None,
+        "averages": [
+            {
+                "samples": one.samples,
+                "averages": one.count,
+                **_both("std", channel, one.std, scale),
+                **_both("range", channel, one.range, scale),
+                "white": one.white,
+            }
+            for one in noise.averages
+        ],
+        "allan": [
+            {"tau": tau, "deviation": deviation, "low": low, "high": high, "dof": dof}
+            for tau, deviation, low, high, dof in zip(
+                *(column.tolist() for column in (noise.tau, noise.deviation, noise.low, noise.high, noise.terms.dof)),
+                strict=True,
+            )
+        ],
+        **named,
+        "bias_instability": {
+            "reached": noise.settled,
+            "tau": tau_lowest,
+            **_both("deviation", channel, lowest, scale),
+            "coefficient": lowest / FLICKER,
+        },
+        "rounding": noise.rounding,
+        "described": {"from_tau": float(noise.tau[noise.terms.first]), "follows": noise.terms.follows},
+    }
+
+
+def _both(name: str, channel: str, value: float, scale: NoiseScale) -> dict[str, float]:
+    angle = scale.degrees(channel, value)
+    return {name: value} if angle is None else {name: value, f"{name}_degrees": angle}
+
+
+def _table(noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> Iterator[str]:
+    """Averages of 1, 10, 100 (the source's Table I)."""
+    unit = scale.unit
+    angles = "" if not scale.per_g else f"  {'std [°]':>10}  {'range [°]':>10}"
+    head = f"{'':3} {'samples':>8} {'averages':>9}  {f'std [{unit}]':>14}  {'if white':>10}  {f'range [{unit}]':>14}"
+    yield head + angles
+    for channel, noise in noises.items():
+        for row, one in enumerate(noise.averages):
+            cells = [f"{one.std:>14.4g}", f"{one.white:>10.4g}", f"{one.range:>14.4g}"]
+            for value in (one.std, one.range):
+                angle = scale.degrees(channel, value)
+                cells += [] if angle is None else [f"{angle:>10.3g}"]
+            yield f"{channel if row == 0 else '':3} {one.samples:>8} {one.count:>9}  " + "  ".join(cells)
+
+
+def _kinds(channel: str, noise: ChannelNoise, scale: NoiseScale) -> Iterator[str]:
+    value, u, unit = noise.terms.value, noise.terms.u, scale.unit
+    lines = []
+    if "N" in value:
+        density, sigma = sqrt(2.0) * value["N"], sqrt(2.0) * u["N"]
+        lines.append(
+            f"white noise {bracketed(density, sigma)} {unit}/√Hz{_in_g(channel, density, scale, '/√Hz')}, "
+            f"which is {bracketed(value['N'], u['N'])} {unit} after 1 s"
+        )
+    if "B" in value:
+        flat = FLICKER * value["B"]
+        lines.append(
+            f"flicker noise {bracketed(flat, FLICKER * u['B'])} {unit}{_in_g(channel, flat, scale)} at any time"
+        )
+    if "K" in value:
+        lines.append(f"random walk {bracketed(value['K'], u['K'])} {unit}/√s{_in_g(channel, value['K'], scale, '/√s')}")
+    if "R" in value:
+        lines.append(f"drift {bracketed(value['R'], u['R'])} {unit}/s{_in_g(channel, value['R'], scale, '/s')}")
+    first = float(noise.tau[noise.terms.first])
+    if not noise.terms.follows:
+        lines.append("(the Allan deviation does not follow them: look at the --figure)")
+    elif noise.terms.first:
+        lines.append(f"(from {first:.3g} s on: samples that follow each other faster are not independent)")
+    if noise.settled:
+        tau, low = noise.lowest
+        lines.append(f"bias instability {low:.3g} {unit}{_in_g(channel, low, scale)} at {tau:.3g} s")
+    else:
+        high = float(noise.high[-1])
+        lines.append(
+            f"bias instability not reached: below {high:.3g} {unit}{_in_g(channel, high, scale)} after "
+            f"{float(noise.tau[-1]):.3g} s"
+        )
+    if noise.step:
+        shows = noise.rounding > _SHOWS * float(noise.deviation.min())
+        left = f"of which averaging leaves {noise.rounding:.2g} {unit}" if shows else "which averaging removes"
+        lines.append(f"step {noise.step:.4g} {unit}, {left}")
+    for row, line in enumerate(lines):
+        yield f"{channel if row == 0 else '':3} {line}"
+
+
+def _in_g(channel: str, value: float, scale: NoiseScale, per: str = "") -> str:
+    if channel not in scale.per_g:
+        return ""
+    return f" ({1e3 * value / scale.per_g[channel]:.3g} mg{per}, {scale.degrees(channel, value):.3g} °{per})"
+
+
+def _advice(found: NoisePositions, interval: float, scale: NoiseScale, target: float | None) -> Iterator[str]:
+    worst = found.advice[found.channel]
+    uncertain = ", ".join(_uncertain(channel, u, scale) for channel, u in found.uncertainty.items())
+    yield f"measure --samples {found.samples}: a position takes {found.samples * interval:.4g} s at this pace"
+    yield f"  its mean is uncertain by {uncertain}"
+    yield f"  {found.channel}: {_WHY[worst.limit]}"
+    for channel, met in found.met.items():
+        if not met:
+            yield f"  {channel} does not meet {target:g}°{_foretold(found.advice[channel], interval)}"
+    if scale.source:
+        yield f"  degrees of an axis near level, by the {scale.source}"
+
+
+def _foretold(advice: SampleSize, interval: float) -> str:
+    if advice.predicted is None:
+        return " with any number of samples" if advice.met is False else " with so many samples; fewer would do for it"
+    return (
+        f" with any number that this record tells of; if its noise stayed white, {advice.predicted} samples would "
+        f"({advice.predicted * interval:.4g} s)"
+    )
+
+
+def _uncertain(channel: str, u: float, scale: NoiseScale) -> str:
+    angle = scale.degrees(channel, u)
+    return f"{channel} {u:.3g} {scale.unit}" + (f" ({angle:.2g}°)" if angle is not None else "")
+
+
+def draw_noise(path: Path, noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> None:
+    """Write the Allan deviation of every channel, with the kinds of noise in it, as SVG.
+
+    Parameters
+    ----------
+    path : Path
+    noises : mapping of str to ChannelNoise
+    scale : NoiseScale
+    """
+    from matplotlib.figure import Figure
+
+    with house_style(), whole_file(path) as stream:
+        figure = Figure(figsize=(8.0, 1.0 + 3.6 * len(noises)), layout="constrained")
+        panels = figure.subplots(len(noises), 1, squeeze=False)[:, 0]
+        for panel, (channel, noise) in zip(panels, noises.items(), strict=True):
+            _draw_channel(panel, channel, noise, scale)
+        panels[-1].set_xlabel("averaging time [s]")
+        save(figure, stream)
+
+
+def _draw_channel(panel: Axes, channel: str, noise: ChannelNoise, scale: NoiseScale) -> None:
+    tau, deviation = noise.tau, noise.deviation
+    described = np.geomspace(tau[noise.terms.first], tau[-1], 200)
+    parts = noise.terms.parts(described)
+    for name, part in parts.items() if len(parts) > 1 else ():
+        panel.plot(described, part, color=PART, linewidth=0.9, linestyle=_DASHES[name], label=_NAMES[name])
+    label = ("sum, " if len(parts) > 1 else f"{_NAMES[next(iter(parts))]}, ") + (
+        "fitted" if noise.terms.follows else "which does not follow it"
+    )
+    panel.plot(described, np.sqrt(noise.terms.variance(described)), color=MODEL, linewidth=1.2, label=label)
+    within = [deviation - noise.low, noise.high - deviation]
+    panel.errorbar(
+        tau, deviation, within, fmt="o", markersize=3.5, elinewidth=0.9, color=MEASURED, label="measured, 95 %"
+    )
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.set_ylim(float(noise.low.min()) / 1.6, float(noise.high.max()) * 1.6)
+    panel.set_ylabel(f"Allan deviation of {channel} [{scale.unit}]")
+    panel.grid(which="major", color="#dddddd", linewidth=0.6)
+    panel.set_axisbelow(True)
+    if channel in scale.per_g:
+        factor = degrees(1.0 / scale.per_g[channel])
+        beside = panel.secondary_yaxis(
+            "right", functions=(lambda v: np.multiply(v, factor), lambda v: np.divide(v, factor))
+        )
+        beside.set_ylabel("near level [°]")
+        beside.spines["right"].set_visible(True)
+    panel.legend(loc="best")

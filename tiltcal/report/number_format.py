@@ -1,0 +1,120 @@
+"""Numbers as a laboratory writes them: with the digits that their uncertainty warrants, in columns on their point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from decimal import Decimal
+from math import isfinite
+
+LABORATORY = 2
+"""Digits of an uncertainty on the page (GUM, 7.2.6)."""
+
+MINUS, POINT, TIMES = "−", ".", " × 10"
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_MOST_DECIMALS = 9
+"""More than these are written as a power of ten."""
+
+
+def bracketed(value: float, uncertainty: float, digits: int = 1) -> str:
+    """A value with its standard uncertainty in brackets, in units of its last digit: ``3.3830(3)``.
+
+    Parameters
+    ----------
+    value, uncertainty : float
+        Of one unit. Without an uncertainty (zero, or not finite) the value has six digits and no brackets.
+    digits : int
+        Of the uncertainty, after rounding: of one digit 0.00096 is 1e-3.
+    """
+    if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
+        return f"{value:.6g}"
+    rounded = Decimal(f"{uncertainty:.{digits - 1}e}")
+    place = rounded.adjusted() - (digits - 1)
+    if place > 0:
+        return f"{round(Decimal(value), -place):.0f}({rounded:.0f})"
+    shown = f"{Decimal(value):.{-place}f}"
+    if not any(digit in shown for digit in "123456789"):
+        shown = shown.lstrip("-")
+    return f"{shown}({int(rounded.scaleb(-place))})"
+
+
+def measured(value: float, uncertainty: float) -> str:
+    """A value with its standard uncertainty in brackets as the page has it: two digits, a true minus, powers of ten."""
+    if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
+        return plain(value, 6)
+    if Decimal(f"{uncertainty:.{LABORATORY - 1}e}").adjusted() - (LABORATORY - 1) >= -_MOST_DECIMALS:
+        return signed(bracketed(value, uncertainty, LABORATORY))
+    power = max(Decimal(abs(value)).adjusted(), Decimal(uncertainty).adjusted())
+    mantissa = bracketed(value * 10.0**-power, uncertainty * 10.0**-power, LABORATORY)
+    return signed(mantissa) + TIMES + str(power).translate(_SUPERSCRIPT)
+
+
+def plain(value: float, digits: int) -> str:
+    """A number with so many significant digits, in plain decimals where they are few."""
+    if not isfinite(value):
+        return str(value)
+    exact = Decimal(f"{value:.{digits - 1}e}")
+    if exact and exact.adjusted() - digits < -2 * _MOST_DECIMALS:
+        return signed(f"{exact.scaleb(-exact.adjusted()):f}") + TIMES + str(exact.adjusted()).translate(_SUPERSCRIPT)
+    text = f"{exact:f}"
+    return signed(text.rstrip("0").rstrip(".") if "." in text else text)
+
+
+def half_width(value: float) -> str:
+    """Half the width of an interval, with the two digits of an uncertainty: ``0.28``, ``310``."""
+    if not (isfinite(value) and value > 0.0):
+        return ""
+    rounded = Decimal(f"{value:.{LABORATORY - 1}e}")
+    if rounded.adjusted() - (LABORATORY - 1) < -_MOST_DECIMALS:
+        return f"{rounded.scaleb(-rounded.adjusted()):f}{TIMES}{str(rounded.adjusted()).translate(_SUPERSCRIPT)}"
+    return f"{rounded:f}" if rounded.adjusted() < LABORATORY else f"{rounded:.0f}"
+
+
+def at_place(value: float, decimals: int) -> str:
+    """A number with so many decimals, and no minus in front of zeros."""
+    text = f"{value:.{decimals}f}"
+    return signed(text if any(digit in text for digit in "123456789") else text.lstrip("-"))
+
+
+def signed(text: str) -> str:
+    """A number's text with a minus of the width of a digit."""
+    return text.replace("-", MINUS)
+
+
+def grouped(count: int) -> str:
+    """A count with thin spaces between thousands."""
+    return f"{count:,}".replace(",", "\u202f")
+
+
+@dataclass(frozen=True)
+class AlignedNumber:
+    """A number in a column: what stands before its point, and the rest.
+
+    Attributes
+    ----------
+    whole, rest : str
+        Together the number's text.
+    before, behind : int
+        Characters that the widest number of the column has on either side.
+    """
+
+    whole: str
+    rest: str
+    before: int
+    behind: int
+
+
+def column(texts: Iterable[str]) -> list[AlignedNumber]:
+    """The numbers of a column, in their order, to be set with their points below each other."""
+    parts = [_parted(text) for text in texts]
+    before = max((len(whole) for whole, _ in parts), default=0)
+    behind = max((len(rest) for _, rest in parts), default=0)
+    return [AlignedNumber(whole, rest, before, behind) for whole, rest in parts]
+
+
+def _parted(text: str) -> tuple[str, str]:
+    """In front of the point or, where a number has none, of what follows its digits."""
+    for index, character in enumerate(text):
+        if not (character.isdigit() or character in MINUS + "+± "):
+            return text[:index], text[index:]
+    return text, ""

@@ -1,0 +1,146 @@
+"""What a matching did: the source's Table 1 in text, and its figure 6."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tiltcal.core.model import Array
+from tiltcal.core.pair.matching import STAGES, SUM, Matching
+from tiltcal.files.whole import whole_file
+from tiltcal.report.figure import house_style, save
+from tiltcal.report.number_format import bracketed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from tiltcal.core.pair.online import OnlineHistory
+
+HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
+COLOURS = ("#8a8a8a", "#c0504d", "#1f6f8b")
+
+
+def table(matching: Matching) -> str:
+    """Components at the turning before matching, after p, and after p and q (the source's Table 1)."""
+    return "\n".join(_table(matching))
+
+
+def _table(matching: Matching) -> Iterator[str]:
+    pair = matching.pair
+    names = {pair.first: pair.first, pair.second: pair.second, SUM: f"{pair.first} + {pair.second}"}
+    wide = max(len(text) for text in names.values())
+    yield " " * wide + "".join(f"   {HEADINGS[stage]:<28}" for stage in STAGES).rstrip()
+    yield " " * wide + "".join(f"   {'sin':<13} {'cos':<14}" for _ in STAGES).rstrip()
+    for name, text in names.items():
+        cells = []
+        for stage in STAGES:
+            one = matching.components[stage][name]
+            cells += [f"   {bracketed(one.sin, one.u_sin):<13}", f" {bracketed(one.cos, one.u_cos):<14}"]
+        yield f"{text:<{wide}}" + "".join(cells).rstrip()
+
+
+def summary(matching: Matching) -> str:
+    """The table, p and q with their uncertainties, and how far the common acceleration is suppressed."""
+    return "\n".join(
+        [
+            f"{matching.pair.first} and {matching.pair.second}, orthogonal {matching.pair.orthogonal}",
+            table(matching),
+            f"p = {bracketed(matching.p, matching.u_p)}   q = {bracketed(matching.q, matching.u_q)}",
+            suppressed(matching),
+        ]
+    )
+
+
+def suppressed(matching: Matching, write: Callable[[float], str] = "{:.3g}".format) -> str:
+    """How far the common acceleration is suppressed, in words; ``write`` writes the two factors."""
+    suppression = matching.suppression
+    left = matching.components["after_pq"][SUM]
+    floor = left.amplitude <= left.u_amplitude
+    return (
+        f"common acceleration suppressed {write(suppression['p'])} times after p, {write(suppression['pq'])} times "
+        f"after p and q{' (the noise floor)' if floor else ''}"
+    )
+
+
+@dataclass(frozen=True)
+class PairDrawing:
+    """What the figure shows.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (n,)
+        Hz, or 1/row where the record has no time.
+    densities : mapping of str to ndarray, shape (n,)
+        Power spectral density by what it is of: one accelerometer, the sum after p, the sum after p and q; unit²/Hz.
+    spin : float
+        Where the stage turns, same unit as ``frequency``.
+    unit : str
+        Of ``frequency``.
+    course : sequence of OnlineHistory
+        Of the online estimators; empty for none.
+    uncertainty : float
+        Stated for p and q, the larger of the two; below it no course says anything.
+    """
+
+    frequency: Array
+    densities: Mapping[str, Array]
+    spin: float
+    unit: str
+    course: Sequence[OnlineHistory] = ()
+    uncertainty: float = 0.0
+
+
+def draw_matching(path: Path, drawing: PairDrawing) -> None:
+    """Write amplitude spectral densities as SVG (the source's figure 6), and beside them how the estimators settled.
+
+    Parameters
+    ----------
+    path : Path
+    drawing : PairDrawing
+
+    Raises
+    ------
+    UsageError
+        The file cannot be written there.
+    """
+    from matplotlib.figure import Figure
+
+    with house_style(), whole_file(path) as stream:
+        figure = Figure(figsize=(8.0, 8.0 if drawing.course else 4.5), layout="constrained")
+        panels = figure.subplots(2 if drawing.course else 1, 1, squeeze=False)[:, 0]
+        draw_spectra(panels[0], drawing)
+        if drawing.course:
+            _draw_course(panels[1], drawing)
+        for panel in panels:
+            panel.legend(loc="upper right")
+            panel.margins(x=0.01)
+        save(figure, stream)
+
+
+def draw_spectra(panel: Axes, drawing: PairDrawing) -> None:
+    """Amplitude densities over frequency, and a line where the stage turns."""
+    panel.axvline(drawing.spin, color="black", linewidth=0.8, linestyle=":", label="turning of the stage")
+    for (name, density), colour in zip(drawing.densities.items(), COLOURS, strict=False):
+        panel.loglog(drawing.frequency[1:], density[1:] ** 0.5, color=colour, linewidth=0.9, label=name)
+    panel.set_xlabel(f"frequency [{drawing.unit}]")
+    panel.set_ylabel(f"amplitude density [reading/√({drawing.unit})]")
+
+
+def _draw_course(panel: Axes, drawing: PairDrawing) -> None:
+    """How far p and q of both estimators are from where the recursive one ends."""
+    course = drawing.course
+    turns = [one.turns for one in course]
+    end = course[-1].recursive
+    least = max(drawing.uncertainty / 5.0, 1e-9)
+    for index, name in enumerate(("p", "q")):
+        for kind, colour in (("loops", COLOURS[1]), ("recursive", COLOURS[2])):
+            away = [max(abs(getattr(one, kind)[index] - end[index]), least) for one in course]
+            style = "-" if index == 0 else "--"
+            panel.semilogy(turns, away, style, color=colour, linewidth=0.9, label=f"{name}, {kind}")
+    if drawing.uncertainty:
+        panel.axhline(drawing.uncertainty, color="black", linewidth=0.8, linestyle=":", label="stated uncertainty")
+        panel.set_ylim(bottom=least)
+    panel.set_xlabel("turns")
+    panel.set_ylabel("distance from the end")

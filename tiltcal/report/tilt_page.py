@@ -1,0 +1,74 @@
+"""The page of a tilt calibration: what a laboratory files with the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tiltcal.files.calibration import Calibration
+from tiltcal.report.coefficients_section import (
+    SOURCES,
+    budget,
+    coefficient_table,
+    correlations,
+    derived_groups,
+    sources_of,
+)
+from tiltcal.report.drift import drift
+from tiltcal.report.fit_section import position_table, remarks, verdict
+from tiltcal.report.log_section import ReportedLog, log_section
+from tiltcal.report.page import render
+from tiltcal.report.provenance import FileFacts, facts, notice, procedure_facts
+from tiltcal.report.residual_figure import residual_figure
+from tiltcal.report.temperature_figure import temperature_figure
+from tiltcal.report.tilt_figure import tilt_figure
+from tiltcal.report.validity import covered, not_covered
+
+
+def certificate(
+    calibration: Calibration,
+    source: FileFacts,
+    earlier: Sequence[tuple[Calibration, str]] = (),
+    logs: Sequence[ReportedLog] = (),
+) -> str:
+    """One HTML page that needs nothing but itself; the same input gives the same page.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    source : FileFacts
+        The file that it was read from.
+    earlier : sequence of (Calibration, str)
+        Earlier calibrations of the sensor, with the names of their files.
+    logs : sequence of ReportedLog
+
+    Raises
+    ------
+    UsageError
+        The libraries of the extra ``report`` are not installed.
+    """
+    shares = budget(calibration)
+    return render(
+        "tilt.html.j2",
+        calibration=calibration,
+        sensor=calibration.sensor,
+        channels=calibration.coefficients.channels,
+        notice=notice(calibration.provenance),
+        facts=facts(calibration, source),
+        procedure=procedure_facts(calibration),
+        coefficients=coefficient_table(calibration),
+        budget=shares,
+        sources={one: SOURCES.get(one, one) for one in sources_of(shares)},
+        shaded=tuple(SOURCES),
+        derived=derived_groups(calibration),
+        positions=position_table(calibration),
+        verdict=verdict(calibration),
+        remarks=remarks(calibration),
+        residuals=residual_figure(calibration),
+        temperature=temperature_figure(calibration),
+        tilt=tilt_figure(calibration),
+        correlations=correlations(calibration),
+        covered=covered(calibration),
+        not_covered=not_covered(calibration),
+        drifts=[drift(one, name, calibration) for one, name in earlier],
+        logs=[log_section(log, number) for number, log in enumerate(logs, start=1)],
+    )

@@ -1,0 +1,78 @@
+"""Where a calibration holds, and what it does not cover."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import degrees
+
+from tiltcal.files.calibration import Calibration
+from tiltcal.report.coefficients_section import coverage_factors
+from tiltcal.report.number_format import plain, signed
+from tiltcal.report.provenance import Fact, notice
+from tiltcal.report.record import items, number, text
+
+
+def covered(calibration: Calibration) -> list[Fact]:
+    """The ranges that the calibration was measured in."""
+    limits, unit = calibration.limits, calibration.sensor.unit
+    thermal = calibration.coefficients.thermal
+    found = [
+        Fact(f"Tilt of {axis}", _range(round(degrees(low), 2), round(degrees(high), 2), "°"))
+        for axis, (low, high) in limits.tilt.items()
+    ]
+    temperature = limits.temperature or (thermal.range if thermal else None)
+    if temperature:
+        found.append(Fact("Temperature", _range(*temperature, " °C")))
+    if thermal:
+        found.append(Fact("Reference temperature", f"{signed(f'{thermal.reference:g}')} °C"))
+    rails = [f"{channel} {_range(low, high, ' ' + unit)}" for channel, (low, high) in limits.reading.items()]
+    if rails:
+        found.append(Fact("Readings between their rails", ", ".join(rails)))
+    return found
+
+
+def not_covered(calibration: Calibration) -> list[str]:
+    """What nobody may read out of the file, in sentences."""
+    return list(_open(calibration))
+
+
+def _open(calibration: Calibration) -> Iterator[str]:
+    coefficients, limits = calibration.coefficients, calibration.limits
+    if notice(calibration.provenance):
+        yield "Any real sensor: the readings are those of a virtual one."
+    if limits.tilt:
+        yield "Tilts beyond the ranges above; apply flags them."
+    else:
+        yield "The tilt: no range of tilts was covered."
+    if coefficients.thermal is None:
+        yield f"Temperature: its effect was not measured{_held(calibration)}."
+    elif not coefficients.thermal.gain.any():
+        yield "Drift of the sensitivity with temperature."
+    if coefficients.nonlinearity is None:
+        yield "Non-linearity: each channel is taken for straight."
+    if len(coefficients.axes) < 3:
+        missing = " and ".join(axis for axis in ("x", "y", "z") if axis not in coefficients.axes)
+        yield f"Sensitivity to {missing}: it was not measured and counts as zero."
+    if coefficients.mounting is None:
+        yield "The mounting in an application: tilt is that of the sensor’s own frame."
+    if items(calibration.derived, "assumed"):
+        yield "What was assumed and not measured, as noted above."
+    if number(calibration.fit, "jig_degrees") is None and text(calibration.fit, "uncertainty_from") != "residuals":
+        yield "The angles of the jig: none was stated, and they are not in the uncertainty."
+    if not coverage_factors(calibration):
+        yield "Intervals of 95 %: the file has no coverage factors."
+    yield "Motion, vibration and ageing: all positions were held still, on the dates above."
+
+
+def _held(calibration: Calibration) -> str:
+    """At which temperatures the positions were measured nevertheless."""
+    met = [t for record in calibration.positions if (t := number(record, "temperature")) is not None]
+    if not met:
+        return ""
+    low, high = min(met), max(met)
+    where = f"from {_range(low, high, ' °C')}" if high > low else f"at {plain(low, 4)} °C"
+    return f", and all positions were {where}"
+
+
+def _range(low: float, high: float, unit: str) -> str:
+    return f"{signed(f'{low:.6g}')} to {signed(f'{high:.6g}')}{unit}"
