@@ -20,11 +20,10 @@ from pathlib import Path
 
 MOST_TIMES = 2.0
 MOST_MEMORY = 0.5
-FIXTURE = FIXTURES / "mavs.yaml"
+FIXTURE = Path(__file__).parents[1] / "fixtures" / "mavs.yaml"
 
 ONLY_COPY = """
 import sys, polars as pl
-from support import FIXTURES
 log = pl.scan_csv(sys.argv[1])
 more = [(pl.col(name) * 1.5).alias(f"{made}_{name}") for made in ("g", "tilt") for name in ("x", "y")]
 log.with_columns(*more, flag=pl.lit(1), reason=pl.lit(0)).sink_csv(sys.argv[2])
