@@ -17,7 +17,7 @@ from tiltcal.cli.apply import command
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration import Calibration, SensorIdentity, write_calibration
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, write_calibration
 from tiltcal.logs.column_widths import ColumnWidths
 
 SILENT = """\
@@ -193,7 +193,7 @@ class TestWhatTheFileDoesNotSay:
         assert isinstance(apply("cal.yaml", "log.csv", "--reading-noise", "1").exception, UsageError)
 
 
-def calibrated(rng: np.random.Generator, *, stated: bool) -> tuple[Calibration, Estimate, object]:
+def calibrated(rng: np.random.Generator, *, stated: bool) -> tuple[CalibrationRecord, Estimate, object]:
     """One simulated calibration on a jig of 0.2°, with the noise known from block means alone."""
     plan = plan_of(12, noise=2e-4, jig=0.2)
     truth = part(rng)
@@ -202,7 +202,7 @@ def calibrated(rng: np.random.Generator, *, stated: bool) -> tuple[Calibration, 
     )
     reading = dict.fromkeys(XYZ, 1e-3)
     identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
-    return Calibration(identity, rounded(found), uncertainty_record(found, reading)), found, truth
+    return CalibrationRecord(identity, rounded(found), uncertainty_record(found, reading)), found, truth
 
 
 @pytest.mark.parametrize("stated", [True, False])

@@ -14,7 +14,7 @@ import pytest
 from support import DATA
 from support.command import tiltcal
 
-from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 
 XSENS, MPU = DATA / "xsens_acc.txt", DATA / "mpu9150_imu0.txt"
 
@@ -25,7 +25,7 @@ needs_data = pytest.mark.skipif(not XSENS.exists(), reason="the recorded data ar
 class Fit:
     """What came out of a fit: the file, what was printed, what was said, and where."""
 
-    calibration: Calibration
+    calibration: CalibrationRecord
     printed: str
     said: str
     folder: Path

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.command import tiltcal
 
-from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 
 FACES = {
     "x-up": (1, 0, 0),
@@ -42,7 +42,7 @@ def fitted(folder: Path, data: np.ndarray, *options: str) -> subprocess.Complete
     )
 
 
-def calibrated(folder: Path, data: np.ndarray) -> Calibration:
+def calibrated(folder: Path, data: np.ndarray) -> CalibrationRecord:
     result = fitted(folder, data)
     assert result.returncode == 0, result.stderr
     return read_calibration(folder / "C-1.yaml")

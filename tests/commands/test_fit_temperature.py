@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.command import tiltcal
 
-from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 
 
 class TestTemperaturePoint:
@@ -62,7 +62,7 @@ class TestSweep:
     DOWN, UP = ("down-24", "down-15", "down-5.5"), ("up-15", "up-24", "up-32", "up-40", "back-32", "back-24")
 
     @pytest.fixture
-    def found(self, tmp_path: Path) -> Calibration:
+    def found(self, tmp_path: Path) -> CalibrationRecord:
         folder, rng = tmp_path, np.random.default_rng(8)
         rows, segments = ["x,y,temperature"], ["position,start,end"]
         for name in (*self.DOWN, *self.UP):
@@ -81,13 +81,13 @@ class TestSweep:
         assert result.returncode == 0, result.stderr
         return read_calibration(folder / "S-1.yaml")
 
-    def test_the_order_is_chosen_and_not_the_highest(self, found: Calibration) -> None:
+    def test_the_order_is_chosen_and_not_the_highest(self, found: CalibrationRecord) -> None:
         thermal = found.coefficients.thermal
         assert thermal is not None
         assert thermal.drift.shape == (2, 1)
         assert found.fit["cross_validation"]["order"] == 1
 
-    def test_the_hysteresis_is_told_with_its_sign(self, found: Calibration) -> None:
+    def test_the_hysteresis_is_told_with_its_sign(self, found: CalibrationRecord) -> None:
         loop = found.fit["hysteresis"]["x"]
         assert loop["between"] == ["down-15", "up-15"]
         assert loop["difference"] == pytest.approx(0.8, abs=3 * 0.05 * sqrt(2))

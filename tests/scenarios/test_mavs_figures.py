@@ -19,7 +19,7 @@ from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import plan_session, single
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.frames import gravity_from_tilt
-from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import find_procedure
 from tiltcal.files.twin import read_twin
 
@@ -28,7 +28,7 @@ SEEDS = range(12)
 
 
 @pytest.fixture(scope="module")
-def calibrations(tmp_path_factory: pytest.TempPathFactory) -> list[Calibration]:
+def calibrations(tmp_path_factory: pytest.TempPathFactory) -> list[CalibrationRecord]:
     """Twelve benches: the same part, set anew by hand each time."""
     folder = tmp_path_factory.mktemp("mavs")
     found = []
@@ -47,12 +47,12 @@ def readings(gravity: tuple[float, float, float], temperature: float) -> list[fl
     return [truth.reading(channel, gravity, temperature) for channel in truth.channels]
 
 
-def tilts(calibration: Calibration, gravity: tuple[float, float, float], temperature: float) -> np.ndarray:
+def tilts(calibration: CalibrationRecord, gravity: tuple[float, float, float], temperature: float) -> np.ndarray:
     result = Compensation(calibration.coefficients)(np.array([readings(gravity, temperature)]), np.array([temperature]))
     return result.tilt[0]
 
 
-def test_the_four_coefficients_are_recovered(calibrations: list[Calibration]) -> None:
+def test_the_four_coefficients_are_recovered(calibrations: list[CalibrationRecord]) -> None:
     """Two scales and two temperature coefficients. A 0.15° protractor is worth 3 count/g (both ends), the
     thermometer's step of 0.92 °C in 18.5 °C and the curve's second order are worth 8 % of a coefficient."""
     for calibration in calibrations:
@@ -64,7 +64,7 @@ def test_the_four_coefficients_are_recovered(calibrations: list[Calibration]) ->
         assert thermal.drift[1, 0] == pytest.approx(-0.52 - 0.004 * 18.5, rel=0.2)
 
 
-def test_residual_over_temperature_is_below_0_3_degrees(calibrations: list[Calibration]) -> None:
+def test_residual_over_temperature_is_below_0_3_degrees(calibrations: list[CalibrationRecord]) -> None:
     worst = 0.0
     for calibration in calibrations:
         level = tilts(calibration, (0.0, 0.0, 1.0), 24.0)
@@ -82,7 +82,7 @@ def axis_sweep(reach: float) -> Iterator[tuple[int, float]]:
 
 
 @pytest.mark.parametrize(("reach", "bound"), [(50.0, 1.0), (70.0, 3.0)])
-def test_tilt_is_right_within(reach: float, bound: float, calibrations: list[Calibration]) -> None:
+def test_tilt_is_right_within(reach: float, bound: float, calibrations: list[CalibrationRecord]) -> None:
     worst = 0.0
     for calibration in calibrations:
         for axis, angle in axis_sweep(reach):
@@ -93,7 +93,7 @@ def test_tilt_is_right_within(reach: float, bound: float, calibrations: list[Cal
     assert worst < bound
 
 
-def test_uncompensated_it_would_not_do(calibrations: list[Calibration]) -> None:
+def test_uncompensated_it_would_not_do(calibrations: list[CalibrationRecord]) -> None:
     """The coefficient matters: without it the part is off by more than the paper's 0.3° many times over."""
     warm, cold = readings((0.0, 0.0, 1.0), 24.0), readings((0.0, 0.0, 1.0), 5.0)
     assert degrees(abs(warm[0] - cold[0]) / 815.0) > 2.0

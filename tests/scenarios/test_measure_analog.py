@@ -19,7 +19,7 @@ from support.command import tiltcal
 from support.emulated.bench import Bench, PartFacts, run_on_i2c, run_on_spi
 
 from tiltcal.drivers import find_model
-from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 
 MODELS = ("sca100t-d01-analog", "sca100t-d02-analog", "adxl202-analog", "adxl202e-analog", "adxl210-analog")
 
@@ -57,14 +57,14 @@ def program(address: str, folder: Path, *options: str) -> list[str]:
     ]
 
 
-def found(bench: Bench, folder: Path) -> Calibration:
+def found(bench: Bench, folder: Path) -> CalibrationRecord:
     said = bench.lead()
     assert bench.exit_code == 0, bench.errors()
     assert said[-1]["event"] == "done"
     return read_calibration(folder / "S-7.yaml")
 
 
-def assert_true(calibration: Calibration, part: Ads1115Sca100t) -> None:
+def assert_true(calibration: CalibrationRecord, part: Ads1115Sca100t) -> None:
     np.testing.assert_allclose(calibration.coefficients.offset, part.offset, atol=2e-3)
     np.testing.assert_allclose(calibration.coefficients.sensitivity, np.array(part.sensitivity)[:, :2], atol=3e-3)
 

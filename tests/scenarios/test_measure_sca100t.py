@@ -20,7 +20,7 @@ from support.emulated.bench import Bench, Part, run_on_spi
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import SessionPlan
-from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
 
 pytest.importorskip("spidev", reason="the spidev package is not installed")
@@ -36,7 +36,7 @@ def program(procedure: str, folder: Path, *options: str) -> list[str]:
     ]
 
 
-def led(procedure: str, folder: Path, part: Part) -> Calibration:
+def led(procedure: str, folder: Path, part: Part) -> CalibrationRecord:
     with run_on_spi(program(procedure, folder), part) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()

@@ -24,7 +24,7 @@ from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.core.wahba import solve_mounting
 from tiltcal.errors import EstimateError
-from tiltcal.files.calibration import Calibration, SensorIdentity, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.uncertainty import stated_uncertainty
 
 POSITIONS = np.array([[0, 0, 1], [0.5, 0, 0.866], [-0.5, 0, 0.866], [0, 0.5, 0.866], [0, -0.5, 0.866]])
@@ -70,7 +70,7 @@ def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
         truth, turned = part(rng), mounting_matrix(Mounting(*rng.uniform(-1.2, 1.2, 3)))
         (found,) = estimate_jointly(fixture(measured(rng, plan, [truth]), design(plan, jig=0.2)))
         identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
-        base = Calibration(identity, rounded(found), uncertainty_record(found, {}))
+        base = CalibrationRecord(identity, rounded(found), uncertainty_record(found, {}))
         read = truth.reading(noisy(rng, turned, sigma), np.zeros(len(KNOWN)))
         mounted = mount(base, [_measured(known, row) for known, row in zip(KNOWN, read, strict=True)], jig=0.2)
         doubt = stated_uncertainty(mounted.uncertainty, mounted.coefficients, reading_noise=0.0).doubt

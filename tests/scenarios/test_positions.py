@@ -12,7 +12,7 @@ from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import SessionPlan, plan_session, single
 from tiltcal.errors import HardwareError
-from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Position, find_procedure
 
@@ -50,7 +50,7 @@ def session(procedure: str = "plane", **options: float) -> Session:
 
 def run(
     procedure: str = "plane", operator: SimOperator | None = None, **options: float
-) -> tuple[Calibration, list[str]]:
+) -> tuple[CalibrationRecord, list[str]]:
     said: list[str] = []
     live = session(procedure, **options)
     live.preflight()

@@ -31,7 +31,7 @@ from tiltcal.bench.virtual import VirtualBench
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import Model, StreamingSensor
 from tiltcal.errors import HardwareError
-from tiltcal.files.calibration import Calibration, dump_calibration
+from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter
 from tiltcal.files.pair import dump_pair
 from tiltcal.files.rotation import Rotation
@@ -175,7 +175,7 @@ class Session:
         if self.plan.procedure.rotation is not None:
             return self._matched(operator, writer, self.plan.procedure.rotation)
 
-        def conclude(walked: MeasuredPositions, runner: PositionRunner) -> dict[DeviceSetup, Calibration]:
+        def conclude(walked: MeasuredPositions, runner: PositionRunner) -> dict[DeviceSetup, CalibrationRecord]:
             found = tilt_calibrations(self.plan, walked)
             kept = {place: found[place.serial] for place in self.plan.places if place.serial in found}
             runner.confirm_write(lambda: operator.write([self._output(place) for place in kept]))

@@ -17,9 +17,9 @@ from tiltcal.calibration.mounting import mount
 from tiltcal.calibration.temperature_order import calibrate
 from tiltcal.calibration.typical_temperature import with_typical_temperature
 from tiltcal.calibration.unit_gravity import directed, with_verdict
-from tiltcal.files.calibration import Calibration, calibration_of
+from tiltcal.files.calibration import CalibrationRecord, calibration_of
 from tiltcal.files.document import checked_kind, parse_document
-from tiltcal.files.pair import PairCalibration
+from tiltcal.files.pair import PairRecord
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class SessionEnd:
     link_statistics_by_serial: dict[str, Mapping[str, int]]
 
 
-def tilt_calibrations(plan: SessionPlan, walked: MeasuredPositions) -> dict[str, Calibration]:
+def tilt_calibrations(plan: SessionPlan, walked: MeasuredPositions) -> dict[str, CalibrationRecord]:
     """The calibration of each sensor by its serial number, without its provenance.
 
     Raises
@@ -83,9 +83,7 @@ def tilt_calibrations(plan: SessionPlan, walked: MeasuredPositions) -> dict[str,
     return {bay.serial: one for bay, one in zip(walked.bays, found, strict=True)}
 
 
-def pair_calibration(
-    plan: SessionPlan, hookup: ChannelMap, turned: RotationResult, ending: SessionEnd
-) -> PairCalibration:
+def pair_calibration(plan: SessionPlan, hookup: ChannelMap, turned: RotationResult, ending: SessionEnd) -> PairRecord:
     """What a rotation found, with its provenance."""
     left_out = [*hookup.left_out, *turned.unmatched]
     sensors = [{"serial": one.serial, "model": one.model, "address": one.address} for one in plan.places]
@@ -97,7 +95,7 @@ def pair_calibration(
         "stopped": turned.ended,
         **({"not_matched": left_out} if left_out else {}),
     }
-    return PairCalibration(turned.matchings, hookup.phase.column, turned.turns, turned.frequency, provenance=provenance)
+    return PairRecord(turned.matchings, hookup.phase.column, turned.turns, turned.frequency, provenance=provenance)
 
 
 def tilt_provenance(plan: SessionPlan, place: DeviceSetup, ending: SessionEnd) -> dict[str, Any]:
@@ -119,7 +117,7 @@ def _calibrated(
     walked: MeasuredPositions,
     measured: Mapping[str, Sequence[Measurement]],
     settings: Mapping[str, Any],
-) -> list[Calibration]:
+) -> list[CalibrationRecord]:
     """The calibrations of all sensors together, in the rack's order."""
     subjects = [
         MeasuredSensor(bay.identity, measured[bay.serial], Nominal.of(bay.model), bay.orientation.matrix)

@@ -13,7 +13,7 @@ from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.frames import Vector, tilt_from_gravity
 from tiltcal.core.model import Coefficients
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,14 @@ class VerifiedPosition:
         return inf if any(isnan(error) for error in errors) else max(errors)
 
 
-def checks(calibration: Calibration, bay: ConnectedSensor, taken: Sequence[PositionResult]) -> list[VerifiedPosition]:
+def checks(
+    calibration: CalibrationRecord, bay: ConnectedSensor, taken: Sequence[PositionResult]
+) -> list[VerifiedPosition]:
     """Every position of a sensor, as its calibration reads it.
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : CalibrationRecord
     bay : ConnectedSensor
     taken : sequence of PositionResult
     """

@@ -18,7 +18,7 @@ from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError
-from tiltcal.files.calibration import Calibration, SensorIdentity
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
 
 
@@ -102,7 +102,7 @@ def calibrate_jointly(
     thermometer: float | None = None,
     settings: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Any] | None = None,
-) -> list[Calibration]:
+) -> list[CalibrationRecord]:
     """Calibrate all sensors of a fixture: they share its attitude in every position.
 
     Parameters
@@ -120,7 +120,7 @@ def calibrate_jointly(
 
     Returns
     -------
-    list of Calibration
+    list of CalibrationRecord
         One a subject, their numbers rounded to what their uncertainty warrants.
 
     Raises
@@ -138,7 +138,7 @@ def calibrate_jointly(
     calibrations = []
     for subject, design, one in zip(subjects, designs, found, strict=True):
         calibrations.append(
-            Calibration(
+            CalibrationRecord(
                 sensor=replace(subject.sensor, channels=design.channels),
                 coefficients=rounded(one),
                 uncertainty=uncertainty_record(one, _reading(subject.measurements, design)),

@@ -21,13 +21,13 @@ from tiltcal.core.propagation import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, rotation_vector, solve_mounting
 from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.uncertainty import SHAPED, stated_uncertainty
 
 
-def base_of(procedure: Procedure, path: Path | None, serials: Sequence[str]) -> Calibration | None:
+def base_of(procedure: Procedure, path: Path | None, serials: Sequence[str]) -> CalibrationRecord | None:
     """The calibration that a mounting completes; None where the procedure makes one of its own.
 
     Parameters
@@ -58,17 +58,17 @@ def base_of(procedure: Procedure, path: Path | None, serials: Sequence[str]) -> 
 
 
 def mount(
-    base: Calibration,
+    base: CalibrationRecord,
     measurements: Sequence[Measurement],
     *,
     jig: float | None = None,
     settings: Mapping[str, Any] | None = None,
-) -> Calibration:
+) -> CalibrationRecord:
     """A calibration with the mounting that the positions show; all else is the base's.
 
     Parameters
     ----------
-    base : Calibration
+    base : CalibrationRecord
         Of the same sensor, in its own frame.
     measurements : sequence of Measurement
         In positions whose gravity is given in the application's frame.
@@ -79,7 +79,7 @@ def mount(
 
     Returns
     -------
-    Calibration
+    CalibrationRecord
 
     Raises
     ------
@@ -125,7 +125,9 @@ def _solved(read: Array, known: Array, jig: float | None) -> MountingEstimate:
     return solve_mounting(read, known, sigma)
 
 
-def _joined(base: Calibration, found: MountingEstimate, solve: Callable[[Coefficients], MountingEstimate]) -> _Joint:
+def _joined(
+    base: CalibrationRecord, found: MountingEstimate, solve: Callable[[Coefficients], MountingEstimate]
+) -> _Joint:
     """What the base is uncertain by goes into the mounting that was found with it, and the two err together."""
     coefficients = replace(base.coefficients, mounting=None)
     names, covariance, factors = _own(base.uncertainty, coefficients)

@@ -7,10 +7,10 @@ from dataclasses import replace
 from tiltcal.core.model import Limits
 from tiltcal.drivers import find_model
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 
 
-def with_rails(calibration: Calibration) -> Limits:
+def with_rails(calibration: CalibrationRecord) -> Limits:
     """The calibration's limits, with the rails of its model where the file itself names none."""
     limits, sensor = calibration.limits, calibration.sensor
     if limits.reading:

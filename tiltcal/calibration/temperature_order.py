@@ -19,7 +19,7 @@ from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.model import Array
 from tiltcal.core.rounding import significant
 from tiltcal.errors import EstimateError
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 
 ALIKE = 1.5
@@ -49,7 +49,7 @@ def calibrate(
     thermometer: float | None = None,
     settings: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Any] | None = None,
-) -> list[Calibration]:
+) -> list[CalibrationRecord]:
     """Calibrate all sensors of a fixture with the order of the drift that the procedure states, or has chosen.
 
     The arguments are those of :func:`tiltcal.calibration.calibrate.calibrate_jointly`.
@@ -117,7 +117,9 @@ def with_order(procedure: Procedure, order: int) -> Procedure:
     return replace(procedure, determines=replace(procedure.determines, drift=order, cross_validated=False))
 
 
-def swept(calibration: Calibration, measurements: Sequence[Measurement], choice: OrderChoice) -> Calibration:
+def swept(
+    calibration: CalibrationRecord, measurements: Sequence[Measurement], choice: OrderChoice
+) -> CalibrationRecord:
     """A calibration that tells how its order was chosen, and how far the way up differs from the way down."""
     record: dict[str, Any] = {
         "cross_validation": {
@@ -163,7 +165,7 @@ def _uncertainties(subject: MeasuredSensor, channels: Sequence[str]) -> Array:
     return np.where(u > 0.0, u, 1.0)
 
 
-def _hysteresis(calibration: Calibration, measurements: Sequence[Measurement]) -> dict[str, Any]:
+def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Any]:
     """The largest difference of residuals at one temperature that was met twice, per channel, unit."""
     residuals: Mapping[str, Mapping[str, float]] = calibration.fit["residuals"]
     met_twice = [

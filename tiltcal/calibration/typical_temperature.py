@@ -17,20 +17,20 @@ from tiltcal.core.model import Array, Thermal
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.drivers.device import Population
 from tiltcal.errors import EstimateError
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 
 ROOM = 25.0
 """Where nobody measured the temperature the calibration was made at, °C."""
 
 
 def with_typical_temperature(
-    calibration: Calibration, measurements: Sequence[Measurement], population: Population
-) -> Calibration:
+    calibration: CalibrationRecord, measurements: Sequence[Measurement], population: Population
+) -> CalibrationRecord:
     """A calibration that follows the mean part over temperature, and says so.
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : CalibrationRecord
         Without temperature terms of its own.
     measurements : sequence of Measurement
         Their mean temperature is the reference: there the unit was measured.

@@ -14,7 +14,7 @@ from tiltcal.core.model import AXES, Array
 from tiltcal.core.rounding import significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 
 UNDETERMINED = (
@@ -76,12 +76,12 @@ def directions(positions: Sequence[Mapping[str, SampleSummary]]) -> Array:
     return fit_ellipsoid(means, np.zeros_like(means)).attitudes
 
 
-def with_verdict(calibration: Calibration, measurements: Sequence[Measurement]) -> Calibration:
+def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:
     """Say how well the length of gravity is met, what judges it, and what is undetermined.
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : CalibrationRecord
         From unit gravity alone.
     measurements : sequence of Measurement
         Its positions, in the directions that were found.

@@ -16,7 +16,7 @@ from tiltcal.files.whole import check_writable
 
 if TYPE_CHECKING:
     from tiltcal.drivers.device import Model
-    from tiltcal.files.calibration import Calibration, SensorIdentity
+    from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
     from tiltcal.files.procedure import Procedure
     from tiltcal.files.segments import Segment
     from tiltcal.logs.fit_input import FitInput
@@ -182,7 +182,7 @@ def _refuse_contradictions(source: FitInput, free: bool) -> None:
 
 
 def _identity(
-    base: Calibration | None, model: Model | None, steps: Procedure, unit: str | None, serial: str
+    base: CalibrationRecord | None, model: Model | None, steps: Procedure, unit: str | None, serial: str
 ) -> SensorIdentity:
     """Which sensor it is, and in what unit it reads."""
     from tiltcal.files.calibration import SensorIdentity
@@ -211,7 +211,7 @@ def _identity(
     return SensorIdentity(model.name if model else UNKNOWN_MODEL, serial, unit or str(model and model.unit), channels)
 
 
-def _tell_free(calibration: Calibration) -> None:
+def _tell_free(calibration: CalibrationRecord) -> None:
     """What a person should know of a calibration from unit gravity."""
     fit = calibration.fit
     click.echo(

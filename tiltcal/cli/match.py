@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tiltcal.cli.live_stream import LiveStream
     from tiltcal.core.pair.matching import Matching
     from tiltcal.core.pair.model import Pair
-    from tiltcal.files.pair import PairCalibration
+    from tiltcal.files.pair import PairRecord
     from tiltcal.logs.pair_matching import Demodulated
     from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
     from tiltcal.report.pair_figures import PairDrawing
@@ -173,8 +173,8 @@ def _matched(found: Demodulated, pair: Pair, watch: PairObserver | None, loops: 
 
 def _calibration(
     matchings: Sequence[Matching], found: Demodulated, phase: str | None, online: bool, log: Mapping[str, str]
-) -> PairCalibration:
-    from tiltcal.files.pair import PairCalibration
+) -> PairRecord:
+    from tiltcal.files.pair import PairRecord
 
     provenance: dict[str, Any] = {
         "made_by": "match of a recorded log",
@@ -183,7 +183,7 @@ def _calibration(
     }
     if found.spin is not None:
         provenance["stage_angle"] = "estimated from the readings"
-    return PairCalibration(tuple(matchings), phase, found.turns, found.frequency, online, provenance)
+    return PairRecord(tuple(matchings), phase, found.turns, found.frequency, online, provenance)
 
 
 def _drawing(

@@ -15,7 +15,7 @@ from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.device import Model
-    from tiltcal.files.calibration import Calibration
+    from tiltcal.files.calibration import CalibrationRecord
     from tiltcal.logs.noise_log import NoiseLog
     from tiltcal.report.noise_summary import NoiseScale
 
@@ -189,7 +189,7 @@ def _facts(sensor: str | None, address: str | None, calibration: Path | None, un
     return NoiseFacts(channels, own_unit, {}, "")
 
 
-def _refuse_contradiction(model: Model | None, known: Calibration | None, unit: str | None) -> None:
+def _refuse_contradiction(model: Model | None, known: CalibrationRecord | None, unit: str | None) -> None:
     units = {
         "--sensor": model.unit if model else None,
         "--calibration": known.sensor.unit if known else None,

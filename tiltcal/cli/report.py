@@ -12,8 +12,8 @@ from tiltcal.errors import EstimateError, InputError, UsageError
 
 if TYPE_CHECKING:
     from tiltcal.core.compensation import Compensation
-    from tiltcal.files.calibration import Calibration
-    from tiltcal.files.pair import PairCalibration
+    from tiltcal.files.calibration import CalibrationRecord
+    from tiltcal.files.pair import PairRecord
     from tiltcal.report.log_section import ReportedLog
     from tiltcal.report.pair_page import Spectrum
     from tiltcal.report.provenance import FileFacts
@@ -97,7 +97,11 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
 
 
 def _certificate(
-    calibrations: Sequence[Calibration], names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows: bool
+    calibrations: Sequence[CalibrationRecord],
+    names: Sequence[str],
+    logs: Sequence[str],
+    columns: str,
+    skip_bad_rows: bool,
 ) -> str:
     from tiltcal.calibration.rails import with_rails
     from tiltcal.core.compensation import Compensation
@@ -140,14 +144,14 @@ def _look_over(
     return ReportedLog(Path(name).name, digested.sha256, overview, compensated, time is not None)
 
 
-def _pair_page(calibration: PairCalibration, source: FileFacts, logs: Sequence[str], skip_bad_rows: bool) -> str:
+def _pair_page(calibration: PairRecord, source: FileFacts, logs: Sequence[str], skip_bad_rows: bool) -> str:
     from tiltcal.report.pair_page import pair_page
 
     spectra = [_spectrum(log, number, calibration, skip_bad_rows) for number, log in enumerate(logs, start=1)]
     return pair_page(calibration, source, spectra)
 
 
-def _spectrum(log: str, number: int, calibration: PairCalibration, skip_bad_rows: bool) -> Spectrum:
+def _spectrum(log: str, number: int, calibration: PairRecord, skip_bad_rows: bool) -> Spectrum:
     """The spectra of the first pair in a log."""
     from tiltcal.cli.log_files import log_source, progress_bar
     from tiltcal.logs.csv_log import CsvLog

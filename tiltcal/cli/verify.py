@@ -15,7 +15,7 @@ from tiltcal.bench.session_plan import SessionPlan, plan_session, single
 from tiltcal.bench.verification import VerifiedPosition, checks
 from tiltcal.cli.session_options import LEADERS, captured, free_journal, led, left_at_default
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import Calibration, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import find_procedure
 
 JUDGED_FAILING = 1
@@ -97,7 +97,7 @@ def command(
     return 0 if passed else JUDGED_FAILING
 
 
-def _tell(calibration: Calibration, found: list[VerifiedPosition], limit: float) -> None:
+def _tell(calibration: CalibrationRecord, found: list[VerifiedPosition], limit: float) -> None:
     click.echo(f"{calibration.sensor.model} {calibration.sensor.serial}, limit {limit:g}°")
     for check in found:
         angles = "  ".join(
@@ -109,7 +109,7 @@ def _tell(calibration: Calibration, found: list[VerifiedPosition], limit: float)
     click.echo(f"{'passed' if worst.error <= limit else 'FAILED'}: worst {worst.error:.3f}° at {worst.position}")
 
 
-def _as_data(calibration: Calibration, found: list[VerifiedPosition], limit: float) -> dict[str, Any]:
+def _as_data(calibration: CalibrationRecord, found: list[VerifiedPosition], limit: float) -> dict[str, Any]:
     worst = max(found, key=lambda check: check.error)
     return {
         "sensor": calibration.sensor.serial,

@@ -52,7 +52,7 @@ class SensorIdentity:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class CalibrationRecord:
     """The content of a calibration file.
 
     Attributes
@@ -82,7 +82,7 @@ class Calibration:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_calibration(path: str | Path) -> Calibration:
+def read_calibration(path: str | Path) -> CalibrationRecord:
     """Read and check a calibration file.
 
     Parameters
@@ -91,7 +91,7 @@ def read_calibration(path: str | Path) -> Calibration:
 
     Returns
     -------
-    Calibration
+    CalibrationRecord
 
     Raises
     ------
@@ -101,13 +101,13 @@ def read_calibration(path: str | Path) -> Calibration:
     return calibration_of(read_tiltcal_file(path, "tilt"))
 
 
-def write_calibration(path: str | Path, calibration: Calibration) -> None:
+def write_calibration(path: str | Path, calibration: CalibrationRecord) -> None:
     """Write a calibration file, whole or not at all.
 
     Parameters
     ----------
     path : str or Path
-    calibration : Calibration
+    calibration : CalibrationRecord
         Its numbers are written as they are; round them before.
 
     Raises
@@ -120,7 +120,7 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
     write_whole(path, dump_calibration(calibration))
 
 
-def dump_calibration(calibration: Calibration) -> str:
+def dump_calibration(calibration: CalibrationRecord) -> str:
     """The text of a calibration file; the same calibration gives the same text."""
     sensor, coefficients = calibration.sensor, calibration.coefficients
     data: dict[str, Any] = {
@@ -140,7 +140,7 @@ def dump_calibration(calibration: Calibration) -> str:
     return yaml_text(data, _comments(sensor.unit))
 
 
-def calibration_of(document: Node) -> Calibration:
+def calibration_of(document: Node) -> CalibrationRecord:
     """The calibration that a checked document of ``kind: tilt`` holds.
 
     Raises
@@ -154,7 +154,7 @@ def calibration_of(document: Node) -> Calibration:
     sensor = _read_sensor(top["sensor"])
     coefficients = read_coefficients(top["calibration"], sensor.channels)
     records: dict[str, Any] = {name: _read_record(top[name], name) for name in RECORDS if name in top}
-    return Calibration(
+    return CalibrationRecord(
         sensor=sensor,
         coefficients=coefficients,
         uncertainty=read_uncertainty(top["uncertainty"], coefficients) if "uncertainty" in top else {},
@@ -163,7 +163,7 @@ def calibration_of(document: Node) -> Calibration:
     )
 
 
-def require_same_sensor(old: Calibration, new: Calibration) -> None:
+def require_same_sensor(old: CalibrationRecord, new: CalibrationRecord) -> None:
     """See that two calibrations are of one sensor.
 
     Raises
@@ -241,7 +241,7 @@ def _comments(unit: str) -> dict[str, str]:
     }
 
 
-def changes_between(before: Calibration, after: Calibration) -> list[CoefficientChange]:
+def changes_between(before: CalibrationRecord, after: CalibrationRecord) -> list[CoefficientChange]:
     """Every coefficient that two calibrations of one sensor have, at the later one's reference temperature."""
     thermal = after.coefficients.thermal
     reference = None if thermal is None else thermal.reference

@@ -19,7 +19,7 @@ _DIGITS = 4
 
 
 @dataclass(frozen=True)
-class PairCalibration:
+class PairRecord:
     """The content of a pair file.
 
     Attributes
@@ -46,7 +46,7 @@ class PairCalibration:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_pair(path: str | Path) -> PairCalibration:
+def read_pair(path: str | Path) -> PairRecord:
     """Read and check a pair file.
 
     Parameters
@@ -61,13 +61,13 @@ def read_pair(path: str | Path) -> PairCalibration:
     return pair_of(read_tiltcal_file(path, "pair"))
 
 
-def write_pair(path: str | Path, calibration: PairCalibration) -> None:
+def write_pair(path: str | Path, calibration: PairRecord) -> None:
     """Write a pair file, whole or not at all.
 
     Parameters
     ----------
     path : str or Path
-    calibration : PairCalibration
+    calibration : PairRecord
 
     Raises
     ------
@@ -77,7 +77,7 @@ def write_pair(path: str | Path, calibration: PairCalibration) -> None:
     write_whole(path, dump_pair(calibration))
 
 
-def dump_pair(calibration: PairCalibration) -> str:
+def dump_pair(calibration: PairRecord) -> str:
     """The text of a pair file; numbers with the digits that their uncertainty warrants."""
     spin: dict[str, Any] = {"turns": significant(calibration.turns, 9)}
     if calibration.frequency is not None:
@@ -95,7 +95,7 @@ def dump_pair(calibration: PairCalibration) -> str:
     return yaml_text(data, {"spin.frequency": "Hz", "pairs": "the sum is first + (second + q orthogonal) / (1 - p)"})
 
 
-def pair_of(document: Node) -> PairCalibration:
+def pair_of(document: Node) -> PairRecord:
     """The pairs that a checked document of ``kind: pair`` holds.
 
     Raises
@@ -112,7 +112,7 @@ def pair_of(document: Node) -> PairCalibration:
         raise top["pairs"].error("the same pair is there twice")
     if "provenance" in top:
         top["provenance"].entries()
-    return PairCalibration(
+    return PairRecord(
         matchings,
         spin["phase"].text() if "phase" in spin else None,
         spin["turns"].number(above=0.0),

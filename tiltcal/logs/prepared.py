@@ -13,7 +13,7 @@ from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.files.calibration import Calibration, calibration_of
+from tiltcal.files.calibration import CalibrationRecord, calibration_of
 from tiltcal.files.document import checked_kind, read_document
 from tiltcal.files.node import Node
 from tiltcal.files.pair import pair_of
@@ -115,7 +115,7 @@ def _of_pairs(document: Node, wish: ApplyOptions, origin: Mapping[str, str]) -> 
 
 
 def _uncertain(
-    known: Calibration, compensation: Compensation, reading_noise: float | None, say: Callable[[str], None]
+    known: CalibrationRecord, compensation: Compensation, reading_noise: float | None, say: Callable[[str], None]
 ) -> CompensationWithUncertainty:
     """The kernel that tells uncertainties too; says what it has to take for granted."""
     stated = stated_uncertainty(known.uncertainty, known.coefficients, reading_noise=reading_noise)

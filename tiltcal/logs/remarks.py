@@ -9,17 +9,17 @@ from typing import Any
 from tiltcal.calibration.calibrate import Measurement
 from tiltcal.core.rounding import round_to
 from tiltcal.errors import EstimateError
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
 
-def of_local_gravity(calibration: Calibration, gravity: float) -> Calibration:
+def of_local_gravity(calibration: CalibrationRecord, gravity: float) -> CalibrationRecord:
     """Say the main sensitivities per m/s² and, for readings in m/s², by how much they are off.
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : CalibrationRecord
         Its sensitivities are per g, 1 g being gravity where it was made.
     gravity : float
         There, m/s².
@@ -40,12 +40,12 @@ def of_local_gravity(calibration: Calibration, gravity: float) -> Calibration:
     return replace(calibration, derived={**calibration.derived, **said})
 
 
-def of_table(calibration: Calibration, measurements: Sequence[Measurement]) -> Calibration:
+def of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:
     """Keep in the record of positions what the table said, and nothing else.
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : CalibrationRecord
     measurements : sequence of Measurement
         Its positions.
 

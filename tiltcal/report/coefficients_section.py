@@ -9,7 +9,7 @@ from typing import Any
 
 from tiltcal.core.comparison import values
 from tiltcal.core.model import Coefficients
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.uncertainty import named_uncertainties
 from tiltcal.report.labels import symbol, unit_of, words
 from tiltcal.report.number_format import AlignedNumber, at_place, column, half_width, measured, plain
@@ -108,12 +108,12 @@ def named(coefficients: Coefficients) -> dict[str, float]:
     return found
 
 
-def coverage_factors(calibration: Calibration) -> dict[str, float]:
+def coverage_factors(calibration: CalibrationRecord) -> dict[str, float]:
     """Per coefficient, what its standard uncertainty is multiplied with for an interval of 95 %."""
     return numbers(calibration.uncertainty, "coverage_factor")
 
 
-def coefficient_table(calibration: Calibration) -> list[CoefficientRow]:
+def coefficient_table(calibration: CalibrationRecord) -> list[CoefficientRow]:
     """Every coefficient with its uncertainty and its 95 % interval."""
     factors, unit = coverage_factors(calibration), calibration.sensor.unit
     u = dict(named_uncertainties(calibration.uncertainty))
@@ -124,7 +124,7 @@ def coefficient_table(calibration: Calibration) -> list[CoefficientRow]:
     return _quantities(rows)
 
 
-def budget(calibration: Calibration) -> list[Shares]:
+def budget(calibration: CalibrationRecord) -> list[Shares]:
     """Which share of each variance comes from what; empty where the file does not say."""
     found = []
     stated_of = section(calibration.fit, "budget")
@@ -146,7 +146,7 @@ def sources_of(shares: Sequence[Shares]) -> list[str]:
     return [*(source for source in SOURCES if source in met), *sorted(met - set(SOURCES))]
 
 
-def correlations(calibration: Calibration) -> Correlations | None:
+def correlations(calibration: CalibrationRecord) -> Correlations | None:
     """Of the coefficients; None where the file has no covariance of at least two."""
     covariance = section(calibration.uncertainty, "covariance")
     if not covariance or len(covariance["parameters"]) < 2:
@@ -166,12 +166,12 @@ def _cell(correlation: float) -> TableCell:
     return TableCell(shown, f"#{ground}", strength > _DARK)
 
 
-def derived_groups(calibration: Calibration) -> list[CoefficientGroup]:
+def derived_groups(calibration: CalibrationRecord) -> list[CoefficientGroup]:
     """What follows from the coefficients: cross-axis errors, misalignment, intrinsic parameters, mounting."""
     return [group for group in _derived(calibration) if group.quantities or group.remark]
 
 
-def _derived(calibration: Calibration) -> Iterator[CoefficientGroup]:
+def _derived(calibration: CalibrationRecord) -> Iterator[CoefficientGroup]:
     derived, unit = calibration.derived, calibration.sensor.unit
     yield CoefficientGroup(
         "Cross-axis error",
@@ -197,7 +197,7 @@ def _derived(calibration: Calibration) -> Iterator[CoefficientGroup]:
     yield _scale(calibration)
 
 
-def _scale(calibration: Calibration) -> CoefficientGroup:
+def _scale(calibration: CalibrationRecord) -> CoefficientGroup:
     """The sensitivities per m/s², where the gravity of the place was stated."""
     derived, unit = calibration.derived, calibration.sensor.unit
     gravity = number(derived, "gravity_m_s2")
@@ -216,7 +216,7 @@ def _scale(calibration: Calibration) -> CoefficientGroup:
     return CoefficientGroup("Scale", _quantities(rows), f"At a gravity of {plain(gravity, 7)} m/s².")
 
 
-def _mounting(calibration: Calibration) -> CoefficientGroup:
+def _mounting(calibration: CalibrationRecord) -> CoefficientGroup:
     mounting, derived = calibration.coefficients.mounting, calibration.derived
     remark = text(derived, "mounting") or ""
     if number(derived, "gimbal_lock") is None and derived.get("gimbal_lock"):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tiltcal.core.comparison import judge
-from tiltcal.files.calibration import Calibration, changes_between
+from tiltcal.files.calibration import CalibrationRecord, changes_between
 from tiltcal.files.uncertainty import named_uncertainties
 from tiltcal.report.labels import symbol, unit_of, words
 from tiltcal.report.number_format import AlignedNumber, column, measured, plain
@@ -44,7 +44,7 @@ class ChangeSection:
     rows: Sequence[ChangeRow]
 
 
-def drift(before: Calibration, name: str, after: Calibration) -> ChangeSection:
+def drift(before: CalibrationRecord, name: str, after: CalibrationRecord) -> ChangeSection:
     """Every coefficient that both files have, the earlier ones at the later one's reference temperature."""
     earlier, later = (dict(named_uncertainties(one.uncertainty)) for one in (before, after))
     found = changes_between(before, after)

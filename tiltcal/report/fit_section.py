@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.number_format import AlignedNumber, at_place, column, measured, plain, signed
 from tiltcal.report.record import in_words, items, number, numbers, section, text
 from tiltcal.report.summary import INCREDIBLE
@@ -38,7 +38,7 @@ class PositionRow:
     suspect: bool
 
 
-def position_table(calibration: Calibration) -> list[PositionRow]:
+def position_table(calibration: CalibrationRecord) -> list[PositionRow]:
     """Every position that was measured, in order."""
     channels = calibration.coefficients.channels
     residuals = section(calibration.fit, "residuals")
@@ -85,12 +85,12 @@ def as_set(position: Mapping[str, Any]) -> str:
     return ", ".join(said)
 
 
-def verdict(calibration: Calibration) -> list[str]:
+def verdict(calibration: CalibrationRecord) -> list[str]:
     """What the fit says, in sentences."""
     return list(_sentences(calibration.fit, calibration.sensor.unit))
 
 
-def remarks(calibration: Calibration) -> list[str]:
+def remarks(calibration: CalibrationRecord) -> list[str]:
     """Notes and warnings of the file, word for word."""
     fit = calibration.fit
     noted = [in_words(note) for note in items(fit, "notes")]

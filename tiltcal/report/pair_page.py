@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
-from tiltcal.files.pair import PairCalibration
+from tiltcal.files.pair import PairRecord
 from tiltcal.report.figure import SvgFigure, picture
 from tiltcal.report.number_format import AlignedNumber, column, grouped, measured, plain
 from tiltcal.report.page import render
@@ -97,7 +97,7 @@ class PairSection:
     rows: Sequence[ComponentRow]
 
 
-def pair_page(calibration: PairCalibration, source: FileFacts, spectra: Sequence[Spectrum] = ()) -> str:
+def pair_page(calibration: PairRecord, source: FileFacts, spectra: Sequence[Spectrum] = ()) -> str:
     """One HTML page that needs nothing but itself; the same input gives the same page.
 
     Raises
@@ -116,7 +116,7 @@ def pair_page(calibration: PairCalibration, source: FileFacts, spectra: Sequence
     )
 
 
-def _facts(calibration: PairCalibration, source: FileFacts) -> list[Fact]:
+def _facts(calibration: PairRecord, source: FileFacts) -> list[Fact]:
     frequency = calibration.frequency
     said = [
         Fact("Turns of the stage", plain(calibration.turns, 6)),

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.record import leaves, section, text
 
 VIRTUAL = "virtual"
@@ -50,7 +50,7 @@ class Fact:
     code: bool = False
 
 
-def facts(calibration: Calibration, source: FileFacts) -> list[Fact]:
+def facts(calibration: CalibrationRecord, source: FileFacts) -> list[Fact]:
     """What was calibrated, when and by whom, and everything else that the provenance says."""
     sensor = calibration.sensor
     return [
@@ -92,7 +92,7 @@ def notice(provenance: Mapping[str, Any]) -> str:
     return f"Made by {made_by}." if VIRTUAL in made_by else ""
 
 
-def procedure_facts(calibration: Calibration) -> list[Fact]:
+def procedure_facts(calibration: CalibrationRecord) -> list[Fact]:
     """Which procedure was run, and how."""
     run = calibration.procedure
     said = [

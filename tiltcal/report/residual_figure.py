@@ -6,7 +6,7 @@ from functools import partial
 from operator import mul
 from typing import TYPE_CHECKING
 
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.figure import CHANNELS, GREY, INK, RED, SvgFigure, picture
 from tiltcal.report.record import number, numbers, section, text
 
@@ -18,7 +18,7 @@ COVERAGE = 1.96
 """Times the standard uncertainty of a mean, to either side of its residual."""
 
 
-def residual_figure(calibration: Calibration) -> SvgFigure | None:
+def residual_figure(calibration: CalibrationRecord) -> SvgFigure | None:
     """Measured less modelled for every position, a panel per channel; None where the file does not say."""
     residuals = section(calibration.fit, "residuals")
     positions = [name for name in residuals if numbers(residuals, name)]
@@ -41,7 +41,7 @@ def residual_figure(calibration: Calibration) -> SvgFigure | None:
     )
 
 
-def _plot(figure: Figure, calibration: Calibration, positions: list[str]) -> None:
+def _plot(figure: Figure, calibration: CalibrationRecord, positions: list[str]) -> None:
     coefficients = calibration.coefficients
     panels = figure.subplots(1, len(coefficients.channels), sharey=True, sharex=True, squeeze=False)[0]
     for panel, channel in zip(panels, coefficients.channels, strict=True):
@@ -56,7 +56,7 @@ def _plot(figure: Figure, calibration: Calibration, positions: list[str]) -> Non
             label.set_fontweight("bold")
 
 
-def _plot_channel(panel: Axes, calibration: Calibration, positions: list[str], channel: str) -> None:
+def _plot_channel(panel: Axes, calibration: CalibrationRecord, positions: list[str], channel: str) -> None:
     residuals, doubts = section(calibration.fit, "residuals"), _uncertainties(calibration, channel)
     colour, mark, _ = CHANNELS[channel]
     panel.axvline(0.0, color=INK, linewidth=0.6)
@@ -79,7 +79,7 @@ def _plot_channel(panel: Axes, calibration: Calibration, positions: list[str], c
     _angle_above(panel, calibration, channel)
 
 
-def _angle_above(panel: Axes, calibration: Calibration, channel: str) -> None:
+def _angle_above(panel: Axes, calibration: CalibrationRecord, channel: str) -> None:
     """A second scale: the angle near level that a residual stands for."""
     from math import degrees
 
@@ -98,7 +98,7 @@ def _angle_above(panel: Axes, calibration: Calibration, channel: str) -> None:
     above.xaxis.set_major_locator(MaxNLocator(5))
 
 
-def _uncertainties(calibration: Calibration, channel: str) -> dict[str, float]:
+def _uncertainties(calibration: CalibrationRecord, channel: str) -> dict[str, float]:
     """Standard uncertainty of the mean by position; of a name that comes twice, the first, which was fitted."""
     found: dict[str, float] = {}
     for record in calibration.positions:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
 
 INCREDIBLE = 1e-3
@@ -18,12 +18,12 @@ SHOWN = 3
 """Positions that are named."""
 
 
-def summary(calibration: Calibration) -> str:
+def summary(calibration: CalibrationRecord) -> str:
     """The coefficients with their standard uncertainties, and how well the positions fit."""
     return "\n".join(_lines(calibration))
 
 
-def mounting_summary(calibration: Calibration) -> str:
+def mounting_summary(calibration: CalibrationRecord) -> str:
     """How a sensor sits in its application, with standard uncertainties where they are known."""
     sensor, mounting = calibration.sensor, calibration.coefficients.mounting
     lines = [f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)"]
@@ -35,7 +35,7 @@ def mounting_summary(calibration: Calibration) -> str:
     return "\n".join(lines)
 
 
-def _lines(calibration: Calibration) -> Iterator[str]:
+def _lines(calibration: CalibrationRecord) -> Iterator[str]:
     sensor, coefficients, u = calibration.sensor, calibration.coefficients, calibration.uncertainty
     yield f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)"
     for row, channel in enumerate(coefficients.channels):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiltcal.core.model import Array, Thermal, polynomial
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.uncertainty import named_uncertainties
 from tiltcal.report.coefficients_section import coverage_factors
 from tiltcal.report.figure import CHANNELS, GREY, SvgFigure, picture
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 POINTS = 81
 
 
-def temperature_figure(calibration: Calibration) -> SvgFigure | None:
+def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
     """Offset over temperature per channel, and the sensitivity's drift where there is one; None without either."""
     thermal = calibration.coefficients.thermal
     if thermal is None:
@@ -42,7 +42,7 @@ def temperature_figure(calibration: Calibration) -> SvgFigure | None:
     )
 
 
-def _plot(figure: Figure, calibration: Calibration, thermal: Thermal) -> None:
+def _plot(figure: Figure, calibration: CalibrationRecord, thermal: Thermal) -> None:
     coefficients = calibration.coefficients
     gains = bool(thermal.gain.any())
     panels = figure.subplots(1 + gains, len(coefficients.channels), sharex=True, squeeze=False)
@@ -74,7 +74,7 @@ def _curve(panel: Axes, t: Array, curve: Array, half: Array | None, channel: str
     panel.plot(t, curve, color=colour, linewidth=1.1)
 
 
-def _positions(panel: Axes, calibration: Calibration, thermal: Thermal, column: int) -> None:
+def _positions(panel: Axes, calibration: CalibrationRecord, thermal: Thermal, column: int) -> None:
     """The curve at each position's temperature, and on it the residual."""
     channel = calibration.coefficients.channels[column]
     residuals = section(calibration.fit, "residuals")
@@ -94,7 +94,7 @@ def _positions(panel: Axes, calibration: Calibration, thermal: Thermal, column: 
     panel.plot(t, at, CHANNELS[channel][1], color=CHANNELS[channel][0], markersize=3.2)
 
 
-def _half_width(calibration: Calibration, names: list[str], powers: Array) -> Array | None:
+def _half_width(calibration: CalibrationRecord, names: list[str], powers: Array) -> Array | None:
     """Half the 95 % interval of a polynomial; None where the file does not say how uncertain it is."""
     covariance = section(calibration.uncertainty, "covariance")
     parameters = list(covariance.get("parameters", ()))
@@ -111,7 +111,7 @@ def _half_width(calibration: Calibration, names: list[str], powers: Array) -> Ar
     return np.asarray(factor * np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", powers, own, powers), 0.0)))
 
 
-def _range(calibration: Calibration, thermal: Thermal) -> tuple[float, float]:
+def _range(calibration: CalibrationRecord, thermal: Thermal) -> tuple[float, float]:
     """The temperatures that were covered, or some around the reference."""
     covered = calibration.limits.temperature or thermal.range
     return covered if covered else (thermal.reference - 10.0, thermal.reference + 10.0)

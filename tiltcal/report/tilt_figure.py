@@ -15,7 +15,7 @@ from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, Uncertai
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Limits
 from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.report.figure import CHANNELS, GREY, INK, SvgFigure, picture
 
@@ -49,7 +49,7 @@ class Curves:
     reading: Array
 
 
-def tilt_figure(calibration: Calibration) -> SvgFigure | None:
+def tilt_figure(calibration: CalibrationRecord) -> SvgFigure | None:
     """Error of the tilt of each axis, the other level; None where the file states no uncertainty."""
     try:
         curves = _curves(calibration)
@@ -94,7 +94,7 @@ def _plot(figure: Figure, curves: dict[str, Curves]) -> None:
         panel.margins(x=0.01)
 
 
-def _curves(calibration: Calibration) -> dict[str, Curves]:
+def _curves(calibration: CalibrationRecord) -> dict[str, Curves]:
     """By axis; raises EstimateError where the file does not say how uncertain the coefficients are."""
     coefficients, nominal = _unmounted(calibration.coefficients), _nominal(calibration)
     compensation = Compensation(coefficients)
@@ -112,7 +112,7 @@ def _curves(calibration: Calibration) -> dict[str, Curves]:
     return found
 
 
-def _doubt(calibration: Calibration, noise: float | None) -> UncertaintyInputs:
+def _doubt(calibration: CalibrationRecord, noise: float | None) -> UncertaintyInputs:
     """What the tilt in the sensor's own frame is uncertain by."""
     coefficients = _unmounted(calibration.coefficients)
     doubt = stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).doubt
@@ -125,7 +125,7 @@ def _doubt(calibration: Calibration, noise: float | None) -> UncertaintyInputs:
     )
 
 
-def _reaches(calibration: Calibration, axes: Sequence[str]) -> dict[str, Array]:
+def _reaches(calibration: CalibrationRecord, axes: Sequence[str]) -> dict[str, Array]:
     """Tilts of each axis that is reported, over the range that was covered, degrees."""
     found = {}
     for axis in axes:
@@ -143,7 +143,7 @@ def _attitudes(axis: str, tilt: Array) -> Array:
     return gravity
 
 
-def _nominal(calibration: Calibration) -> Compensation | None:
+def _nominal(calibration: CalibrationRecord) -> Compensation | None:
     """What the data sheet alone would make of readings; None where nobody knows the model, or its scale."""
     from tiltcal.drivers import find_model
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.coefficients_section import (
     SOURCES,
     budget,
@@ -25,19 +25,19 @@ from tiltcal.report.validity import covered, not_covered
 
 
 def certificate(
-    calibration: Calibration,
+    calibration: CalibrationRecord,
     source: FileFacts,
-    earlier: Sequence[tuple[Calibration, str]] = (),
+    earlier: Sequence[tuple[CalibrationRecord, str]] = (),
     logs: Sequence[ReportedLog] = (),
 ) -> str:
     """One HTML page that needs nothing but itself; the same input gives the same page.
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : CalibrationRecord
     source : FileFacts
         The file that it was read from.
-    earlier : sequence of (Calibration, str)
+    earlier : sequence of (CalibrationRecord, str)
         Earlier calibrations of the sensor, with the names of their files.
     logs : sequence of ReportedLog
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import degrees
 
-from tiltcal.files.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.coefficients_section import coverage_factors
 from tiltcal.report.number_format import plain, signed
 from tiltcal.report.provenance import Fact, notice
 from tiltcal.report.record import items, number, text
 
 
-def covered(calibration: Calibration) -> list[Fact]:
+def covered(calibration: CalibrationRecord) -> list[Fact]:
     """The ranges that the calibration was measured in."""
     limits, unit = calibration.limits, calibration.sensor.unit
     thermal = calibration.coefficients.thermal
@@ -31,12 +31,12 @@ def covered(calibration: Calibration) -> list[Fact]:
     return found
 
 
-def not_covered(calibration: Calibration) -> list[str]:
+def not_covered(calibration: CalibrationRecord) -> list[str]:
     """What nobody may read out of the file, in sentences."""
     return list(_open(calibration))
 
 
-def _open(calibration: Calibration) -> Iterator[str]:
+def _open(calibration: CalibrationRecord) -> Iterator[str]:
     coefficients, limits = calibration.coefficients, calibration.limits
     if notice(calibration.provenance):
         yield "Any real sensor: the readings are those of a virtual one."
@@ -64,7 +64,7 @@ def _open(calibration: Calibration) -> Iterator[str]:
     yield "Motion, vibration and ageing: all positions were held still, on the dates above."
 
 
-def _held(calibration: Calibration) -> str:
+def _held(calibration: CalibrationRecord) -> str:
     """At which temperatures the positions were measured nevertheless."""
     met = [t for record in calibration.positions if (t := number(record, "temperature")) is not None]
     if not met:

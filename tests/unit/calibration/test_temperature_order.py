@@ -12,7 +12,7 @@ from tiltcal.calibration.calibrate import MeasuredSensor, Measurement, Nominal, 
 from tiltcal.calibration.temperature_order import choose_order, swept, with_order
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError
-from tiltcal.files.calibration import Calibration, SensorIdentity
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure, find_procedure
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
@@ -25,7 +25,7 @@ def measurement(name: str, temperature: float | None, x: float, y: float, headin
     return Measurement(name, (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, temperature, summaries, heading=heading)
 
 
-def calibrated(procedure: Procedure, measured: list[Measurement], jig: float) -> Calibration:
+def calibrated(procedure: Procedure, measured: list[Measurement], jig: float) -> CalibrationRecord:
     return calibrate_jointly([MeasuredSensor(SENSOR, measured, NOMINAL)], procedure, jig=jig)[0]
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients
 from tiltcal.errors import InputError
-from tiltcal.files.calibration import Calibration, SensorIdentity, calibration_of, dump_calibration
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, calibration_of, dump_calibration
 from tiltcal.files.document import parse_document
 
 
@@ -50,7 +50,7 @@ def test_the_model_predicts_the_bend(bends: list[list[float]], g_x: float, g_y: 
 
 
 def test_the_file_keeps_it() -> None:
-    calibration = Calibration(SensorIdentity("m", "s", "count", ("x", "y")), part([[0.006, -0.01], [0.0, 0.002]]))
+    calibration = CalibrationRecord(SensorIdentity("m", "s", "count", ("x", "y")), part([[0.006, -0.01], [0.0, 0.002]]))
     text = dump_calibration(calibration)
     assert "nonlinearity: {x: [0.006, -0.01], y: [0.0, 0.002]}" in text
     again = calibration_of(parse_document(text)).coefficients.nonlinearity
@@ -59,7 +59,7 @@ def test_the_file_keeps_it() -> None:
 
 @pytest.mark.parametrize("bad", [[[0.6, 0.0]], [[0.0, -0.4]], [[1.5, 0.7]]])
 def test_a_reading_with_several_angles_is_refused(bad: list[list[float]]) -> None:
-    text = dump_calibration(Calibration(SensorIdentity("m", "s", "V", ("x",)), _single(bad)))
+    text = dump_calibration(CalibrationRecord(SensorIdentity("m", "s", "V", ("x",)), _single(bad)))
     with pytest.raises(InputError, match=r"calibration\.nonlinearity"):
         calibration_of(parse_document(text))
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import (
-    Calibration,
+    CalibrationRecord,
     SensorIdentity,
     calibration_of,
     dump_calibration,
@@ -47,7 +47,7 @@ positions: [{position: level, mean: {x: 1024.6}}]
 """
 
 
-def read(text: str) -> Calibration:
+def read(text: str) -> CalibrationRecord:
     return calibration_of(parse_document(text, "c.yaml"))
 
 
@@ -203,7 +203,7 @@ serials = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size
 
 
 @st.composite
-def calibrations(draw: st.DrawFn) -> Calibration:
+def calibrations(draw: st.DrawFn) -> CalibrationRecord:
     channels = tuple(draw(st.permutations(AXES))[: draw(st.integers(1, 3))])
     axes = AXES if len(channels) == 2 and draw(st.booleans()) else tuple(sorted(channels))
     n = len(channels)
@@ -216,7 +216,7 @@ def calibrations(draw: st.DrawFn) -> Calibration:
     thermal = Thermal(draw(finite), draw(st.none() | ranges), table, table[:, : order // 2])
     mounting = Mounting(*(radians(draw(degrees)) for _ in range(3)))
     tilt = {axis: (radians(-draw(degrees.map(abs))), radians(90.0)) for axis in axes[:n]}
-    return Calibration(
+    return CalibrationRecord(
         sensor=SensorIdentity(draw(serials), draw(serials), draw(serials), channels),
         coefficients=Coefficients(
             channels=channels,
@@ -233,7 +233,7 @@ def calibrations(draw: st.DrawFn) -> Calibration:
     )
 
 
-def content(calibration: Calibration) -> dict[str, Any]:
+def content(calibration: CalibrationRecord) -> dict[str, Any]:
     """Everything in it, in terms that can be compared."""
     coefficients = calibration.coefficients
     thermal = coefficients.thermal
@@ -250,5 +250,5 @@ def content(calibration: Calibration) -> dict[str, Any]:
 
 
 @given(calibrations())
-def test_what_is_written_reads_back_equal(calibration: Calibration) -> None:
+def test_what_is_written_reads_back_equal(calibration: CalibrationRecord) -> None:
     assert content(read(dump_calibration(calibration))) == content(calibration)

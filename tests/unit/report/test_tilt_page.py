@@ -19,14 +19,14 @@ from support import FIXTURES
 from support.html_page import Page
 
 from tiltcal.cli.main import run
-from tiltcal.files.calibration import Calibration, read_calibration, write_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
 from tiltcal.report.provenance import FileFacts
 from tiltcal.report.tilt_page import certificate
 
 SOURCE = FileFacts("S.yaml", "0" * 64)
 
 
-def golden(name: str) -> Calibration:
+def golden(name: str) -> CalibrationRecord:
     return read_calibration(FIXTURES / f"{name}.yaml")
 
 
@@ -36,7 +36,7 @@ def as_data(name: str) -> dict[str, Any]:
     return data
 
 
-def page_of(calibration: Calibration, **more: Any) -> Page:
+def page_of(calibration: CalibrationRecord, **more: Any) -> Page:
     return Page(certificate(calibration, SOURCE, **more))
 
 
@@ -238,7 +238,7 @@ class TestAnyFile:
 
     def test_a_file_written_by_hand(self, tmp_path: Path) -> None:
         known = golden("plane")
-        bare = Calibration(known.sensor, known.coefficients)
+        bare = CalibrationRecord(known.sensor, known.coefficients)
         page = page_of(bare)
         assert page.headings[0][0] == 1
         assert page.below("Coefficients")[1][2] == f"{known.coefficients.offset[0]:.6g}"
