@@ -99,7 +99,7 @@ def _of_calibration(path: Path) -> list[str]:
     if "chi_square" in fit:
         from scipy.stats import chi2
 
-        from tiltcal.report.summary import INCREDIBLE
+        from tiltcal.calibration.summary import INCREDIBLE
 
         p = float(chi2.sf(fit["chi_square"], fit["degrees_of_freedom"]))
         if p < INCREDIBLE:

@@ -12,6 +12,7 @@ import click
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import plan_session, single
+from tiltcal.calibration.summary import summary
 from tiltcal.cli.report import write_report
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import Address, parse_address
@@ -21,7 +22,6 @@ from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure import find_procedure
 from tiltcal.files.whole import write_whole
 from tiltcal.report.page import require_extra
-from tiltcal.report.summary import summary
 
 if TYPE_CHECKING:
     from tiltcal.core.model import Array

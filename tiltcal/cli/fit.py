@@ -113,13 +113,13 @@ def command(
     from tiltcal.calibration.calibrate import MeasuredSensor, Nominal
     from tiltcal.calibration.mounting import base_of, mount
     from tiltcal.calibration.prediction import require_tilt
+    from tiltcal.calibration.summary import mounting_summary, summary
     from tiltcal.calibration.temperature_order import calibrate
     from tiltcal.calibration.unit_gravity import require_no_jig, with_verdict
     from tiltcal.files.calibration import write_calibration
     from tiltcal.files.procedure import find_procedure
     from tiltcal.logs import remarks
     from tiltcal.logs.fit_input import FitInput, free_positions, set_positions
-    from tiltcal.report.summary import mounting_summary, summary
 
     steps = find_procedure(procedure, tilt)
     steps.require_positions()

@@ -84,10 +84,11 @@ def command(
 
     With --online, Ctrl-C ends a stream that has no end of its own, and what was found until then is the result.
     """
+    from tiltcal.calibration.summary import pair_summary
     from tiltcal.files.pair import write_pair
     from tiltcal.files.whole import check_writable
     from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
-    from tiltcal.report.pair_figures import draw_matching, summary
+    from tiltcal.report.pair_figures import draw_matching
 
     if loops and not online:
         raise UsageError("--loops says which of the --online estimators is meant; give --online too")
@@ -112,7 +113,7 @@ def command(
         shown = [_as_data(matching) for matching in matchings]
         click.echo(json.dumps(shown[0] if len(shown) == 1 else {"pairs": shown}))
     else:
-        click.echo("\n\n".join(summary(matching) for matching in matchings))
+        click.echo("\n\n".join(pair_summary(matching) for matching in matchings))
 
 
 def _source(log: str, online: bool) -> AbstractContextManager[tuple[BinaryIO | LiveStream, str, int | None]]:

@@ -103,13 +103,12 @@ def _certificate(
     columns: str,
     skip_bad_rows: bool,
 ) -> str:
-    from tiltcal.calibration.rails import with_rails
-    from tiltcal.core.compensation import Compensation
+    from tiltcal.calibration.calibration import Calibration
     from tiltcal.report.tilt_page import certificate
 
     last = calibrations[-1]
     try:
-        compensation = Compensation(last.coefficients, with_rails(last))
+        compensation = Calibration(last).compensation()
     except EstimateError as failure:
         raise InputError(str(failure), file=names[-1]) from failure
     channels = last.coefficients.channels

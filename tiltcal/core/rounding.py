@@ -49,6 +49,28 @@ def significant(value: float, digits: int) -> float:
     return _positive_zero(Context(prec=digits).create_decimal(repr(float(value))))
 
 
+def bracketed(value: float, uncertainty: float, digits: int = 1) -> str:
+    """A value with its standard uncertainty in brackets, in units of its last digit: ``3.3830(3)``.
+
+    Parameters
+    ----------
+    value, uncertainty : float
+        Of one unit. Without an uncertainty (zero, or not finite) the value has six digits and no brackets.
+    digits : int
+        Of the uncertainty, after rounding: of one digit 0.00096 is 1e-3.
+    """
+    if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
+        return f"{value:.6g}"
+    rounded = Decimal(f"{uncertainty:.{digits - 1}e}")
+    place = rounded.adjusted() - (digits - 1)
+    if place > 0:
+        return f"{round(Decimal(value), -place):.0f}({rounded:.0f})"
+    shown = f"{Decimal(value):.{-place}f}"
+    if not any(digit in shown for digit in "123456789"):
+        shown = shown.lstrip("-")
+    return f"{shown}({int(rounded.scaleb(-place))})"
+
+
 def _exponent(number: Decimal) -> int:
     exponent = number.as_tuple().exponent
     return exponent if isinstance(exponent, int) else 0

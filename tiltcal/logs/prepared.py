@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tiltcal
-from tiltcal.calibration.rails import with_rails
+from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.pair.compensation import PairCompensation
@@ -96,7 +96,7 @@ def prepare(wish: ApplyOptions, say: Callable[[str], None] = lambda line: None) 
     channels = known.coefficients.channels
     origin["serial"] = known.sensor.serial
     try:
-        compensation = Compensation(known.coefficients, with_rails(known), first_order=wish.first_order)
+        compensation = Calibration(known).compensation(first_order=wish.first_order)
         if not wish.uncertainty:
             return PreparedCalibration(compensation, channels, (), origin)
         uncertain = _uncertain(known, compensation, wish.reading_noise, say)

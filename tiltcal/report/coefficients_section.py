@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from math import degrees, sqrt
 from typing import Any
 
+from tiltcal.calibration.labels import symbol, unit_of, words
 from tiltcal.core.comparison import values
 from tiltcal.core.model import Coefficients
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.uncertainty import named_uncertainties
-from tiltcal.report.labels import symbol, unit_of, words
 from tiltcal.report.number_format import AlignedNumber, at_place, column, half_width, measured, plain
 from tiltcal.report.record import number, numbers, section, text
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from tiltcal.calibration.labels import symbol, unit_of, words
 from tiltcal.core.comparison import judge
 from tiltcal.files.calibration import CalibrationRecord, changes_between
 from tiltcal.files.uncertainty import named_uncertainties
-from tiltcal.report.labels import symbol, unit_of, words
 from tiltcal.report.number_format import AlignedNumber, column, measured, plain
 from tiltcal.report.provenance import period
 

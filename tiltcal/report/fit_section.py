@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tiltcal.calibration.summary import INCREDIBLE
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.number_format import AlignedNumber, at_place, column, measured, plain, signed
 from tiltcal.report.record import in_words, items, number, numbers, section, text
-from tiltcal.report.summary import INCREDIBLE
 
 
 @dataclass(frozen=True)

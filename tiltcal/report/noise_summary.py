@@ -13,9 +13,9 @@ import numpy as np
 from tiltcal.core.noise.allan_fit import FLICKER
 from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.sample_size import Limit, SampleSize, advise, uncertainty
+from tiltcal.core.rounding import bracketed
 from tiltcal.files.whole import whole_file
 from tiltcal.report.figure import house_style, save
-from tiltcal.report.number_format import bracketed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from decimal import Decimal
 from math import isfinite
 
+from tiltcal.core.rounding import bracketed
+
 LABORATORY = 2
 """Digits of an uncertainty on the page (GUM, 7.2.6)."""
 
@@ -14,28 +16,6 @@ MINUS, POINT, TIMES = "−", ".", " × 10"
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _MOST_DECIMALS = 9
 """More than these are written as a power of ten."""
-
-
-def bracketed(value: float, uncertainty: float, digits: int = 1) -> str:
-    """A value with its standard uncertainty in brackets, in units of its last digit: ``3.3830(3)``.
-
-    Parameters
-    ----------
-    value, uncertainty : float
-        Of one unit. Without an uncertainty (zero, or not finite) the value has six digits and no brackets.
-    digits : int
-        Of the uncertainty, after rounding: of one digit 0.00096 is 1e-3.
-    """
-    if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
-        return f"{value:.6g}"
-    rounded = Decimal(f"{uncertainty:.{digits - 1}e}")
-    place = rounded.adjusted() - (digits - 1)
-    if place > 0:
-        return f"{round(Decimal(value), -place):.0f}({rounded:.0f})"
-    shown = f"{Decimal(value):.{-place}f}"
-    if not any(digit in shown for digit in "123456789"):
-        shown = shown.lstrip("-")
-    return f"{shown}({int(rounded.scaleb(-place))})"
 
 
 def measured(value: float, uncertainty: float) -> str:

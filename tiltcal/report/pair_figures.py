@@ -1,67 +1,22 @@
-"""What a matching did: the source's Table 1 in text, and its figure 6."""
+"""What a matching did: the source's figure 6."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiltcal.core.model import Array
-from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.files.whole import whole_file
 from tiltcal.report.figure import house_style, save
-from tiltcal.report.number_format import bracketed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from tiltcal.core.pair.online import OnlineHistory
 
-HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
 COLOURS = ("#8a8a8a", "#c0504d", "#1f6f8b")
-
-
-def table(matching: Matching) -> str:
-    """Components at the turning before matching, after p, and after p and q (the source's Table 1)."""
-    return "\n".join(_table(matching))
-
-
-def _table(matching: Matching) -> Iterator[str]:
-    pair = matching.pair
-    names = {pair.first: pair.first, pair.second: pair.second, SUM: f"{pair.first} + {pair.second}"}
-    wide = max(len(text) for text in names.values())
-    yield " " * wide + "".join(f"   {HEADINGS[stage]:<28}" for stage in STAGES).rstrip()
-    yield " " * wide + "".join(f"   {'sin':<13} {'cos':<14}" for _ in STAGES).rstrip()
-    for name, text in names.items():
-        cells = []
-        for stage in STAGES:
-            one = matching.components[stage][name]
-            cells += [f"   {bracketed(one.sin, one.u_sin):<13}", f" {bracketed(one.cos, one.u_cos):<14}"]
-        yield f"{text:<{wide}}" + "".join(cells).rstrip()
-
-
-def summary(matching: Matching) -> str:
-    """The table, p and q with their uncertainties, and how far the common acceleration is suppressed."""
-    return "\n".join(
-        [
-            f"{matching.pair.first} and {matching.pair.second}, orthogonal {matching.pair.orthogonal}",
-            table(matching),
-            f"p = {bracketed(matching.p, matching.u_p)}   q = {bracketed(matching.q, matching.u_q)}",
-            suppressed(matching),
-        ]
-    )
-
-
-def suppressed(matching: Matching, write: Callable[[float], str] = "{:.3g}".format) -> str:
-    """How far the common acceleration is suppressed, in words; ``write`` writes the two factors."""
-    suppression = matching.suppression
-    left = matching.components["after_pq"][SUM]
-    floor = left.amplitude <= left.u_amplitude
-    return (
-        f"common acceleration suppressed {write(suppression['p'])} times after p, {write(suppression['pq'])} times "
-        f"after p and q{' (the noise floor)' if floor else ''}"
-    )
 
 
 @dataclass(frozen=True)

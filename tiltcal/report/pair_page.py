@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.calibration.summary import HEADINGS, suppressed
 from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.files.pair import PairRecord
 from tiltcal.report.figure import SvgFigure, picture
 from tiltcal.report.number_format import AlignedNumber, column, grouped, measured, plain
 from tiltcal.report.page import render
-from tiltcal.report.pair_figures import HEADINGS, PairDrawing, draw_spectra, suppressed
+from tiltcal.report.pair_figures import PairDrawing, draw_spectra
 from tiltcal.report.provenance import Fact, FileFacts, notice, provenance_facts
 
 if TYPE_CHECKING:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.prediction import PredictedUncertainty
 from tiltcal.core.estimation.design import Design
-from tiltcal.report.labels import unit_of
 
 SHOWN = 3
 """Correlations and positions that are named."""

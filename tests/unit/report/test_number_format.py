@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tiltcal.report.number_format import at_place, bracketed, column, grouped, half_width, measured, plain
+from tiltcal.core.rounding import bracketed
+from tiltcal.report.number_format import at_place, column, grouped, half_width, measured, plain
 
 
 @pytest.mark.parametrize(

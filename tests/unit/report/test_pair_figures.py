@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tiltcal.calibration.summary import pair_summary, pair_table
 from tiltcal.core.pair.demodulate import Demodulator
 from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import OnlineHistory
-from tiltcal.report.number_format import bracketed
-from tiltcal.report.pair_figures import PairDrawing, draw_matching, summary, table
+from tiltcal.core.rounding import bracketed
+from tiltcal.report.pair_figures import PairDrawing, draw_matching
 
 
 class TestBrackets:
@@ -74,7 +75,7 @@ def table_1_record() -> Demodulator:
 
 def test_a_record_of_table_1_reads_as_table_1_does() -> None:
     """The table's own sum, -0.0322, is not that of its a1 and a2, which is -0.0320: the authors fitted it apart."""
-    lines = table(match(table_1_record().result(), Pair("a1", "a2", "a4"))).splitlines()
+    lines = pair_table(match(table_1_record().result(), Pair("a1", "a2", "a4"))).splitlines()
     before = {line[:9].strip(): line[9:].split()[:2] for line in lines[2:]}
     assert before["a1"] == ["3.3830(3)", "-0.0747(3)"]
     assert before["a2"] == ["-3.4150(3)", "0.0753(3)"]
@@ -83,7 +84,7 @@ def test_a_record_of_table_1_reads_as_table_1_does() -> None:
 
 
 def test_the_summary_names_the_noise_floor() -> None:
-    text = summary(match(table_1_record().result(), Pair("a1", "a2", "a4")))
+    text = pair_summary(match(table_1_record().result(), Pair("a1", "a2", "a4")))
     assert "p = -0.0094" in text
     assert text.endswith("times after p and q (the noise floor)")
 

@@ -1,0 +1,208 @@
+"""A calibration as a program holds it: the coefficients by name, where they hold, and what can be done with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from tiltcal.calibration.summary import mounting_lines, pair_summary, summary
+from tiltcal.core.compensation import Compensation
+from tiltcal.core.model import Coefficients, Limits
+from tiltcal.core.pair.compensation import PairCompensation
+from tiltcal.core.pair.matching import Matching
+from tiltcal.drivers import find_model
+from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, calibration_of, write_calibration
+from tiltcal.files.document import checked_kind, read_document
+from tiltcal.files.pair import PairRecord, pair_of, write_pair
+from tiltcal.files.uncertainty import named_uncertainties
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The calibration of one tilt sensor.
+
+    Attributes
+    ----------
+    record : CalibrationRecord
+        The content of its file. What it records of the fit, the procedure, the positions and the provenance is at hand
+        here under the same names.
+
+    Examples
+    --------
+    >>> cal = tiltcal.read("S-0042.yaml")
+    >>> cal.offset["x"], cal.sensitivity["x", "y"], cal.uncertainty["offset.x"]
+    >>> tilted = cal.apply(frame, columns={"x": "VoutX"}, uncertainty=True)
+    """
+
+    record: CalibrationRecord
+
+    @property
+    def sensor(self) -> SensorIdentity:
+        """Model, serial number, unit of the readings, and channels."""
+        return self.record.sensor
+
+    @property
+    def coefficients(self) -> Coefficients:
+        """The coefficients as arrays, for computation; angles in radians."""
+        return self.record.coefficients
+
+    @property
+    def offset(self) -> dict[str, float]:
+        """Reading at 0 g and the reference temperature by channel, in the sensor's unit."""
+        return dict(zip(self.coefficients.channels, self.coefficients.offset.tolist(), strict=True))
+
+    @property
+    def sensitivity(self) -> dict[tuple[str, str], float]:
+        """Sensitivity by channel and axis, unit/g."""
+        rows = zip(self.coefficients.channels, self.coefficients.sensitivity.tolist(), strict=True)
+        return {
+            (channel, axis): value
+            for channel, row in rows
+            for axis, value in zip(self.coefficients.axes, row, strict=True)
+        }
+
+    @cached_property
+    def uncertainty(self) -> dict[str, float]:
+        """Standard uncertainty (k = 1) of each coefficient by its dotted name, such as ``offset.x``, in its unit."""
+        return dict(named_uncertainties(self.record.uncertainty))
+
+    @cached_property
+    def limits(self) -> Limits:
+        """Where the calibration holds, angles in radians; the rails are the model's where the file names none."""
+        limits, sensor = self.record.limits, self.sensor
+        if limits.reading:
+            return limits
+        try:
+            model = find_model(sensor.model)
+        except UsageError:
+            return limits
+        if model.unit != sensor.unit:
+            return limits
+        return replace(limits, reading=dict.fromkeys(sensor.channels, model.rails))
+
+    @property
+    def derived(self) -> Any:
+        """What follows from the coefficients: cross-axis sensitivity in %, misalignment and intrinsic parameters."""
+        return self.record.derived
+
+    @property
+    def fit(self) -> Any:
+        """How well the positions agree: residuals, degrees of freedom, chi-square, where the uncertainty comes from."""
+        return self.record.fit
+
+    @property
+    def procedure(self) -> Any:
+        """The procedure as it was run, with the angles that were set."""
+        return self.record.procedure
+
+    @property
+    def positions(self) -> Sequence[Any]:
+        """Mean, standard deviation, number of samples and temperature of each position."""
+        return self.record.positions
+
+    @property
+    def provenance(self) -> Any:
+        """Who made the calibration, when, and from which data."""
+        return self.record.provenance
+
+    def compensation(self, *, first_order: bool = False) -> Compensation:
+        """Return the compensation of readings in arrays, with these coefficients and limits.
+
+        Parameters
+        ----------
+        first_order : bool
+            Use Cross-axis Compensation, eq. 6, in place of the whole matrix.
+
+        Raises
+        ------
+        EstimateError
+            The sensitivity matrix cannot be inverted.
+        """
+        return Compensation(self.coefficients, self.limits, first_order=first_order)
+
+    def save(self, path: str | Path) -> None:
+        """Write the calibration file, whole or not at all.
+
+        Raises
+        ------
+        UsageError
+            The file cannot be written there.
+        """
+        write_calibration(path, self.record)
+
+    def __str__(self) -> str:
+        return "\n".join([summary(self.record), *mounting_lines(self.record)])
+
+
+@dataclass(frozen=True)
+class PairCalibration:
+    """The matching of one or two accelerometer pairs on a rotary stage.
+
+    Attributes
+    ----------
+    record : PairRecord
+        The content of its file.
+    """
+
+    record: PairRecord
+
+    @property
+    def matchings(self) -> tuple[Matching, ...]:
+        """The pairs: ``p`` and ``q`` with their uncertainties, components before and after, and the suppression."""
+        return self.record.matchings
+
+    @property
+    def phase(self) -> str | None:
+        """The column of the stage angle; None where the spin was estimated."""
+        return self.record.phase
+
+    @property
+    def frequency(self) -> float | None:
+        """Spin frequency, Hz; None where the data have no time."""
+        return self.record.frequency
+
+    @property
+    def provenance(self) -> Any:
+        """Who made the matching, when, and from which data."""
+        return self.record.provenance
+
+    def compensation(self) -> PairCompensation:
+        """Return the matched sums and the gradient signal of readings in arrays."""
+        return PairCompensation(self.matchings, self.phase)
+
+    def save(self, path: str | Path) -> None:
+        """Write the pair file, whole or not at all.
+
+        Raises
+        ------
+        UsageError
+            The file cannot be written there.
+        """
+        write_pair(path, self.record)
+
+    def __str__(self) -> str:
+        return "\n\n".join(pair_summary(matching) for matching in self.matchings)
+
+
+def read(path: str | Path) -> Calibration | PairCalibration:
+    """Read and check a calibration file of either kind.
+
+    Raises
+    ------
+    InputError
+        Anything in it is wrong; the message names file, line and key.
+    """
+    document = read_document(path)
+    kind = document.entries().get("kind")
+    if kind is not None and kind.names("pair"):
+        return PairCalibration(pair_of(checked_kind(document, "pair")))
+    calibration = Calibration(calibration_of(checked_kind(document, "tilt")))
+    try:
+        calibration.compensation()
+    except EstimateError as failure:
+        raise InputError(str(failure), file=path) from failure
+    return calibration
