@@ -135,7 +135,7 @@ class Adxl202Sentences:
         said["period"] = f"{sentence.periods[0]:g} ticks"
         if sentence.temperature is not None:
             said["temperature"] = f"{sentence.temperature:.1f} °C"
-        return said | {"link_statistics": in_words(self.link_statistics())}
+        return said | {"link": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """The next undamaged sentence: the duty cycles of x and y, and the temperature where it is sent, °C.
@@ -230,7 +230,7 @@ class Adxl202Edges:
         self.discard()
         cycle = self._next()
         said = {channel: f"{duty:.6f} duty" for channel, duty in zip("xy", cycle.duty, strict=True)}
-        return said | {"period": f"{cycle.period / 1e6:.6g} ms", "link_statistics": in_words(self.link_statistics())}
+        return said | {"period": f"{cycle.period / 1e6:.6g} ms", "link": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """The next period: the duty cycles of x and y.

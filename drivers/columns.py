@@ -134,7 +134,7 @@ class ColumnsSensor:
         said = {name: f"{value:g}" for name, value in zip(self._columns.channels, reading.values, strict=True)}
         if reading.temperature is not None:
             said[TEMPERATURE] = f"{reading.temperature:.1f} °C"
-        return said | {"link_statistics": in_words(self.link_statistics())}
+        return said | {"link": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """The next line of numbers.

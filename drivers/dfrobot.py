@@ -105,7 +105,7 @@ class DfrobotSca100t:
         said = {channel: f"{value:.0f} count" for channel, value in zip("xy", reading.values, strict=True)}
         return said | {
             "temperature": f"{reading.temperature:.1f} °C (not trimmed)",
-            "link_statistics": in_words(self.link_statistics()),
+            "link": in_words(self.link_statistics()),
         }
 
     def read(self) -> Reading:

@@ -10,7 +10,7 @@
     ├── HardwareError       exit 3   the bus, the sensor or its wiring
     │   ├── BusError                 no device, no permission, no answer, unplugged
     │   ├── DeviceFault              the device answers, and says or shows that it is faulty
-    │   └── BayError                 one device of a bench failed; it is named
+    │   └── SensorError              one device of a bench failed; it is named
     └── Stopped             exit 130 the operator stopped; the session is kept and can be resumed
 
 A message says what was found, where, and what to do.

@@ -12,6 +12,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 from support import FIXTURES
+from support.command import loaded_by
 
 from tiltcal.cli.apply import command
 from tiltcal.cli.match import command as match_command
@@ -200,8 +201,6 @@ class TestRefusals:
 
 
 def test_csv_loads_none_of_it() -> None:
-    from test_house import loaded_by
-
     Path("log.csv").write_text("x,y\n1024,1024\n")
     loaded = loaded_by(f"from tiltcal.cli.main import run\nrun(['apply', {CAL!r}, 'log.csv', '-o', 'out.csv'])")
     assert "polars" in loaded

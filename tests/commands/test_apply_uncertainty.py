@@ -33,7 +33,7 @@ uncertainty:
   offset: {x: 0.003, y: 0.003}
   sensitivity: {x: {x: 0.002, y: 0.0}, y: {x: 0.0, y: 0.002}}
 """
-KNOWN = ALONE + "  reading: {x: 0.004, y: 0.004}\n"
+KNOWN = ALONE + "  single_reading: {x: 0.004, y: 0.004}\n"
 LOG = "x,y\n2.5,2.5\n3.5,2.5\n"
 
 

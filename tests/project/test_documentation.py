@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import pytest
 from support import ROOT
+from support.command import Completed, tiltcal
 
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(ROOT.glob("docs/**/*.md"))
 WITH_COMMANDS = [page for page in PAGES if "```console" in page.read_text(encoding="utf-8")]
@@ -66,23 +68,33 @@ def shims(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+SHELL = re.compile(r"[|&;<>$`*~]")
+"""What only a shell understands."""
+
+
+def run(line: str, folder: Path, shims: Path) -> Completed:
+    """Run a line of a page: in this process where it is one command of ours, in a shell where it is more."""
+    if line.startswith("tiltcal ") and not SHELL.search(line):
+        return tiltcal(*shlex.split(line)[1:], cwd=folder, merged=True)
+    return subprocess.run(
+        ["bash", "-o", "pipefail", "-c", line],
+        cwd=folder,
+        env=os.environ | {"PATH": f"{shims}{os.pathsep}{os.environ['PATH']}", "LC_ALL": "C.UTF-8"},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+
+
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=name_of)
 def test_commands_run_and_print_what_the_page_says(page: Path, shims: Path, tmp_path: Path) -> None:
-    environment = os.environ | {"PATH": f"{shims}{os.pathsep}{os.environ['PATH']}", "LC_ALL": "C.UTF-8"}
     for language, file, content in BLOCK.findall(page.read_text(encoding="utf-8")):
         if file:
             (tmp_path / file).write_text(content, encoding="utf-8")
         for command in commands_of(content) if language == "console" else ():
-            done = subprocess.run(
-                ["bash", "-o", "pipefail", "-c", command.line],
-                cwd=tmp_path,
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                check=False,
-            )
+            done = run(command.line, tmp_path, shims)
             assert (done.returncode != 0) == command.fails, f"{command.line}\n{done.stdout}"
             if command.printed:
                 assert re.fullmatch(pattern_of(command.printed), done.stdout), f"{command.line}\n{done.stdout}"

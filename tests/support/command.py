@@ -1,22 +1,104 @@
-"""The tiltcal command as a user runs it: a process of its own, in a folder of its own."""
+"""The tiltcal command: called in this process, or started as a user starts it."""
 
 from __future__ import annotations
 
+import io
+import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, chdir, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
+from threading import Thread
+from typing import TextIO
+from unittest.mock import patch
+
+from tiltcal.cli.main import run
 
 TILTCAL = [sys.executable, "-m", "tiltcal"]
 
-
-def tiltcal(*args: str | Path, cwd: Path | None = None, said: str = "") -> subprocess.CompletedProcess[str]:
-    """Run a command to its end; ``said`` is its standard input."""
-    return subprocess.run(
-        [*TILTCAL, *map(str, args)], cwd=cwd, input=said, text=True, capture_output=True, timeout=120, check=False
-    )
+Completed = subprocess.CompletedProcess[str]
 
 
-def measure(*args: str | Path, cwd: Path, procedure: str = "plane", said: str = "") -> subprocess.CompletedProcess[str]:
+def tiltcal(*args: str | Path, cwd: Path | None = None, said: str | None = None, merged: bool = False) -> Completed:
+    """Call the command line in this process, and return its exit code and what it printed.
+
+    A process of its own takes a second to start, and tells no more unless the test is about the process: a signal, a
+    pipe, what is imported. An exception that is not ours leaves this function as it is.
+
+    Parameters
+    ----------
+    said
+        Standard input, which is a pipe.
+    merged
+        Standard error goes where standard output goes.
+    """
+    with ExitStack() as stack:
+        stdout = stack.enter_context(_printed())
+        stderr = stdout if merged else stack.enter_context(_printed())
+        if cwd is not None:
+            stack.enter_context(chdir(cwd))
+        stack.enter_context(patch.object(sys, "stdin", stack.enter_context(_pipe(said or ""))))
+        stack.enter_context(redirect_stdout(stdout))
+        stack.enter_context(redirect_stderr(stderr))
+        arguments = [str(arg) for arg in args]
+        code = run(arguments)
+        return subprocess.CompletedProcess(
+            ["tiltcal", *arguments], code, _text(stdout), "" if merged else _text(stderr)
+        )
+
+
+def tiltcal_process(*args: str | Path, cwd: Path | None = None, said: str | None = None) -> Completed:
+    """Run the command in a process of its own, to its end."""
+    command = [*TILTCAL, *map(str, args)]
+    return subprocess.run(command, cwd=cwd, input=said or "", text=True, capture_output=True, timeout=120, check=False)
+
+
+def loaded_by(statement: str) -> set[str]:
+    """Return the top-level modules that a fresh Python has loaded after a statement."""
+    script = f"import sys\n{statement}\nprint('\\nloaded', *{{name.partition('.')[0] for name in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.splitlines()[-1].split()[1:])
+
+
+def measure(*args: str | Path, cwd: Path, procedure: str = "plane", said: str = "") -> Completed:
     """Measure a virtual SCA100T-D02 with the virtual jig, into S-1.yaml; later options override earlier ones."""
     options = ["--sensor", "sca100t-d02", "--address", "sim:?seed=1", "--serial", "S-1", "-o", "S-1.yaml"]
     return tiltcal("measure", procedure, *options, "--operator", "sim", *args, cwd=cwd, said=said)
+
+
+@contextmanager
+def _printed() -> Iterator[io.TextIOWrapper]:
+    """Yield a stream like the standard ones, with a buffer of bytes behind it."""
+    with io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) as stream:
+        yield stream
+
+
+def _text(stream: io.TextIOWrapper) -> str:
+    stream.flush()
+    buffer = stream.buffer
+    assert isinstance(buffer, io.BytesIO)
+    return buffer.getvalue().decode("utf-8")
+
+
+@contextmanager
+def _pipe(said: str) -> Iterator[TextIO]:
+    """Yield the end of a pipe that a text comes out of."""
+    reading, writing = os.pipe()
+
+    def feed() -> None:
+        with open(writing, "wb") as into:
+            try:
+                into.write(said.encode())
+                into.flush()
+            except BrokenPipeError:  # the command has read what it needs
+                into.detach()
+
+    feeder = Thread(target=feed)
+    feeder.start()
+    try:
+        with open(reading, encoding="utf-8") as out_of:
+            yield out_of
+    finally:
+        feeder.join()
