@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from support.command import tiltcal
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
-from tiltcal.calibration.calibrate import Measurement
+from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.mounting import mount
 from tiltcal.calibration.results import rounded, uncertainty_record
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty

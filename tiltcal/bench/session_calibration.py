@@ -12,11 +12,8 @@ from tiltcal.bench.position_runner import PositionResult
 from tiltcal.bench.rotation_runner import RotationResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, stamp
-from tiltcal.calibration.calibrate import MeasuredSensor, Measurement, Nominal
-from tiltcal.calibration.mounting import mount
-from tiltcal.calibration.temperature_order import calibrate
-from tiltcal.calibration.typical_temperature import with_typical_temperature
-from tiltcal.calibration.unit_gravity import directed, with_verdict
+from tiltcal.calibration.calibrate import calibrate
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
 from tiltcal.files.calibration import CalibrationRecord, calibration_of
 from tiltcal.files.document import checked_kind, parse_document
 from tiltcal.files.pair import PairRecord
@@ -68,18 +65,15 @@ def tilt_calibrations(plan: SessionPlan, walked: MeasuredPositions) -> dict[str,
     EstimateError
         The positions cannot determine the coefficients.
     """
-    measured = {bay.serial: _measurements(plan, bay, walked.taken) for bay in walked.bays}
-    settings = {"samples": plan.settings.samples, "settle_seconds": plan.settings.settle}
-    if plan.base is not None:
-        base = calibration_of(checked_kind(parse_document(plan.base, "the base calibration"), "tilt"))
-        return {serial: mount(base, one, jig=plan.jig, settings=settings) for serial, one in measured.items()}
-    found = _calibrated(plan, walked, measured, settings)
-    if plan.typical:
-        found = [
-            with_typical_temperature(one, measured[bay.serial], bay.model.population)
-            for one, bay in zip(found, walked.bays, strict=True)
-            if bay.model.population is not None
-        ]
+    thermometer = plan.thermometer is not None or any(one.typed for one in walked.taken)
+    found = calibrate(
+        [_measured(plan, bay, walked.taken, own_thermometer=not thermometer) for bay in walked.bays],
+        plan.procedure,
+        BenchUncertainty(plan.jig, plan.thermometer_uncertainty),
+        base=_base(plan),
+        typical_temperature=plan.typical,
+        settings={"samples": plan.settings.samples, "settle_seconds": plan.settings.settle},
+    )
     return {bay.serial: one for bay, one in zip(walked.bays, found, strict=True)}
 
 
@@ -112,28 +106,17 @@ def tilt_provenance(plan: SessionPlan, place: DeviceSetup, ending: SessionEnd) -
     }
 
 
-def _calibrated(
-    plan: SessionPlan,
-    walked: MeasuredPositions,
-    measured: Mapping[str, Sequence[Measurement]],
-    settings: Mapping[str, Any],
-) -> list[CalibrationRecord]:
-    """The calibrations of all sensors together, in the rack's order."""
-    subjects = [
-        MeasuredSensor(bay.identity, measured[bay.serial], Nominal.of(bay.model), bay.orientation.matrix)
-        for bay in walked.bays
-    ]
-    procedure, warmth = plan.procedure, _thermometer_uncertainty(plan, walked)
-    if procedure.determines.free:
-        subjects = directed(subjects)
-    found = calibrate(subjects, procedure, jig=plan.jig, thermometer=warmth, settings=settings)
-    if procedure.determines.free:
-        found = [with_verdict(one, its.measurements) for one, its in zip(found, subjects, strict=True)]
-    return found
+def _base(plan: SessionPlan) -> CalibrationRecord | None:
+    if plan.base is None:
+        return None
+    return calibration_of(checked_kind(parse_document(plan.base, "the base calibration"), "tilt"))
 
 
-def _measurements(plan: SessionPlan, bay: ConnectedSensor, taken: Sequence[PositionResult]) -> list[Measurement]:
-    return [
+def _measured(
+    plan: SessionPlan, bay: ConnectedSensor, taken: Sequence[PositionResult], *, own_thermometer: bool
+) -> MeasuredSensor:
+    """What was measured of one sensor."""
+    measurements = [
         Measurement(
             one.position.name,
             bay.orientation.seen(one.position.gravity),
@@ -145,15 +128,8 @@ def _measurements(plan: SessionPlan, bay: ConnectedSensor, taken: Sequence[Posit
         )
         for one in taken
     ]
-
-
-def _thermometer_uncertainty(plan: SessionPlan, walked: MeasuredPositions) -> float | None:
-    """Standard uncertainty of the temperatures, °C: as the bench file states it, else the thermometers' steps."""
-    if plan.thermometer_uncertainty is not None:
-        return plan.thermometer_uncertainty
-    if plan.thermometer is not None or any(one.typed for one in walked.taken):
-        return None
-    return max(bay.model.thermometer_rounding for bay in walked.bays) or None
+    thermometer = bay.model.thermometer_rounding if own_thermometer else None
+    return MeasuredSensor(bay.identity, measurements, Nominal.of(bay.model), bay.orientation.matrix, thermometer)
 
 
 def _provenance(plan: SessionPlan, bench: Mapping[str, Any], ending: SessionEnd) -> dict[str, Any]:

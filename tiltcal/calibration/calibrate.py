@@ -1,295 +1,174 @@
-"""From measured positions to a calibration: the one path that the bench, the replay and recorded logs share."""
+"""From measured positions to a calibration: the one path of the bench, of its replay, and of recorded logs.
+
+What a procedure asks for is decided here and nowhere else: whether the positions are free, whether a mounting completes
+a base, which order of the drift the data warrant, whether typical temperature curves stand in, what the user states of
+the bench, and what a table of means leaves unsaid.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from math import asin, degrees, fsum, inf, radians, sqrt
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from tiltcal.calibration.results import derived_record, fit_record, rounded, uncertainty_record
-from tiltcal.core.estimation.design import STRAIGHT, Design, Observation, Prior, SensorObservations
-from tiltcal.core.estimation.estimate import estimate_jointly
-from tiltcal.core.estimation.pooling import pooled
-from tiltcal.core.model import AXES, Array, Limits
-from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.statistics import SampleSummary
-from tiltcal.drivers.device import Model
-from tiltcal.errors import EstimateError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.calibration.joint_fit import fit_jointly
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.calibration.mounting import mount
+from tiltcal.calibration.temperature import choose_order, swept, with_order, with_typical_temperature
+from tiltcal.calibration.unit_gravity import directed, require_no_jig, with_verdict
+from tiltcal.core.rounding import round_to
+from tiltcal.errors import EstimateError, UsageError
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.uncertainty import named_uncertainties
+
+ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """One position of one sensor, ready for the estimator.
-
-    Attributes
-    ----------
-    position : str
-    gravity : tuple of float
-        Up in the sensor frame as set, g.
-    tilt : mapping of str to float or None
-        As set, degrees; None where the position is given by its direction.
-    temperature : float or None
-        °C.
-    summaries : mapping of str to SampleSummary
-        Per channel of the sensor.
-    when : mapping of str to Any
-        How the position is found again: its time, or its rows of a log.
-    heading : float or None
-        How far the fixture was turned about the vertical, degrees.
-    """
-
-    position: str
-    gravity: tuple[float, float, float]
-    tilt: Mapping[str, float] | None
-    temperature: float | None
-    summaries: Mapping[str, SampleSummary]
-    when: Mapping[str, Any] = field(default_factory=dict)
-    heading: float | None = None
-
-
-@dataclass(frozen=True)
-class Nominal:
-    """What a sensor's model is known for; stands in where a procedure does not determine it.
-
-    Attributes
-    ----------
-    sensitivity, spread : float
-        Nominal sensitivity in unit/g, and its standard deviation over parts in unit/g.
-    rails : tuple of float
-        In unit.
-    """
-
-    sensitivity: float
-    spread: float
-    rails: tuple[float, float]
-
-    @classmethod
-    def of(cls, model: Model) -> Nominal:
-        """Of a model as its data sheet has it."""
-        return cls(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails)
-
-
-@dataclass(frozen=True)
-class MeasuredSensor:
-    """One sensor of a fixture with what was measured of it.
-
-    Attributes
-    ----------
-    sensor : SensorIdentity
-    measurements : sequence of Measurement
-    nominal : Nominal or None
-        Of the sensor's model.
-    orientation : sequence of sequence of float
-        3 by 3; takes a vector of the fixture's frame to the sensor's.
-    """
-
-    sensor: SensorIdentity
-    measurements: Sequence[Measurement]
-    nominal: Nominal | None = None
-    orientation: Sequence[Sequence[float]] = STRAIGHT
-
-
-def calibrate_jointly(
-    subjects: Sequence[MeasuredSensor],
+def calibrate(
+    sensors: Sequence[MeasuredSensor],
     procedure: Procedure,
+    bench: BenchUncertainty,
     *,
-    jig: float | None = None,
-    thermometer: float | None = None,
+    base: CalibrationRecord | None = None,
+    typical_temperature: bool = False,
+    table: bool = False,
+    gravity: float | None = None,
     settings: Mapping[str, Any] | None = None,
-    provenance: Mapping[str, Any] | None = None,
 ) -> list[CalibrationRecord]:
-    """Calibrate all sensors of a fixture: they share its attitude in every position.
+    """Calibrate the sensors of one fixture by the positions of a procedure.
 
     Parameters
     ----------
-    subjects : sequence of MeasuredSensor
+    sensors : sequence of MeasuredSensor
+        They share the fixture's attitude in every position.
     procedure : Procedure
-        Says which coefficients to determine.
-    jig : float, optional
-        Standard uncertainty of a set angle, degrees; None where it was not stated. A procedure of free positions
-        trusts none: there the directions of the measurements are a first guess, and unit gravity determines the rest.
-    thermometer : float, optional
-        Standard uncertainty of a temperature, °C; None where it was not stated, and counts as nothing.
-    settings, provenance : mapping, optional
-        Records for the files.
+    bench : BenchUncertainty
+    base : CalibrationRecord, optional
+        Of the one sensor, from :func:`base_of`: a mounting completes it, and its sensitivity stands in where the
+        procedure determines none.
+    typical_temperature : bool
+        The mean temperature curves of the sensors' models stand in for runs of the units' own.
+    table : bool
+        The measurements are rows of a table: what it does not state is not recorded.
+    gravity : float, optional
+        Where the positions were measured, m/s²: adds the sensitivity per m/s².
+    settings : mapping, optional
+        How the procedure was run, for the files.
 
     Returns
     -------
     list of CalibrationRecord
-        One a subject, their numbers rounded to what their uncertainty warrants.
+        One for each sensor, without provenance; numbers have the digits that their uncertainty warrants.
 
     Raises
     ------
+    UsageError
+        What is stated of the bench does not go with the procedure.
     EstimateError
         The positions cannot determine the coefficients.
     """
-    designs = [design_of(subject, procedure, jig, thermometer) for subject in subjects]
-    found = estimate_jointly(
-        [
-            SensorObservations(design, observations_of(subject.measurements, design.channels), subject.orientation)
-            for subject, design in zip(subjects, designs, strict=True)
-        ]
-    )
-    calibrations = []
-    for subject, design, one in zip(subjects, designs, found, strict=True):
-        calibrations.append(
-            CalibrationRecord(
-                sensor=replace(subject.sensor, channels=design.channels),
-                coefficients=rounded(one),
-                uncertainty=uncertainty_record(one, _reading(subject.measurements, design)),
-                limits=_limits(design, subject.measurements, subject.nominal, one.coefficients.thermal is not None),
-                derived=derived_record(one, design),
-                fit=fit_record(one, design, _largest_noise(subject.measurements, design.channels)),
-                procedure=_procedure(procedure, subject.measurements, settings or {}),
-                positions=[_position(measurement, design.channels) for measurement in subject.measurements],
-                provenance=provenance or {},
-            )
-        )
-    return calibrations
+    require_no_jig(procedure, bench.jig)
+    if procedure.determines.mounting:
+        if base is None:
+            raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor that is mounted")
+        found = [mount(base, one.measurements, jig=bench.jig, settings=settings) for one in sensors]
+    else:
+        found = _fitted(sensors, procedure, _with_thermometer(bench, sensors), base, settings)
+        if typical_temperature:
+            found = [with_typical_temperature(one, its) for one, its in zip(found, sensors, strict=True)]
+        if table:
+            found = [_of_table(one, its.measurements) for one, its in zip(found, sensors, strict=True)]
+    return found if gravity is None else [_of_local_gravity(one, gravity) for one in found]
 
 
-def design_of(subject: MeasuredSensor, procedure: Procedure, jig: float | None, thermometer: float | None) -> Design:
-    """What a procedure determines of a sensor, and how well the bench sets what it sets.
+def base_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str]) -> CalibrationRecord | None:
+    """Read the calibration that a mounting completes, or whose sensitivity stands in; None where none is named.
+
+    Parameters
+    ----------
+    procedure : Procedure
+    path : str or Path or None
+        As the user names it.
+    serials : sequence of str
+        Of the sensors that are measured.
 
     Raises
     ------
-    EstimateError
-        The sensor has none of the procedure's axes, or a sensitivity must stand in that nobody knows.
+    UsageError
+        It is missing, the procedure takes none, or it is of another sensor.
+    InputError
+        Anything in it is wrong.
     """
-    determines, sensor = procedure.determines, subject.sensor
-    channels = tuple(c for c in sensor.channels if not determines.axes or c in determines.axes)
-    if not channels:
+    determines = procedure.determines
+    if path is None:
+        if determines.mounting:
+            raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor that is mounted")
+        return None
+    if determines.axes or determines.free:
+        raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
+    base = read_calibration(path)
+    if list(serials) != [base.sensor.serial]:
+        raise UsageError(f"{path} is of {base.sensor.serial}, and the sensor to measure is {' and '.join(serials)}")
+    if base.coefficients.mounting is not None and not determines.mounting:
+        raise UsageError(f"{path} has a mounting, which {procedure.name} would drop: name the file from before it")
+    return base
+
+
+def _with_thermometer(bench: BenchUncertainty, sensors: Sequence[MeasuredSensor]) -> BenchUncertainty:
+    """The same, with the step of the sensors' own thermometers where no uncertainty of theirs is stated."""
+    if bench.thermometer is not None:
+        return bench
+    return replace(bench, thermometer=max((one.thermometer or 0.0 for one in sensors), default=0.0) or None)
+
+
+def _fitted(
+    sensors: Sequence[MeasuredSensor],
+    procedure: Procedure,
+    bench: BenchUncertainty,
+    base: CalibrationRecord | None,
+    settings: Mapping[str, Any] | None,
+) -> list[CalibrationRecord]:
+    """The joint estimate, in free positions or set ones, with an order of the drift that the data warrant."""
+    if procedure.determines.free:
+        sensors = directed(sensors)
+        found = fit_jointly(sensors, procedure, bench, settings=settings)
+        return [with_verdict(one, its.measurements) for one, its in zip(found, sensors, strict=True)]
+    if not procedure.determines.cross_validated:
+        return fit_jointly(sensors, procedure, bench, base=base, settings=settings)
+    choice = choose_order(sensors, procedure, bench, base)
+    found = fit_jointly(sensors, with_order(procedure, choice.order), bench, base=base, settings=settings)
+    return [swept(one, its.measurements, choice) for one, its in zip(found, sensors, strict=True)]
+
+
+def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:
+    """Keep in the record of positions what the table states, and nothing else."""
+    stated = any(summary.u > 0 for one in measurements for summary in one.summaries.values())
+    if not stated and not calibration.fit.get("degrees_of_freedom"):
         raise EstimateError(
-            f"{procedure.name} determines the axes {', '.join(determines.axes)}; {sensor.model} has none of them"
+            "the table states no uncertainties (ux, uy, uz) and has no position more than there are unknowns: nothing "
+            "says how good the result is; add either"
         )
-    return Design(
-        channels,
-        determines.axes or channels,
-        determines.drift,
-        determines.gain,
-        procedure.reference or 0.0,
-        inf if determines.free else jig,
-        thermometer=thermometer or 0.0,
-        nonlinearity=determines.nonlinearity,
-        priors={} if determines.axes else _assumed(procedure, channels, subject.nominal),
-    )
+    unsaid = {"std"} if stated else {"std", "u"}
+    kept = [{name: value for name, value in one.items() if name not in unsaid} for one in calibration.positions]
+    return replace(calibration, positions=kept)
 
 
-def _assumed(procedure: Procedure, channels: Sequence[str], nominal: Nominal | None) -> dict[str, Prior]:
-    """The model's sensitivity, where the procedure determines none."""
-    if nominal is None:
-        raise EstimateError(
-            f"{procedure.name} determines no sensitivity: name a --sensor model whose nominal one may stand in"
-        )
-    return {
-        f"sensitivity.{channel}.{axis}": Prior(nominal.sensitivity, nominal.spread) if axis == channel else Prior(0.0)
-        for channel in channels
-        for axis in channels
+def _of_local_gravity(calibration: CalibrationRecord, gravity: float) -> CalibrationRecord:
+    """Add the main sensitivities per m/s² and, for readings in m/s², by how much they are off."""
+    coefficients = calibration.coefficients
+    known = dict(named_uncertainties(calibration.uncertainty))
+    own = {
+        channel: float(coefficients.sensitivity[row, coefficients.axes.index(channel)]) / gravity
+        for row, channel in enumerate(coefficients.channels)
+        if channel in coefficients.axes
     }
-
-
-def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]) -> list[Observation]:
-    """The positions for the estimator, each one's noise made better known by that of the others."""
-    noise = [pooled(*_noise(measurements, channel)) for channel in channels]
-    observations = []
-    before: Measurement | None = None
-    for number, measurement in enumerate(measurements):
-        summaries = [measurement.summaries[channel] for channel in channels]
-        adc = np.array([summary.quantisation for summary in summaries])
-        observations.append(
-            Observation(
-                measurement.position,
-                np.array(measurement.gravity),
-                np.array([summary.mean for summary in summaries]),
-                np.sqrt(np.array([variance[number] for variance, _ in noise]) + adc**2),
-                measurement.temperature,
-                measurement.heading,
-                held=before is not None and _stands(before) == _stands(measurement),
-                dof=np.array([dof[number] for _, dof in noise]),
-                adc=adc,
-            )
-        )
-        before = measurement
-    return observations
-
-
-def _noise(measurements: Sequence[Measurement], channel: str) -> tuple[Array, Array]:
-    """Variance of each position's mean, and its degrees of freedom."""
-    summaries = [measurement.summaries[channel] for measurement in measurements]
-    return np.array([summary.noise**2 for summary in summaries]), np.array([summary.dof for summary in summaries])
-
-
-def _stands(measurement: Measurement) -> tuple[object, ...]:
-    """How the fixture was set; what is set like the position before was not touched."""
-    return measurement.gravity, measurement.heading
-
-
-def _largest_noise(measurements: Sequence[Measurement], channels: Sequence[str]) -> float:
-    return max(measurement.summaries[channel].u for measurement in measurements for channel in channels)
-
-
-def _reading(measurements: Sequence[Measurement], design: Design) -> dict[str, float]:
-    """What a single reading is uncertain by: the samples' scatter within the positions, and what rounding leaves."""
-    known: dict[str, float] = {}
-    for channel in design.channels:
-        summaries = [measurement.summaries[channel] for measurement in measurements]
-        dof = sum(summary.n - 1 for summary in summaries)
-        if dof:
-            scatter = fsum((summary.n - 1) * summary.std**2 for summary in summaries) / dof
-            known[channel] = sqrt(scatter + max(summary.quantisation for summary in summaries) ** 2)
-    if known and design.thermometer and (design.drift or design.gain):
-        known["temperature"] = design.thermometer
-    return known
-
-
-def _limits(design: Design, measurements: Sequence[Measurement], nominal: Nominal | None, thermal: bool) -> Limits:
-    """Tilt to either side as far as any position went, the temperatures that were met, the model's rails."""
-    tilt = {}
-    for axis in design.channels:
-        reach = max(abs(measurement.gravity[AXES.index(axis)]) for measurement in measurements)
-        if reach > 0.0:
-            furthest = radians(round(degrees(asin(min(reach, 1.0))), 6))
-            tilt[axis] = (-furthest, furthest)
-    met = [round(measurement.temperature, 3) for measurement in measurements if measurement.temperature is not None]
-    return Limits(
-        tilt=tilt,
-        temperature=(min(met), max(met)) if thermal else None,
-        reading=dict.fromkeys(design.channels, nominal.rails) if nominal else {},
-    )
-
-
-def _procedure(
-    procedure: Procedure, measurements: Sequence[Measurement], settings: Mapping[str, Any]
-) -> dict[str, Any]:
-    return {
-        "name": procedure.name,
-        "title": procedure.title,
-        **({"source": procedure.source} if procedure.source else {}),
-        **settings,
-        "set": {measurement.position: _set(measurement) for measurement in measurements},
+    u = {channel: known[f"sensitivity.{channel}.{channel}"] / gravity for channel in own}
+    added: dict[str, Any] = {
+        "gravity_m_s2": gravity,
+        "sensitivity_per_m_s2": {c: round_to(value, u[c]) for c, value in own.items()},
     }
-
-
-def _set(measurement: Measurement) -> dict[str, Any]:
-    """What was actually set in a position."""
-    if measurement.tilt is not None:
-        return {"tilt": {axis: float(angle) for axis, angle in measurement.tilt.items()}}
-    return {"gravity": [significant(component, 9) for component in measurement.gravity]}
-
-
-def _position(measurement: Measurement, channels: Sequence[str]) -> dict[str, Any]:
-    summaries = {channel: measurement.summaries[channel] for channel in channels}
-    return {
-        "position": measurement.position,
-        "mean": {c: round_to(summary.mean, summary.u) for c, summary in summaries.items()},
-        "std": {c: significant(summary.std, 4) for c, summary in summaries.items()},
-        "u": {c: significant(summary.u, 4) for c, summary in summaries.items()},
-        "n": next(iter(summaries.values())).n,
-        **({"temperature": round(measurement.temperature, 3)} if measurement.temperature is not None else {}),
-        **measurement.when,
-    }
+    if calibration.sensor.unit in ACCELERATION:
+        added["scale_error_percent"] = {c: round_to(100.0 * (value - 1.0), 100.0 * u[c]) for c, value in own.items()}
+    return replace(calibration, derived={**calibration.derived, **added})

@@ -6,19 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tiltcal.calibration.summary import mounting_lines, pair_summary, summary
+from tiltcal.calibration.summary import mounting_lines, summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
-from tiltcal.core.pair.compensation import PairCompensation
-from tiltcal.core.pair.matching import Matching
-from tiltcal.drivers import find_model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, calibration_of, write_calibration
 from tiltcal.files.document import checked_kind, read_document
-from tiltcal.files.pair import PairRecord, pair_of, write_pair
 from tiltcal.files.uncertainty import named_uncertainties
+
+if TYPE_CHECKING:
+    from tiltcal.calibration.pair_calibration import PairCalibration
 
 
 @dataclass(frozen=True)
@@ -76,6 +75,8 @@ class Calibration:
         limits, sensor = self.record.limits, self.sensor
         if limits.reading:
             return limits
+        from tiltcal.drivers import find_model
+
         try:
             model = find_model(sensor.model)
         except UsageError:
@@ -138,56 +139,6 @@ class Calibration:
         return "\n".join([summary(self.record), *mounting_lines(self.record)])
 
 
-@dataclass(frozen=True)
-class PairCalibration:
-    """The matching of one or two accelerometer pairs on a rotary stage.
-
-    Attributes
-    ----------
-    record : PairRecord
-        The content of its file.
-    """
-
-    record: PairRecord
-
-    @property
-    def matchings(self) -> tuple[Matching, ...]:
-        """The pairs: ``p`` and ``q`` with their uncertainties, components before and after, and the suppression."""
-        return self.record.matchings
-
-    @property
-    def phase(self) -> str | None:
-        """The column of the stage angle; None where the spin was estimated."""
-        return self.record.phase
-
-    @property
-    def frequency(self) -> float | None:
-        """Spin frequency, Hz; None where the data have no time."""
-        return self.record.frequency
-
-    @property
-    def provenance(self) -> Any:
-        """Who made the matching, when, and from which data."""
-        return self.record.provenance
-
-    def compensation(self) -> PairCompensation:
-        """Return the matched sums and the gradient signal of readings in arrays."""
-        return PairCompensation(self.matchings, self.phase)
-
-    def save(self, path: str | Path) -> None:
-        """Write the pair file, whole or not at all.
-
-        Raises
-        ------
-        UsageError
-            The file cannot be written there.
-        """
-        write_pair(path, self.record)
-
-    def __str__(self) -> str:
-        return "\n\n".join(pair_summary(matching) for matching in self.matchings)
-
-
 def read(path: str | Path) -> Calibration | PairCalibration:
     """Read and check a calibration file of either kind.
 
@@ -199,6 +150,9 @@ def read(path: str | Path) -> Calibration | PairCalibration:
     document = read_document(path)
     kind = document.entries().get("kind")
     if kind is not None and kind.names("pair"):
+        from tiltcal.calibration.pair_calibration import PairCalibration
+        from tiltcal.files.pair import pair_of
+
         return PairCalibration(pair_of(checked_kind(document, "pair")))
     calibration = Calibration(calibration_of(checked_kind(document, "tilt")))
     try:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import degrees, radians
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.calibrate import Measurement
+from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.results import covariance_record
 from tiltcal.core.angle_terms import TURN
 from tiltcal.core.budget import coverage_factor
@@ -20,41 +19,10 @@ from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.propagation import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, rotation_vector, solve_mounting
-from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.procedure import Procedure
 from tiltcal.files.uncertainty import SHAPED, stated_uncertainty
-
-
-def base_of(procedure: Procedure, path: Path | None, serials: Sequence[str]) -> CalibrationRecord | None:
-    """The calibration that a mounting completes; None where the procedure makes one of its own.
-
-    Parameters
-    ----------
-    procedure : Procedure
-    path : Path or None
-        As the user names it.
-    serials : sequence of str
-        Of the sensors that are measured.
-
-    Raises
-    ------
-    UsageError
-        It is missing, is not wanted, or is of another sensor.
-    InputError
-        Anything in it is wrong.
-    """
-    if not procedure.determines.mounting:
-        if path is not None:
-            raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
-        return None
-    if path is None:
-        raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor that is mounted")
-    base = read_calibration(path)
-    if list(serials) != [base.sensor.serial]:
-        raise UsageError(f"{path} is of {base.sensor.serial}, and the sensor to measure is {' and '.join(serials)}")
-    return base
 
 
 def mount(

@@ -8,7 +8,8 @@ from math import degrees, hypot, radians, sqrt
 
 import numpy as np
 
-from tiltcal.calibration.calibrate import MeasuredSensor, Nominal, design_of
+from tiltcal.calibration.joint_fit import design_of
+from tiltcal.calibration.measurement import BenchUncertainty, Nominal
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.prediction import PlannedPosition, Prediction, predicted_covariance
 from tiltcal.core.model import AXES
@@ -137,7 +138,7 @@ def outlook(
     require_tilt(procedure, model)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
     warmth = model.thermometer_rounding if thermometer is None else thermometer
-    design = design_of(MeasuredSensor(identity, (), Nominal.of(model)), procedure, jig, warmth)
+    design = design_of(identity, procedure, BenchUncertainty(jig, warmth), nominal=Nominal.of(model))
     scatter = _usual_noise(model) if noise is None else noise
     count = samples or procedure.samples
     # A steady reading that is rounded keeps an error that no averaging removes.

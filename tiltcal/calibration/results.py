@@ -101,10 +101,13 @@ def covariance_record(names: Sequence[str], covariance: Array) -> dict[str, Any]
     }
 
 
-def derived_record(found: Estimate, design: Design) -> dict[str, Any]:
-    """The ``derived`` section: cross-axis sensitivities, misalignments, and what does not change with the mounting."""
+def derived_record(found: Estimate, design: Design, assumed: str) -> dict[str, Any]:
+    """The ``derived`` section: cross-axis sensitivities, misalignments, and what does not change with the mounting.
+
+    Where the sensitivity was ``assumed`` (from what, in words), it has nothing but that.
+    """
     if design.priors:
-        return {"assumed": ["sensitivity: nominal of the model"]}
+        return {"assumed": [f"sensitivity: {assumed}"]}
     coefficients, names, covariance = found.coefficients, found.names, found.covariance
     record: dict[str, Any] = {}
     doubts: dict[str, Any] = {}

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from math import asin, degrees
 from typing import Any
 
 import numpy as np
 
 from tiltcal.core.comparison import values
-from tiltcal.core.pair.matching import STAGES, SUM, Matching
-from tiltcal.core.rounding import bracketed
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.uncertainty import named_uncertainties
 
 INCREDIBLE = 1e-3
 """A chi-square of which so little is the probability is no chance."""
-
-HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
 
 SHOWN = 3
 """Positions that are named."""
@@ -98,45 +94,3 @@ def _doubts(fit: Mapping[str, Any]) -> Iterator[str]:
 
 def _pair(value: float, u: float) -> str:
     return f"{value:>12.6g} ± {u:.2g}"
-
-
-def pair_table(matching: Matching) -> str:
-    """Components at the turning before matching, after p, and after p and q (the source's Table 1)."""
-    return "\n".join(_pair_rows(matching))
-
-
-def _pair_rows(matching: Matching) -> Iterator[str]:
-    pair = matching.pair
-    names = {pair.first: pair.first, pair.second: pair.second, SUM: f"{pair.first} + {pair.second}"}
-    wide = max(len(text) for text in names.values())
-    yield " " * wide + "".join(f"   {HEADINGS[stage]:<28}" for stage in STAGES).rstrip()
-    yield " " * wide + "".join(f"   {'sin':<13} {'cos':<14}" for _ in STAGES).rstrip()
-    for name, text in names.items():
-        cells = []
-        for stage in STAGES:
-            one = matching.components[stage][name]
-            cells += [f"   {bracketed(one.sin, one.u_sin):<13}", f" {bracketed(one.cos, one.u_cos):<14}"]
-        yield f"{text:<{wide}}" + "".join(cells).rstrip()
-
-
-def pair_summary(matching: Matching) -> str:
-    """The table, p and q with their uncertainties, and how far the common acceleration is suppressed."""
-    return "\n".join(
-        [
-            f"{matching.pair.first} and {matching.pair.second}, orthogonal {matching.pair.orthogonal}",
-            pair_table(matching),
-            f"p = {bracketed(matching.p, matching.u_p)}   q = {bracketed(matching.q, matching.u_q)}",
-            suppressed(matching),
-        ]
-    )
-
-
-def suppressed(matching: Matching, write: Callable[[float], str] = "{:.3g}".format) -> str:
-    """How far the common acceleration is suppressed, in words; ``write`` writes the two factors."""
-    suppression = matching.suppression
-    left = matching.components["after_pq"][SUM]
-    floor = left.amplitude <= left.u_amplitude
-    return (
-        f"common acceleration suppressed {write(suppression['p'])} times after p, {write(suppression['pq'])} times "
-        f"after p and q{' (the noise floor)' if floor else ''}"
-    )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.calibrate import MeasuredSensor, Measurement
+from tiltcal.calibration.measurement import MeasuredSensor, Measurement
 from tiltcal.core.estimation.ellipsoid import UNKNOWNS, count_distinct, fit_ellipsoid, misfits
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.rounding import significant
@@ -34,12 +34,12 @@ def require_no_jig(procedure: Procedure, jig: float | None) -> None:
         raise UsageError("free positions trust no jig: leave --jig out, or name a procedure whose positions are set")
 
 
-def directed(subjects: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
+def directed(sensors: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
     """The sensors of a fixture with every position where the readings say that it was, for the estimator to refine.
 
     Parameters
     ----------
-    subjects : sequence of MeasuredSensor
+    sensors : sequence of MeasuredSensor
         One of three channels among them: the ellipsoid of its readings gives the directions for all.
 
     Raises
@@ -47,11 +47,11 @@ def directed(subjects: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
     EstimateError
         No sensor has three channels, or the readings lie on no ellipsoid.
     """
-    leader = next((one for one in subjects if set(AXES) <= set(one.sensor.channels)), None)
+    leader = next((one for one in sensors if set(AXES) <= set(one.sensor.channels)), None)
     if leader is None:
         raise EstimateError("free positions need a sensor of three channels: unit gravity says too little of fewer")
     seen = directions([one.summaries for one in leader.measurements]) @ np.array(leader.orientation)
-    return [replace(one, measurements=_turned(one, seen)) for one in subjects]
+    return [replace(one, measurements=_turned(one, seen)) for one in sensors]
 
 
 def directions(positions: Sequence[Mapping[str, SampleSummary]]) -> Array:
@@ -101,10 +101,10 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
     return replace(calibration, derived={**calibration.derived, "mounting": UNDETERMINED}, fit=fit)
 
 
-def _turned(subject: MeasuredSensor, directions: Array) -> list[Measurement]:
+def _turned(sensor: MeasuredSensor, directions: Array) -> list[Measurement]:
     """A sensor's positions in directions of the fixture's frame."""
-    own = directions @ np.array(subject.orientation).T
+    own = directions @ np.array(sensor.orientation).T
     return [
         replace(one, gravity=(x, y, z), tilt=None)
-        for one, (x, y, z) in zip(subject.measurements, own.tolist(), strict=True)
+        for one, (x, y, z) in zip(sensor.measurements, own.tolist(), strict=True)
     ]

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-import tiltcal
-from tiltcal.drivers import find_model
 from tiltcal.errors import UsageError
 from tiltcal.files.whole import check_writable
 
 if TYPE_CHECKING:
-    from tiltcal.drivers.device import Model
-    from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-    from tiltcal.files.procedure import Procedure
-    from tiltcal.files.segments import Segment
-    from tiltcal.logs.fit_input import FitInput
-
-UNKNOWN_MODEL = "recorded"
+    from tiltcal.calibration.calibration import Calibration
+    from tiltcal.files.calibration import CalibrationRecord
 
 _EXAMPLES = """\b
 Examples:
@@ -110,105 +101,40 @@ def command(
     With PROCEDURE free nobody has to know the positions: a three-axis sensor is held still in a dozen or more
     attitudes, whatever they are, and gravity is 1 g in each. How the sensor is mounted stays undetermined.
     """
-    from tiltcal.calibration.calibrate import MeasuredSensor, Nominal
-    from tiltcal.calibration.mounting import base_of, mount
-    from tiltcal.calibration.prediction import require_tilt
     from tiltcal.calibration.summary import mounting_summary, summary
-    from tiltcal.calibration.temperature_order import calibrate
-    from tiltcal.calibration.unit_gravity import require_no_jig, with_verdict
-    from tiltcal.files.calibration import write_calibration
     from tiltcal.files.procedure import find_procedure
-    from tiltcal.logs import remarks
-    from tiltcal.logs.fit_input import FitInput, free_positions, set_positions
+    from tiltcal.logs.fit import FOUND_ONLY, fit
 
-    steps = find_procedure(procedure, tilt)
-    steps.require_positions()
-    free = steps.determines.free
-    source = FitInput(log, segments, table, columns, window)
-    _refuse_contradictions(source, free)
-    require_no_jig(steps, jig)
-    if (window is not None or segments_out is not None) and not (free and source.finds):
-        raise UsageError("--window and --segments-out are for `tiltcal fit free` without --segments, which finds them")
-    model = find_model(sensor) if sensor else None
-    if model is not None:
-        require_tilt(steps, model)
-    mounted = base_of(steps, base, [serial])
-    identity = _identity(mounted, model, steps, unit, serial)
+    determines = find_procedure(procedure, tilt).determines
+    if segments_out is not None and (not determines.free or table or segments is not None):
+        raise UsageError(FOUND_ONLY)
     for path in filter(None, (output, segments_out)):
         check_writable(path)
-    positions = (
-        free_positions(source, identity.channels, identity.unit, lambda line: click.echo(line, err=True))
-        if free
-        else set_positions(source, identity.channels, steps)
+    calibration = fit(
+        *(procedure, log),
+        serial=serial,
+        unit=unit,
+        sensor=sensor,
+        segments=segments,
+        table=table,
+        columns=columns,
+        jig=jig,
+        thermometer=thermometer,
+        tilt=tilt,
+        gravity=gravity,
+        window=window,
+        base=base,
+        say=lambda line: click.echo(line, err=True),
     )
-    provenance = {
-        "made_by": "fit of a table of positions" if table else "fit of a recorded log",
-        **positions.provenance,
-        "software": f"tiltcal {tiltcal.__version__}",
-    }
-    if mounted is not None:
-        calibration = replace(mount(mounted, positions.measurements, jig=jig), provenance=provenance)
-    else:
-        nominal = None if model is None or model.unit != identity.unit else Nominal.of(model)
-        warmth = thermometer if model is None or thermometer is not None else model.thermometer_rounding
-        subject = MeasuredSensor(identity, positions.measurements, nominal)
-        (calibration,) = calibrate([subject], steps, jig=jig, thermometer=warmth, provenance=provenance)
-    if free:
-        calibration = with_verdict(calibration, positions.measurements)
-    if table and mounted is None:
-        calibration = remarks.of_table(calibration, positions.measurements)
-    if gravity is not None:
-        calibration = remarks.of_local_gravity(calibration, gravity)
-    write_calibration(output, calibration)
+    calibration.save(output)
     if segments_out is not None:
-        _write_segments(segments_out, positions.found)
+        _write_segments(segments_out, calibration)
         click.echo(f"wrote {segments_out}", err=True)
-    click.echo(summary(calibration) if mounted is None else mounting_summary(calibration))
-    if free:
-        _tell_free(calibration)
+    record = calibration.record
+    click.echo(mounting_summary(record) if determines.mounting else summary(record))
+    if determines.free:
+        _tell_free(record)
     click.echo(f"wrote {output}", err=True)
-
-
-def _refuse_contradictions(source: FitInput, free: bool) -> None:
-    if source.table and source.segments is not None:
-        raise UsageError("a --table has its positions already: leave --segments out")
-    if source.table and source.columns:
-        raise UsageError("a --table names its columns itself (position, x, y, z, ...): leave --columns out")
-    if not free and source.finds:
-        raise UsageError(
-            "say with --segments which rows were taken in which position (or that LOG is a --table of positions); only "
-            "`tiltcal fit free` finds them itself, because it need not know the positions"
-        )
-
-
-def _identity(
-    base: CalibrationRecord | None, model: Model | None, steps: Procedure, unit: str | None, serial: str
-) -> SensorIdentity:
-    """Which sensor it is, and in what unit it reads."""
-    from tiltcal.files.calibration import SensorIdentity
-
-    if base is not None:
-        for what, said, known in (
-            ("--unit", unit, base.sensor.unit),
-            ("--sensor", model and model.name, base.sensor.model),
-        ):
-            if said not in (None, known):
-                raise UsageError(f"{what} {said} contradicts the --base, which has {known}: leave it out")
-        return base.sensor
-    if unit is None and model is None:
-        raise UsageError("say the readings' --unit (such as m/s2), or the --sensor model that has it")
-    if model is not None and unit not in (None, model.unit) and not steps.determines.axes:
-        raise UsageError(
-            f"{steps.name} takes the nominal sensitivity of {model.name}, which is per g in {model.unit} and not in "
-            f"{unit}: name the model that reads {unit}, or leave --unit out"
-        )
-    channels = tuple(model.channels) if model else steps.determines.axes or ("x", "y", "z")
-    if steps.determines.free and channels != ("x", "y", "z"):
-        raise UsageError(
-            f"unit gravity alone needs three channels x, y and z; {model.name if model else 'it'} has "
-            f"{', '.join(channels)}: name a procedure whose positions were set"
-        )
-    return SensorIdentity(model.name if model else UNKNOWN_MODEL, serial, unit or str(model and model.unit), channels)
 
 
 def _tell_free(calibration: CalibrationRecord) -> None:
@@ -223,8 +149,13 @@ def _tell_free(calibration: CalibrationRecord) -> None:
         click.echo(f"warning: {fit['warning']}", err=True)
 
 
-def _write_segments(path: Path, segments: Sequence[Segment]) -> None:
+def _write_segments(path: Path, calibration: Calibration) -> None:
+    """Write the rows that were found, part by part of each position."""
     from tiltcal.files.whole import write_whole
 
-    rows = "".join(f"{segment.name},{segment.start},{segment.end}\n" for segment in segments)
-    write_whole(path, "position,start,end\n" + rows)
+    lines = ["position,start,end"]
+    for position in calibration.positions:
+        rows = position["rows"]
+        parts = rows if isinstance(rows[0], list) else [rows]
+        lines += [f"{position['position']},{start},{end}" for start, end in parts]
+    write_whole(path, "\n".join(lines) + "\n")

@@ -84,7 +84,7 @@ def command(
 
     With --online, Ctrl-C ends a stream that has no end of its own, and what was found until then is the result.
     """
-    from tiltcal.calibration.summary import pair_summary
+    from tiltcal.calibration.pair_calibration import pair_summary
     from tiltcal.files.pair import write_pair
     from tiltcal.files.whole import check_writable
     from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver

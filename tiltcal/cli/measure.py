@@ -166,7 +166,7 @@ def _show_outlook(plan: SessionPlan) -> None:
 
 def _base(procedure: Procedure, base: Path | None, sensors: BenchFile) -> str | None:
     """The text of the calibration that a mounting completes."""
-    from tiltcal.calibration.mounting import base_of
+    from tiltcal.calibration.calibrate import base_of
 
     base_of(procedure, base, [sensor.serial for sensor in sensors.sensors])
     return None if base is None else read_text(base)

@@ -162,10 +162,10 @@ class NoiseFacts:
 
 
 def _facts(sensor: str | None, address: str | None, calibration: Path | None, unit: str | None) -> NoiseFacts:
+    from tiltcal.calibration.calibrate import ACCELERATION
     from tiltcal.drivers import find_model
     from tiltcal.drivers.bus.address import parse_address
     from tiltcal.files.calibration import read_calibration
-    from tiltcal.logs.remarks import ACCELERATION
 
     model = find_model(sensor) if sensor else None
     if model is not None and address is not None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.calibrate import Measurement
+from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.frames import Vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.statistics import SampleSummary, summarise

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tiltcal.calibration.calibration import Calibration, PairCalibration, read
+from tiltcal.calibration.calibration import Calibration, read
+from tiltcal.calibration.pair_calibration import PairCalibration
 from tiltcal.drivers import find_model
 from tiltcal.errors import InputError
 

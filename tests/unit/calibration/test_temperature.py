@@ -8,8 +8,9 @@ from math import cos, radians, sin
 import numpy as np
 import pytest
 
-from tiltcal.calibration.calibrate import MeasuredSensor, Measurement, Nominal, calibrate_jointly
-from tiltcal.calibration.temperature_order import choose_order, swept, with_order
+from tiltcal.calibration.joint_fit import fit_jointly
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
+from tiltcal.calibration.temperature import choose_order, swept, with_order
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
@@ -26,7 +27,7 @@ def measurement(name: str, temperature: float | None, x: float, y: float, headin
 
 
 def calibrated(procedure: Procedure, measured: list[Measurement], jig: float) -> CalibrationRecord:
-    return calibrate_jointly([MeasuredSensor(SENSOR, measured, NOMINAL)], procedure, jig=jig)[0]
+    return fit_jointly([MeasuredSensor(SENSOR, measured, NOMINAL)], procedure, BenchUncertainty(jig))[0]
 
 
 def sweep(drift: tuple[float, ...], seed: int, loop: float = 0.0) -> tuple[Procedure, list[Measurement]]:
@@ -53,7 +54,7 @@ def test_the_order_is_the_parts_own(drift: tuple[float, ...], order: int) -> Non
     chosen = []
     for seed in range(20):
         procedure, measured = sweep(drift, seed)
-        chosen.append(choose_order([MeasuredSensor(SENSOR, measured, NOMINAL)], procedure).order)
+        chosen.append(choose_order([MeasuredSensor(SENSOR, measured, NOMINAL)], procedure, BenchUncertainty()).order)
     assert chosen.count(order) >= 17
     assert min(chosen) >= order, "an order that is too low leaves the curve"
 
@@ -70,7 +71,7 @@ def test_the_chosen_coefficients_are_the_parts() -> None:
 def test_hysteresis_is_reported() -> None:
     procedure, measured = sweep((0.2,), 1, loop=2.0)
     subject = MeasuredSensor(SENSOR, measured, NOMINAL)
-    choice = choose_order([subject], procedure)
+    choice = choose_order([subject], procedure, BenchUncertainty())
     found = calibrated(with_order(procedure, choice.order), measured, jig=0.0)
     loop = swept(found, measured, choice).fit["hysteresis"]["x"]
     assert abs(loop["difference"]) == pytest.approx(2.0, abs=0.4)
@@ -84,13 +85,13 @@ def test_means_without_an_uncertainty_choose_an_order_too() -> None:
         replace(one, summaries={c: SampleSummary(summary.mean, 0.0, 1, 0.0) for c, summary in one.summaries.items()})
         for one in measured
     ]
-    assert choose_order([MeasuredSensor(SENSOR, bare, NOMINAL)], procedure).order == 2
+    assert choose_order([MeasuredSensor(SENSOR, bare, NOMINAL)], procedure, BenchUncertainty()).order == 2
 
 
 def test_too_few_temperatures_to_leave_one_out() -> None:
     procedure, measured = sweep((0.2,), 1)
     with pytest.raises(EstimateError, match="add"):
-        choose_order([MeasuredSensor(SENSOR, measured[:2], NOMINAL)], procedure)
+        choose_order([MeasuredSensor(SENSOR, measured[:2], NOMINAL)], procedure, BenchUncertainty())
 
 
 @pytest.mark.parametrize("lean", [0.0, 0.5, 2.0])

@@ -1,0 +1,264 @@
+"""The joint estimate of all sensors of a fixture: they share its attitude in every position."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import asin, degrees, fsum, inf, radians, sqrt
+from typing import Any
+
+import numpy as np
+
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
+from tiltcal.calibration.results import derived_record, fit_record, rounded, uncertainty_record
+from tiltcal.core.comparison import values
+from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
+from tiltcal.core.estimation.estimate import estimate_jointly
+from tiltcal.core.estimation.pooling import pooled
+from tiltcal.core.model import AXES, Array, Limits
+from tiltcal.core.rounding import round_to, significant
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.uncertainty import named_uncertainties
+
+
+def fit_jointly(
+    sensors: Sequence[MeasuredSensor],
+    procedure: Procedure,
+    bench: BenchUncertainty,
+    *,
+    base: CalibrationRecord | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> list[CalibrationRecord]:
+    """Calibrate all sensors of a fixture together, by the positions of a procedure with its order of the drift.
+
+    Parameters
+    ----------
+    sensors : sequence of MeasuredSensor
+    procedure : Procedure
+    bench : BenchUncertainty
+    base : CalibrationRecord, optional
+        Its sensitivity stands in where the procedure determines none.
+    settings : mapping, optional
+        How the procedure was run, for the files.
+
+    Returns
+    -------
+    list of CalibrationRecord
+        One for each sensor, their numbers rounded to what their uncertainty warrants.
+
+    Raises
+    ------
+    EstimateError
+        The positions cannot determine the coefficients.
+    """
+    observed = [observed_sensor(one, procedure, bench, base) for one in sensors]
+    assumed = "nominal of the model" if base is None else "of the base calibration"
+    calibrations = []
+    for sensor, seen, one in zip(sensors, observed, estimate_jointly(observed), strict=True):
+        design = seen.design
+        calibrations.append(
+            CalibrationRecord(
+                sensor=replace(sensor.sensor, channels=design.channels),
+                coefficients=rounded(one),
+                uncertainty=uncertainty_record(one, _reading(sensor.measurements, design)),
+                limits=_limits(design, sensor, base, one.coefficients.thermal is not None),
+                derived=derived_record(one, design, assumed),
+                fit=fit_record(one, design, _largest_noise(sensor.measurements, design.channels)),
+                procedure=_procedure(procedure, sensor.measurements, settings or {}),
+                positions=[_position(measurement, design.channels) for measurement in sensor.measurements],
+            )
+        )
+    return calibrations
+
+
+def observed_sensor(
+    sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty, base: CalibrationRecord | None = None
+) -> SensorObservations:
+    """A sensor as the estimator takes it.
+
+    Raises
+    ------
+    EstimateError
+        The sensor has none of the procedure's axes, or a sensitivity that is not known has to stand in.
+    """
+    design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=base)
+    return SensorObservations(design, observations_of(sensor.measurements, design.channels), sensor.orientation)
+
+
+def design_of(
+    sensor: SensorIdentity,
+    procedure: Procedure,
+    bench: BenchUncertainty,
+    *,
+    nominal: Nominal | None = None,
+    base: CalibrationRecord | None = None,
+) -> Design:
+    """What a procedure determines of a sensor, and how well the bench sets what it sets.
+
+    Raises
+    ------
+    EstimateError
+        The sensor has none of the procedure's axes, or a sensitivity that is not known has to stand in.
+    """
+    determines = procedure.determines
+    channels = tuple(c for c in sensor.channels if not determines.axes or c in determines.axes)
+    if not channels:
+        raise EstimateError(
+            f"{procedure.name} determines the axes {', '.join(determines.axes)}; {sensor.model} has none of them"
+        )
+    design = Design(
+        channels,
+        determines.axes or channels,
+        determines.drift,
+        determines.gain,
+        procedure.reference or 0.0,
+        inf if determines.free else bench.jig,
+        thermometer=bench.thermometer or 0.0,
+        nonlinearity=determines.nonlinearity,
+    )
+    if determines.axes:
+        return design
+    return _with_nominal(design, procedure, nominal) if base is None else _with_base(design, base)
+
+
+def _with_nominal(design: Design, procedure: Procedure, nominal: Nominal | None) -> Design:
+    """The model's sensitivity stands in."""
+    if nominal is None:
+        raise EstimateError(no_sensitivity(procedure))
+    own, cross = Prior(nominal.sensitivity, nominal.spread), Prior(0.0)
+    priors = {
+        f"sensitivity.{channel}.{axis}": own if axis == channel else cross
+        for channel in design.channels
+        for axis in design.axes
+    }
+    return replace(design, priors=priors)
+
+
+def _with_base(design: Design, base: CalibrationRecord) -> Design:
+    """The sensitivity and the non-linearity of the sensor's own calibration stand in, as uncertain as it states them.
+
+    Their correlations are left out: a procedure that determines no sensitivity moves them little.
+    """
+    known, u = base.coefficients, dict(named_uncertainties(base.uncertainty))
+    order = 0 if known.nonlinearity is None else known.nonlinearity.shape[1]
+    priors = {
+        name: Prior(value, u.get(name, 0.0))
+        for name, value in values(known).items()
+        if name.startswith(("sensitivity.", "nonlinearity."))
+    }
+    return replace(design, axes=known.axes, nonlinearity=order, priors=priors)
+
+
+def no_sensitivity(procedure: Procedure) -> str:
+    """Why a procedure that determines no sensitivity cannot be evaluated, and what to do."""
+    return (
+        f"{procedure.name} determines no sensitivity: name a --sensor model whose nominal one may stand in, or with "
+        "--base the sensor's own calibration"
+    )
+
+
+def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]) -> list[Observation]:
+    """The positions for the estimator, each one's noise made better known by that of the others."""
+    noise = [pooled(*_noise(measurements, channel)) for channel in channels]
+    observations = []
+    before: Measurement | None = None
+    for number, measurement in enumerate(measurements):
+        summaries = [measurement.summaries[channel] for channel in channels]
+        adc = np.array([summary.quantisation for summary in summaries])
+        observations.append(
+            Observation(
+                measurement.position,
+                np.array(measurement.gravity),
+                np.array([summary.mean for summary in summaries]),
+                np.sqrt(np.array([variance[number] for variance, _ in noise]) + adc**2),
+                measurement.temperature,
+                measurement.heading,
+                held=before is not None and _stands(before) == _stands(measurement),
+                dof=np.array([dof[number] for _, dof in noise]),
+                adc=adc,
+            )
+        )
+        before = measurement
+    return observations
+
+
+def _noise(measurements: Sequence[Measurement], channel: str) -> tuple[Array, Array]:
+    """Variance of each position's mean, and its degrees of freedom."""
+    summaries = [measurement.summaries[channel] for measurement in measurements]
+    return np.array([summary.noise**2 for summary in summaries]), np.array([summary.dof for summary in summaries])
+
+
+def _stands(measurement: Measurement) -> tuple[object, ...]:
+    """How the fixture was set; what is set like the position before was not touched."""
+    return measurement.gravity, measurement.heading
+
+
+def _largest_noise(measurements: Sequence[Measurement], channels: Sequence[str]) -> float:
+    return max(measurement.summaries[channel].u for measurement in measurements for channel in channels)
+
+
+def _reading(measurements: Sequence[Measurement], design: Design) -> dict[str, float]:
+    """What a single reading is uncertain by: the samples' scatter within the positions, and what rounding leaves."""
+    known: dict[str, float] = {}
+    for channel in design.channels:
+        summaries = [measurement.summaries[channel] for measurement in measurements]
+        dof = sum(summary.n - 1 for summary in summaries)
+        if dof:
+            scatter = fsum((summary.n - 1) * summary.std**2 for summary in summaries) / dof
+            known[channel] = sqrt(scatter + max(summary.quantisation for summary in summaries) ** 2)
+    if known and design.thermometer and (design.drift or design.gain):
+        known["temperature"] = design.thermometer
+    return known
+
+
+def _limits(design: Design, sensor: MeasuredSensor, base: CalibrationRecord | None, thermal: bool) -> Limits:
+    """Tilt to either side as far as any position went, the temperatures that were met, the rails that are known."""
+    tilt = {}
+    for axis in design.channels:
+        reach = max(abs(measurement.gravity[AXES.index(axis)]) for measurement in sensor.measurements)
+        if reach > 0.0:
+            furthest = radians(round(degrees(asin(min(reach, 1.0))), 6))
+            tilt[axis] = (-furthest, furthest)
+    met = [
+        round(measurement.temperature, 3) for measurement in sensor.measurements if measurement.temperature is not None
+    ]
+    rails = {} if sensor.nominal is None else dict.fromkeys(design.channels, sensor.nominal.rails)
+    return Limits(
+        tilt=tilt,
+        temperature=(min(met), max(met)) if thermal else None,
+        reading=rails or ({} if base is None else base.limits.reading),
+    )
+
+
+def _procedure(
+    procedure: Procedure, measurements: Sequence[Measurement], settings: Mapping[str, Any]
+) -> dict[str, Any]:
+    return {
+        "name": procedure.name,
+        "title": procedure.title,
+        **({"source": procedure.source} if procedure.source else {}),
+        **settings,
+        "set": {measurement.position: _set(measurement) for measurement in measurements},
+    }
+
+
+def _set(measurement: Measurement) -> dict[str, Any]:
+    """What was actually set in a position."""
+    if measurement.tilt is not None:
+        return {"tilt": {axis: float(angle) for axis, angle in measurement.tilt.items()}}
+    return {"gravity": [significant(component, 9) for component in measurement.gravity]}
+
+
+def _position(measurement: Measurement, channels: Sequence[str]) -> dict[str, Any]:
+    summaries = {channel: measurement.summaries[channel] for channel in channels}
+    return {
+        "position": measurement.position,
+        "mean": {c: round_to(summary.mean, summary.u) for c, summary in summaries.items()},
+        "std": {c: significant(summary.std, 4) for c, summary in summaries.items()},
+        "u": {c: significant(summary.u, 4) for c, summary in summaries.items()},
+        "n": next(iter(summaries.values())).n,
+        **({"temperature": round(measurement.temperature, 3)} if measurement.temperature is not None else {}),
+        **measurement.when,
+    }

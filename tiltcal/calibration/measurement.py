@@ -1,0 +1,108 @@
+"""What is measured of the sensors of a fixture, and what is stated of the bench."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from tiltcal.core.estimation.design import STRAIGHT
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.drivers.device import Model, Population
+from tiltcal.files.calibration import SensorIdentity
+
+
+@dataclass(frozen=True)
+class BenchUncertainty:
+    """The standard uncertainties that a user states of the bench; None where one is not stated.
+
+    Attributes
+    ----------
+    jig : float or None
+        Of a set angle, degrees. Not stated, the scatter of the positions shows it. A procedure of free positions takes
+        none: there the directions of the measurements are a first guess, and unit gravity determines the rest.
+    thermometer : float or None
+        Of a temperature, °C. Not stated, it is the step of the sensors' own thermometers, or nothing.
+    """
+
+    jig: float | None = None
+    thermometer: float | None = None
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One position of one sensor, ready for the estimator.
+
+    Attributes
+    ----------
+    position : str
+    gravity : tuple of float
+        Up in the sensor frame as set, g.
+    tilt : mapping of str to float or None
+        As set, degrees; None where the position is given by its direction.
+    temperature : float or None
+        °C.
+    summaries : mapping of str to SampleSummary
+        Per channel of the sensor.
+    when : mapping of str to Any
+        How the position is found again: its time, or its rows of a log.
+    heading : float or None
+        How far the fixture was turned about the vertical, degrees.
+    """
+
+    position: str
+    gravity: tuple[float, float, float]
+    tilt: Mapping[str, float] | None
+    temperature: float | None
+    summaries: Mapping[str, SampleSummary]
+    when: Mapping[str, Any] = field(default_factory=dict)
+    heading: float | None = None
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """The facts of a sensor's model that stand in where a procedure does not determine them.
+
+    Attributes
+    ----------
+    sensitivity, spread : float
+        Nominal sensitivity in unit/g, and its standard deviation over parts in unit/g.
+    rails : tuple of float
+        In unit.
+    population : Population or None
+        The mean temperature curves of its parts.
+    """
+
+    sensitivity: float
+    spread: float
+    rails: tuple[float, float]
+    population: Population | None = None
+
+    @classmethod
+    def of(cls, model: Model) -> Nominal:
+        """The facts of a model as its data sheet states them."""
+        return cls(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails, model.population)
+
+
+@dataclass(frozen=True)
+class MeasuredSensor:
+    """One sensor of a fixture with what was measured of it.
+
+    Attributes
+    ----------
+    sensor : SensorIdentity
+    measurements : sequence of Measurement
+    nominal : Nominal or None
+        Of the sensor's model.
+    orientation : sequence of sequence of float
+        3 by 3; takes a vector of the fixture's frame to the sensor's.
+    thermometer : float or None
+        Standard uncertainty from the step of the sensor's own thermometer, °C; None where it did not take the
+        temperatures.
+    """
+
+    sensor: SensorIdentity
+    measurements: Sequence[Measurement]
+    nominal: Nominal | None = None
+    orientation: Sequence[Sequence[float]] = STRAIGHT
+    thermometer: float | None = None

@@ -1,0 +1,107 @@
+"""The matching of accelerometer pairs as a program holds it: p and q, and what they suppress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tiltcal.core.pair.compensation import PairCompensation
+from tiltcal.core.pair.matching import STAGES, SUM, Matching
+from tiltcal.core.rounding import bracketed
+from tiltcal.files.pair import PairRecord, write_pair
+
+HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
+
+
+@dataclass(frozen=True)
+class PairCalibration:
+    """The matching of one or two accelerometer pairs on a rotary stage.
+
+    Attributes
+    ----------
+    record : PairRecord
+        The content of its file.
+    """
+
+    record: PairRecord
+
+    @property
+    def matchings(self) -> tuple[Matching, ...]:
+        """The pairs: ``p`` and ``q`` with their uncertainties, components before and after, and the suppression."""
+        return self.record.matchings
+
+    @property
+    def phase(self) -> str | None:
+        """The column of the stage angle; None where the spin was estimated."""
+        return self.record.phase
+
+    @property
+    def frequency(self) -> float | None:
+        """Spin frequency, Hz; None where the data have no time."""
+        return self.record.frequency
+
+    @property
+    def provenance(self) -> Any:
+        """Who made the matching, when, and from which data."""
+        return self.record.provenance
+
+    def compensation(self) -> PairCompensation:
+        """Return the matched sums and the gradient signal of readings in arrays."""
+        return PairCompensation(self.matchings, self.phase)
+
+    def save(self, path: str | Path) -> None:
+        """Write the pair file, whole or not at all.
+
+        Raises
+        ------
+        UsageError
+            The file cannot be written there.
+        """
+        write_pair(path, self.record)
+
+    def __str__(self) -> str:
+        return "\n\n".join(pair_summary(matching) for matching in self.matchings)
+
+
+def pair_table(matching: Matching) -> str:
+    """Components at the turning before matching, after p, and after p and q (the source's Table 1)."""
+    return "\n".join(_pair_rows(matching))
+
+
+def _pair_rows(matching: Matching) -> Iterator[str]:
+    pair = matching.pair
+    names = {pair.first: pair.first, pair.second: pair.second, SUM: f"{pair.first} + {pair.second}"}
+    wide = max(len(text) for text in names.values())
+    yield " " * wide + "".join(f"   {HEADINGS[stage]:<28}" for stage in STAGES).rstrip()
+    yield " " * wide + "".join(f"   {'sin':<13} {'cos':<14}" for _ in STAGES).rstrip()
+    for name, text in names.items():
+        cells = []
+        for stage in STAGES:
+            one = matching.components[stage][name]
+            cells += [f"   {bracketed(one.sin, one.u_sin):<13}", f" {bracketed(one.cos, one.u_cos):<14}"]
+        yield f"{text:<{wide}}" + "".join(cells).rstrip()
+
+
+def pair_summary(matching: Matching) -> str:
+    """The table, p and q with their uncertainties, and how far the common acceleration is suppressed."""
+    return "\n".join(
+        [
+            f"{matching.pair.first} and {matching.pair.second}, orthogonal {matching.pair.orthogonal}",
+            pair_table(matching),
+            f"p = {bracketed(matching.p, matching.u_p)}   q = {bracketed(matching.q, matching.u_q)}",
+            suppressed(matching),
+        ]
+    )
+
+
+def suppressed(matching: Matching, write: Callable[[float], str] = "{:.3g}".format) -> str:
+    """How far the common acceleration is suppressed, in words; ``write`` writes the two factors."""
+    suppression = matching.suppression
+    left = matching.components["after_pq"][SUM]
+    floor = left.amplitude <= left.u_amplitude
+    return (
+        f"common acceleration suppressed {write(suppression['p'])} times after p, {write(suppression['pq'])} times "
+        f"after p and q{' (the noise floor)' if floor else ''}"
+    )

@@ -1,0 +1,209 @@
+"""The temperature terms of a calibration: their order, the hysteresis that is left, and typical curves.
+
+A polynomial of too high an order follows the noise; one of too low an order leaves the curve. Each order is judged by
+how well it predicts a position that was left out, and a higher one must be better by more than chance would make it.
+
+Where a unit has no temperature run of its own, the mean curves of its model are a starting point: one part differs from
+the mean, and the file states by how much. A unit's own run always wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from tiltcal.calibration.joint_fit import observations_of, observed_sensor
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.core.estimation.estimate import estimate_jointly
+from tiltcal.core.model import Array, Thermal
+from tiltcal.core.rounding import round_to, significant
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.procedure import Procedure
+
+ROOM = 25.0
+"""Reference temperature where none was measured, °C."""
+
+ALIKE = 1.5
+"""Temperatures that are no further apart are one temperature met twice, °C."""
+
+
+@dataclass(frozen=True)
+class OrderChoice:
+    """The order that was chosen, and why.
+
+    Attributes
+    ----------
+    order : int
+    errors : mapping of int to float
+        Mean square error of predicting a position that was left out, over its variance, by order.
+    """
+
+    order: int
+    errors: Mapping[int, float]
+
+
+def choose_order(
+    sensors: Sequence[MeasuredSensor],
+    procedure: Procedure,
+    bench: BenchUncertainty,
+    base: CalibrationRecord | None = None,
+) -> OrderChoice:
+    """Choose the order of the drift that predicts left-out positions best.
+
+    Parameters
+    ----------
+    sensors : sequence of MeasuredSensor
+        All of them have the same order.
+    procedure : Procedure
+        Its ``drift`` is the highest order that is tried.
+    bench : BenchUncertainty
+    base : CalibrationRecord, optional
+        Its sensitivity stands in where the procedure determines none.
+
+    Raises
+    ------
+    EstimateError
+        The positions are too few to leave one out.
+
+    Notes
+    -----
+    Of the orders whose mean error is within one standard error of the best one's, the lowest is taken.
+    """
+    squares: dict[int, Array] = {}
+    for order in range(1, procedure.determines.drift + 1):
+        try:
+            squares[order] = _left_out(sensors, with_order(procedure, order), bench, base)
+        except EstimateError:
+            break
+    if not squares:
+        raise EstimateError("the sweep has too few temperatures to leave one out: add some between and beyond them")
+    errors = {order: float(np.mean(square)) for order, square in squares.items()}
+    best = min(errors, key=lambda order: errors[order])
+    slack = float(np.std(squares[best], ddof=1)) / np.sqrt(len(squares[best]))
+    order = next(order for order in errors if errors[order] <= errors[best] + slack)
+    return OrderChoice(order, errors)
+
+
+def with_order(procedure: Procedure, order: int) -> Procedure:
+    """The procedure with one order of the drift."""
+    return replace(procedure, determines=replace(procedure.determines, drift=order, cross_validated=False))
+
+
+def swept(
+    calibration: CalibrationRecord, measurements: Sequence[Measurement], choice: OrderChoice
+) -> CalibrationRecord:
+    """Add to a calibration how its order was chosen, and how far the way up differs from the way down."""
+    record: dict[str, Any] = {
+        "cross_validation": {
+            "order": choice.order,
+            "error_by_order": {str(order): significant(error, 4) for order, error in choice.errors.items()},
+        }
+    }
+    loops = _hysteresis(calibration, measurements)
+    if loops:
+        record["hysteresis"] = loops
+    return replace(calibration, fit={**calibration.fit, **record})
+
+
+def _left_out(
+    sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty, base: CalibrationRecord | None
+) -> Array:
+    """Squared error of predicting each position from the others, over its variance; over 1 where none is known."""
+    found: list[float] = []
+    noise = [_uncertainties(one, observed_sensor(one, procedure, bench, base).design.channels) for one in sensors]
+    for number in range(len(sensors[0].measurements)):
+        rest = [
+            replace(sensor, measurements=[m for k, m in enumerate(sensor.measurements) if k != number])
+            for sensor in sensors
+        ]
+        estimates = estimate_jointly([observed_sensor(one, procedure, bench, base) for one in rest])
+        for sensor, u, estimate in zip(sensors, noise, estimates, strict=True):
+            out = sensor.measurements[number]
+            gravity, temperature = np.array([out.gravity]), np.array([out.temperature], dtype=float)
+            predicted = estimate.coefficients.predict(gravity, temperature)[0]
+            mean = [out.summaries[channel].mean for channel in estimate.coefficients.channels]
+            found.extend((((np.array(mean) - predicted) / u[number]) ** 2).tolist())
+    return np.array(found)
+
+
+def _uncertainties(sensor: MeasuredSensor, channels: Sequence[str]) -> Array:
+    """Standard uncertainty of the mean readings, shape (positions, channels); 1 where none is known."""
+    u = np.array([observation.u for observation in observations_of(sensor.measurements, channels)])
+    return np.where(u > 0.0, u, 1.0)
+
+
+def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Any]:
+    """The largest difference of residuals at one temperature that was met twice, per channel, unit."""
+    residuals: Mapping[str, Mapping[str, float]] = calibration.fit["residuals"]
+    met_twice = [
+        (one.position, other.position)
+        for one, other in combinations(measurements, 2)
+        if one.gravity == other.gravity
+        and one.temperature is not None
+        and other.temperature is not None
+        and abs(one.temperature - other.temperature) <= ALIKE
+    ]
+    loops: dict[str, Any] = {}
+    for channel in calibration.coefficients.channels:
+        differences = {pair: residuals[pair[1]][channel] - residuals[pair[0]][channel] for pair in met_twice}
+        if differences:
+            pair = max(differences, key=lambda pair: abs(differences[pair]))
+            loops[channel] = {"difference": significant(differences[pair], 4), "between": list(pair)}
+    return loops
+
+
+def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSensor) -> CalibrationRecord:
+    """Add the mean temperature curves of a sensor's model to its calibration, and say so in it.
+
+    Parameters
+    ----------
+    calibration : CalibrationRecord
+        Without temperature terms of its own.
+    sensor : MeasuredSensor
+        The mean temperature of its measurements is the reference: there the unit was measured.
+
+    Raises
+    ------
+    EstimateError
+        The calibration has temperature terms of its own, which are better, or the model's curves are not known.
+    """
+    population = None if sensor.nominal is None else sensor.nominal.population
+    if population is None:
+        raise EstimateError(f"no source tells how a {calibration.sensor.model} behaves over temperature: measure it")
+    coefficients = calibration.coefficients
+    if coefficients.thermal is not None:
+        raise EstimateError("the unit's own temperature run is in this calibration: leave --typical-temperature out")
+    known = [m.temperature for m in sensor.measurements if m.temperature is not None]
+    reference = round(float(np.mean(known)), 3) if known else ROOM
+    drift = _from(population.drift, reference)[1:]
+    gain = _from(population.gain, reference)
+    relative = gain[1:] / (1.0 + gain[0])
+    channels = coefficients.channels
+    thermal = Thermal(
+        reference=reference,
+        range=None,
+        drift=np.tile([round_to(k, population.drift_spread / 1000) for k in drift], (len(channels), 1)),
+        gain=np.tile([significant(k, 8) for k in relative], (len(channels), 1)),
+    )
+    uncertainty = {
+        "offset": {c: [significant(population.drift_spread, 4), *(len(drift) - 1) * [0.0]] for c in channels},
+        "sensitivity": {c: [significant(population.gain_spread, 4), *(len(relative) - 1) * [0.0]] for c in channels},
+    }
+    assumed = [*calibration.derived.get("assumed", []), f"temperature: {population.source}, not this unit's own"]
+    return replace(
+        calibration,
+        coefficients=replace(coefficients, thermal=thermal),
+        uncertainty={**calibration.uncertainty, "temperature": uncertainty},
+        derived={**calibration.derived, "assumed": assumed},
+    )
+
+
+def _from(curve: Sequence[float], reference: float) -> Array:
+    """Coefficients of a polynomial in T as one in T - reference."""
+    return np.asarray(Polynomial(curve)(Polynomial([reference, 1.0])).coef, dtype=float)

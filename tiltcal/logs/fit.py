@@ -1,0 +1,281 @@
+"""From recorded data to a calibration: a log with its static intervals, given or found, or a table of positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import tiltcal
+from tiltcal.calibration.calibrate import base_of, calibrate
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.joint_fit import no_sensitivity
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
+from tiltcal.calibration.prediction import require_tilt
+from tiltcal.calibration.unit_gravity import directions, require_no_jig
+from tiltcal.core.rounding import significant
+from tiltcal.drivers import find_model
+from tiltcal.drivers.device import Model
+from tiltcal.errors import EstimateError, UsageError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.positions import read_positions
+from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.files.segments import read_segments
+from tiltcal.logs.columns import parse_columns
+from tiltcal.logs.digest import sha256_of
+from tiltcal.logs.static_detection import WINDOWS, find_still, still_segments, told
+from tiltcal.logs.static_intervals import (
+    RecordedReadings,
+    StaticInterval,
+    holds_of,
+    holds_of_table,
+    oriented,
+    placed,
+    read_record,
+)
+
+UNKNOWN_MODEL = "recorded"
+FOUND_ONLY = "--window and --segments-out are for `tiltcal fit free` without --segments, which finds them"
+
+
+def fit(
+    procedure: str,
+    data: str | Path,
+    *,
+    serial: str,
+    unit: str | None = None,
+    sensor: str | None = None,
+    segments: str | Path | None = None,
+    table: bool = False,
+    columns: str = "",
+    jig: float | None = None,
+    thermometer: float | None = None,
+    tilt: float | None = None,
+    gravity: float | None = None,
+    window: int | None = None,
+    base: str | Path | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> Calibration:
+    """Calibrate a sensor from recorded data, by the positions of a procedure.
+
+    Parameters
+    ----------
+    procedure : str
+        Its name, or the path of your own. With ``free`` the positions need not be known: gravity is 1 g in each.
+    data : str or Path
+        A log (CSV, Parquet or NetCDF-4), or a table of positions.
+    serial : str
+        The sensor's serial number.
+    unit : str, optional
+        Of the readings, such as ``m/s2``, ``V`` or ``count``; a known ``sensor`` has its own.
+    sensor : str, optional
+        The sensor's model, where it is one of ``tiltcal devices``.
+    segments : str or Path, optional
+        Which rows were taken in which position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz where
+        the position is not the procedure's. With ``free`` the static intervals are found where it is left out.
+    table : bool
+        ``data`` is a table of positions already averaged: position, x, y, z, and where known gx, gy, gz, ux, uy, uz
+        (the means' standard uncertainties), n, temperature.
+    columns : str
+        Which column holds which reading, such as ``x=acc_x,y=acc_y``; without a header by number from 1.
+    jig : float, optional
+        Standard uncertainty of a set angle, degrees; where it is not stated, the positions' scatter shows it.
+    thermometer : float, optional
+        Standard uncertainty of a temperature, °C; where it is not stated, the step of the sensor's own thermometer.
+    tilt : float, optional
+        The angle that the procedure leaves free, degrees.
+    gravity : float, optional
+        Local gravity, m/s²: adds the sensitivity per m/s² beside that per g.
+    window : int, optional
+        Rows over which the sensor must be still, where static intervals are found; several are tried without it.
+    base : str or Path, optional
+        The sensor's calibration file: a mounting completes it, and its sensitivity stands in where the procedure
+        determines none.
+    say : callable, optional
+        Called with each line of what is found on the way.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    UsageError
+        What is asked for contradicts itself, or cannot be done.
+    InputError
+        A file is wrong; the message names file and line.
+    EstimateError
+        The positions cannot determine the coefficients.
+    """
+    steps = find_procedure(procedure, tilt)
+    steps.require_positions()
+    source = FitSource(data, segments, table, columns, window)
+    source.require_sound(free=steps.determines.free)
+    require_no_jig(steps, jig)
+    model = find_model(sensor) if sensor else None
+    if model is not None:
+        require_tilt(steps, model)
+    known = base_of(steps, base, [serial])
+    identity = _identity(known, model, steps, unit, serial)
+    positions = source.free_positions(identity, say) if steps.determines.free else source.set_positions(identity, steps)
+    measured = MeasuredSensor(
+        identity,
+        positions.measurements,
+        None if model is None or model.unit != identity.unit else Nominal.of(model),
+        thermometer=None if model is None else model.thermometer_rounding,
+    )
+    bench = BenchUncertainty(jig, thermometer)
+    (found,) = calibrate([measured], steps, bench, base=known, table=table, gravity=gravity)
+    return Calibration(replace(found, provenance=positions.provenance))
+
+
+@dataclass(frozen=True)
+class FitPositions:
+    """The positions of recorded data.
+
+    Attributes
+    ----------
+    measurements : sequence of Measurement
+    provenance : mapping of str to Any
+        Names and checksums of what was read.
+    """
+
+    measurements: Sequence[Measurement]
+    provenance: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class FitSource:
+    """Recorded data as the user names them; the attributes are the arguments of :func:`fit`."""
+
+    data: str | Path
+    segments: str | Path | None
+    table: bool
+    columns: str
+    window: int | None
+
+    @property
+    def finds(self) -> bool:
+        """Whether the static intervals are to be found."""
+        return not self.table and self.segments is None
+
+    def require_sound(self, *, free: bool) -> None:
+        """Refuse what contradicts itself.
+
+        Raises
+        ------
+        UsageError
+        """
+        if self.table and self.segments is not None:
+            raise UsageError("a --table has its positions already: leave --segments out")
+        if self.table and self.columns:
+            raise UsageError("a --table names its columns itself (position, x, y, z, ...): leave --columns out")
+        if not free and self.finds:
+            raise UsageError(
+                "say with --segments which rows were taken in which position (or that LOG is a --table of positions); "
+                "only `tiltcal fit free` finds them itself, because it need not know the positions"
+            )
+        if self.window is not None and not (free and self.finds):
+            raise UsageError(FOUND_ONLY)
+
+    def set_positions(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
+        """Positions in the directions of a procedure, or in those that the segments give.
+
+        Raises
+        ------
+        InputError
+            A file is wrong; the message names file and line.
+        """
+        holds, provenance = self._given(sensor.channels)
+        return FitPositions(placed(holds, procedure, file=str(self.segments or self.data)), provenance)
+
+    def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
+        """Positions of a sensor of three channels in the directions that its readings show.
+
+        Raises
+        ------
+        InputError
+            A file is wrong; the message names file and line.
+        EstimateError
+            The readings lie on no ellipsoid, or no static intervals are found.
+        """
+        channels = sensor.channels
+        if not self.finds:
+            holds, provenance = self._given(channels)
+            return FitPositions(oriented(holds, directions([hold.summaries for hold in holds])), provenance)
+        record = self._record(channels)
+        windows = WINDOWS if self.window is None else (self.window,)
+        chosen, tried = find_still(record.readings(channels), windows)
+        say(told(chosen, tried, sensor.unit))
+        found = still_segments(chosen)
+        holds = holds_of(record, found, file=str(self.data))
+        attitudes = directions([hold.summaries for hold in holds])
+        for hold, (x, y, z) in zip(holds, attitudes.tolist(), strict=True):
+            rows = [segment for segment in found if segment.name == hold.position]
+            n = hold.summaries[channels[0]].n
+            say(f"  {hold.name}: {n} of rows {rows[0].start} to {rows[-1].end - 1}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
+        how = {
+            "found": "standard deviation in a window below a threshold",
+            "window_rows": chosen.window,
+            "threshold": significant(chosen.threshold, 4),
+            "times_noise": chosen.multiple,
+        }
+        return FitPositions(oriented(holds, attitudes), self._provenance(record, {"segments": how}))
+
+    def _given(self, channels: Sequence[str]) -> tuple[list[StaticInterval], Mapping[str, Any]]:
+        """What the sensor read in the segments or the table that were given, and where these come from."""
+        if self.segments is None:
+            holds = holds_of_table(read_positions(self.data, channels))
+            return holds, self._provenance(None, {"table": _origin(self.data)})
+        segments = read_segments(self.segments)
+        record = self._record(channels)
+        holds = holds_of(record, segments, file=str(self.segments))
+        return holds, self._provenance(record, {"segments": _origin(self.segments)})
+
+    def _record(self, channels: Sequence[str]) -> RecordedReadings:
+        return read_record(Path(self.data), channels, parse_columns(self.columns, channels))
+
+    def _provenance(self, record: RecordedReadings | None, positions: Mapping[str, Any]) -> dict[str, Any]:
+        log = {} if record is None else {"log": {"rows": record.rows, **_origin(self.data)}}
+        return {
+            "made_by": f"fit of a {'table of positions' if self.table else 'recorded log'}",
+            **log,
+            **positions,
+            "software": f"tiltcal {tiltcal.__version__}",
+        }
+
+
+def _origin(path: str | Path) -> dict[str, str]:
+    """Name and checksum of a file."""
+    return {"name": Path(path).name, "sha256": sha256_of(Path(path))}
+
+
+def _identity(
+    base: CalibrationRecord | None, model: Model | None, steps: Procedure, unit: str | None, serial: str
+) -> SensorIdentity:
+    """Which sensor it is, and in what unit it reads."""
+    if base is not None:
+        for what, said, known in (
+            ("--unit", unit, base.sensor.unit),
+            ("--sensor", model and model.name, base.sensor.model),
+        ):
+            if said not in (None, known):
+                raise UsageError(f"{what} {said} contradicts the --base, which has {known}: leave it out")
+        return base.sensor
+    if unit is None and model is None:
+        raise UsageError("say the readings' --unit (such as m/s2), or the --sensor model that has it")
+    if model is not None and unit not in (None, model.unit) and not steps.determines.axes:
+        raise UsageError(
+            f"{steps.name} takes the nominal sensitivity of {model.name}, which is per g in {model.unit} and not in "
+            f"{unit}: name the model that reads {unit}, or leave --unit out"
+        )
+    if model is None and not (steps.determines.axes or steps.determines.free):
+        raise EstimateError(no_sensitivity(steps))
+    channels = tuple(model.channels) if model else steps.determines.axes or ("x", "y", "z")
+    if steps.determines.free and channels != ("x", "y", "z"):
+        raise UsageError(
+            f"unit gravity alone needs three channels x, y and z; {model.name if model else 'it'} has "
+            f"{', '.join(channels)}: name a procedure whose positions were set"
+        )
+    return SensorIdentity(model.name if model else UNKNOWN_MODEL, serial, unit or str(model and model.unit), channels)
