@@ -43,6 +43,8 @@ _BUILT_IN = {
     "sca3000-e04": "tiltcal.drivers.sca3000:E04",
     "sca3000-e05": "tiltcal.drivers.sca3000:E05",
     "sca3000-i2c": "tiltcal.drivers.sca3000:I2C",
+    "scl3300": "tiltcal.drivers.scl3300:SCL3300",
+    "sca3300-d01": "tiltcal.drivers.scl3300:SCA3300",
 }
 
 

@@ -247,7 +247,7 @@ class SelfTesting(Protocol):
 
 @runtime_checkable
 class StreamingSensor(Protocol):
-    """A driver whose sensor talks by itself, over a line that may lose or damage what it says."""
+    """A driver that counts what its line loses or damages, of a sensor that talks by itself or adds a checksum."""
 
     def link_statistics(self) -> Mapping[str, int]:
         """What became of what the sensor said since the driver began.

@@ -19,6 +19,7 @@ from math import radians, sin, sqrt
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.device import Model, Population, Reading, SpiPort
+from tiltcal.drivers.registers import check_data_line
 from tiltcal.errors import BusError, DeviceFault, UsageError
 
 if TYPE_CHECKING:
@@ -184,12 +185,12 @@ class Sca100t:
         x = self._fresh(RDAX, 0, 0)
         y = self._fresh(RDAY, 0, 0)
         t = self._fresh(RWTR, 0)
-        _check_data_line(x + y + t)
+        check_data_line(x + y + t)
         return _checked_word("x", x), _checked_word("y", y), decode_temperature(t)
 
     def _word(self, channel: str, command: int) -> int:
         frame = self._fresh(command, 0, 0)
-        _check_data_line(frame)
+        check_data_line(frame)
         return _checked_word(channel, frame)
 
     def _fresh(self, *frame: int) -> bytes:
@@ -236,22 +237,6 @@ def _checked_word(channel: str, frame: bytes) -> int:
             "parity error or broken interconnection): switch its supply off and on; if it stays, replace the part"
         )
     return word
-
-
-def _check_data_line(answers: bytes) -> None:
-    """Tell a dead wire from a sensor: no sample of a living part has all its bits alike.
-
-    One word of 2047 is only a reading at the rail, so every byte of the sample is looked at.
-    """
-    if set(answers) == {0xFF}:
-        raise BusError(
-            "the data line is stuck high (every bit of the sample is 1): check MISO, chip select and the sensor's "
-            "supply"
-        )
-    if set(answers) == {0x00}:
-        raise BusError(
-            "the data line is stuck low (every bit of the sample is 0): check MISO, ground and the sensor's supply"
-        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,10 +23,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from math import ceil
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.device import Model, Reading, SpiPort
+from tiltcal.drivers.registers import RegisterPort, check_data_line, choose, slowest_clock
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ MODES = ("normal", "option 1", "option 2", "motion detection")
 OVERFLOW = (-3456.0, 3455.0)
 """The words 0x9400 and 0x6BFF, which stand for a channel that is overloaded, count."""
 
-COMMAND_SHIFT = 2
+COMMAND_SHIFT, WRITING = 2, 0b10
 """An SPI command byte has the register in its upper six bits; the lower two are 0 for a read."""
 
 
@@ -86,6 +86,13 @@ class Sca3000:
     def __init__(self, link: Link, part: Sca3000Part) -> None:
         self._link = link
         self._part = part
+        shift = part.pointer_shift
+        self._port = RegisterPort(
+            link,
+            read_command=lambda register: register << COMMAND_SHIFT,
+            write_command=lambda register: register << COMMAND_SHIFT | WRITING,
+            pointer=lambda register: register << shift,
+        )
 
     def probe(self) -> Mapping[str, str]:
         """Check that the device answers sanely.
@@ -103,11 +110,11 @@ class Sca3000:
         DeviceFault
             The checksum of the part's own memory is wrong.
         """
-        (revision,) = self._registers(REVID, 1)
-        (status,) = self._registers(STATUS, 1)
-        (mode,) = self._registers(MODE, 1)
+        (revision,) = self._port.read(REVID, 1)
+        (status,) = self._port.read(STATUS, 1)
+        (mode,) = self._port.read(MODE, 1)
         sample = self._sample()
-        _check_data_line(bytes([revision, status, mode]) + sample)
+        check_data_line(bytes([revision, status, mode]) + sample)
         self._check_status(status)
         reading = self._reading(sample)
         said = {
@@ -129,7 +136,7 @@ class Sca3000:
             The transaction failed, or every bit of the sample is the same.
         """
         sample = self._sample()
-        _check_data_line(sample)
+        check_data_line(sample)
         return self._reading(sample)
 
     def discard(self) -> None:
@@ -137,24 +144,12 @@ class Sca3000:
 
     def _sample(self) -> bytes:
         """The six data registers from Z_MSB down, then TEMP_MSB and TEMP_LSB where the part has them."""
-        sample = self._registers(Z_MSB, 6)
-        return sample + self._registers(TEMP_MSB, 2) if self._part.thermometer else sample
+        sample = self._port.read(Z_MSB, 6)
+        return sample + self._port.read(TEMP_MSB, 2) if self._part.thermometer else sample
 
     def _reading(self, sample: bytes) -> Reading:
         z, y, x = (float(decode_word(sample[at : at + 2])) for at in (0, 2, 4))
         return Reading((x, y, z), decode_temperature(sample[6:]) if self._part.thermometer else None)
-
-    def _registers(self, first: int, count: int) -> bytes:
-        """``count`` registers, from ``first`` down."""
-        if self._link.letter == "i":
-            answer, head = self._link.exchange(bytes([first << self._part.pointer_shift]), count), 0
-        else:
-            answer, head = self._link.exchange(bytes([first << COMMAND_SHIFT, *bytes(count)])), 1
-        if len(answer) != head + count:
-            raise BusError(
-                f"a transaction of {head + count} bytes was answered with {len(answer)}: the adapter is at fault"
-            )
-        return answer[head:]
 
     def _check_status(self, status: int) -> None:
         if status & CHECKSUM_ERROR:
@@ -201,20 +196,6 @@ def _mode_in_words(mode: int) -> str:
     )
 
 
-def _check_data_line(answers: bytes) -> None:
-    """Tell a dead wire from a sensor: at rest one channel at least feels gravity, so no living part sends this."""
-    if set(answers) == {0xFF}:
-        raise BusError(
-            "the data line is stuck high (every bit of the sample is 1): check the data line, chip select or SDA, "
-            "and the sensor's supply"
-        )
-    if set(answers) == {0x00}:
-        raise BusError(
-            "the data line is stuck low (every bit of the sample is 0): check the data line, ground and the "
-            "sensor's supply"
-        )
-
-
 SLOWEST_RATE = 100.0
 """The slowest normal output data rate of the known parts (E04), Hz; it fits a part whose own is not known."""
 
@@ -247,10 +228,9 @@ def _driver(part: Sca3000Part, link: Link, clock: Clock) -> Sca3000:
 
 
 def _twin(part: Sca3000Part, scheme: str, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.sca3000 import Sca3000I2cTwin, Sca3000SpiTwin
+    from tiltcal.drivers.twin.sca3000 import sca3000_twin
 
-    kind = Sca3000I2cTwin if scheme == "i2c" else Sca3000SpiTwin
-    return kind(truth, fixture, clock, part)
+    return sca3000_twin(part, scheme, truth, fixture, clock)
 
 
 def _default_truth(part: Sca3000Part, seed: int) -> Truth:
@@ -268,20 +248,10 @@ def _tailored(entry: Entry, address: Address) -> Model:
     part = Sca3000Part(
         counts_per_g=counts,
         rate=address.number("rate", known.rate, low=1.0, high=10_000.0),
-        thermometer=bool(_choice(address, "thermometer", {"no": 0, "yes": 1}, known.thermometer)),
-        pointer_shift=_choice(address, "pointer", {"register": 0, "command": COMMAND_SHIFT}, known.pointer_shift),
+        thermometer=bool(choose(address, "thermometer", {"no": 0, "yes": 1}, known.thermometer)),
+        pointer_shift=choose(address, "pointer", {"register": 0, "command": COMMAND_SHIFT}, known.pointer_shift),
     )
     return _model(entry, part)
-
-
-def _choice(address: Address, name: str, meanings: Mapping[str, int], default: int) -> int:
-    """The number that the word of an option stands for."""
-    if name not in address.options:
-        return default
-    word = address.text(name)
-    if word not in meanings:
-        address.refuse(f"option {name}={word} is not one of {', '.join(meanings)}")
-    return meanings[word]
 
 
 def _model(entry: Entry, part: Sca3000Part) -> Model:
@@ -315,7 +285,7 @@ def _model(entry: Entry, part: Sca3000Part) -> Model:
         default_truth=partial(_default_truth, part),
         # No source names the fastest clock; 4 MHz has been used, and 500 kHz is slow enough for the maker's others.
         # A burst must be over before the next word is due, or it mixes bytes of two words.
-        spi=SpiPort(modes=(0,), fastest=None, speed=500_000, slowest=ceil(8 * 7 * part.rate))
+        spi=SpiPort(modes=(0,), fastest=None, speed=500_000, slowest=slowest_clock(6, part.rate))
         if "spi" in entry.schemes
         else None,
         options=("counts_per_g", "rate", "thermometer", *(("pointer",) if "i2c" in entry.schemes else ())),

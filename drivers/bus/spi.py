@@ -48,8 +48,8 @@ def open_spi(address: Address, model: Model) -> SpiLink:
         address.refuse(f"{speed} Hz is too fast for {model.name} (at most speed={port.fastest})")
     if speed < port.slowest:
         raise BusError(
-            f"an SPI clock of {speed} Hz is too slow for {model.name}: its words would change while they are read; "
-            f"set at least speed={port.slowest}"
+            f"an SPI clock of {speed} Hz is too slow for {model.name}: a frame takes longer than the part allows, or "
+            f"than its words last; set at least speed={port.slowest}"
         )
     return SpiLink(address.path, mode, speed)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.sca3000 import (
@@ -17,66 +17,39 @@ from tiltcal.drivers.sca3000 import (
     Z_MSB,
     Sca3000Part,
 )
-from tiltcal.drivers.twin.noise import normal, uniform
-from tiltcal.drivers.twin.truth import Truth
-from tiltcal.errors import BusError
+from tiltcal.drivers.twin import counts
+from tiltcal.drivers.twin.counts import Conversions, I2cTwin, SpiTwin, Spread
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.twin.fixture import HeldPose, Vector
-    from tiltcal.drivers.twin.truth import Fault
-
-LEVEL: Vector = (0.0, 0.0, 1.0)
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import HeldPose
+    from tiltcal.drivers.twin.truth import Truth
 
 REVISION = 0x21
 """What REVID holds; which values real parts have is not known."""
 
 HIGHEST_REGISTER = 0x3F
 
-SPI_BIT_SECONDS = 1.0 / 500_000
-I2C_BIT_SECONDS = 1.0 / 100_000
 
-
-class Registers:
+class Sca3000Registers:
     """The registers of one virtual part, as they are at a moment.
-
-    They depend on the truth, the pose, the temperature and the time alone, so a session that is killed and resumed
-    goes on with the bytes it would have had.
 
     Parameters
     ----------
-    truth : Truth
-    fixture : HeldPose
-        Holds the sensor; its frame is the sensor's.
-    clock : Clock
-        Session time.
+    conversions : Conversions
     part : Sca3000Part
     """
 
-    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock, part: Sca3000Part) -> None:
-        self._truth = truth
-        self._fixture = fixture
-        self._clock = clock
+    def __init__(self, conversions: Conversions, part: Sca3000Part) -> None:
+        self.conversions = conversions
         self._part = part
 
-    def fault(self) -> Fault | None:
-        """The fault that is present now, if any.
-
-        Raises
-        ------
-        BusError
-            The sensor is unplugged.
-        """
-        fault = self._truth.fault(self._clock.now_ns() / 1e9)
-        if fault is not None and fault.kind == "unplugged":
-            raise BusError("the virtual sensor is unplugged, a fault that its truth asks for: resume the session later")
-        return fault
-
-    def burst(self, first: int, count: int) -> bytes:
-        """``count`` registers from ``first`` down, all of one moment."""
-        fault = self.fault()
+    def read(self, first: int, count: int) -> bytes:
+        """Return ``count`` registers from ``first`` down, all of one moment."""
+        fault = self.conversions.fault()
         held = {REVID: REVISION, STATUS: CHECKSUM_ERROR if fault is not None and fault.kind == "parity" else 0}
-        held.update(self._data(fault))
+        held.update(self._data())
         if self._part.thermometer:
             held.update(self._thermometer())
         answer = bytearray()
@@ -86,138 +59,39 @@ class Registers:
             register = Z_MSB if register == X_LSB else (register - 1) & HIGHEST_REGISTER
         return bytes(answer)
 
-    def _data(self, fault: Fault | None) -> dict[int, int]:
+    def write(self, register: int, value: int) -> None:
+        """Change nothing: the driver never writes."""
+
+    def recalled(self) -> None:
+        """Nothing has been set up."""
+
+    def _data(self) -> dict[int, int]:
         """The six data registers."""
-        gravity, temperature = self._fixture.gravity, self._fixture.temperature()
-        now = self._clock.now_ns() / 1e9
-        if fault is not None and fault.kind == "stuck":
-            # Held at what it would be in the level position: a function of the fault alone, so a resumed session finds
-            # the same words.
-            gravity, temperature, now = LEVEL, self._truth.ambient, fault.start
-        conversion = int(now * self._part.rate)
+        low, high = map(int, OVERFLOW)
         held = {}
         for place, channel in enumerate("xyz"):
-            word = self._word(channel, gravity, temperature, conversion) << 3 & 0xFFFF
+            word = self.conversions.word(channel, self._part.rate, low, high) << 3 & 0xFFFF
             held[X_LSB + 2 * place], held[X_LSB + 2 * place + 1] = word & 0xFF, word >> 8
         return held
 
-    def _word(self, channel: str, gravity: Vector, temperature: float, conversion: int) -> int:
-        """A channel with the noise of one conversion, rounded, or its overflow code, count."""
-        reading = self._truth.reading(channel, gravity, temperature)
-        noise = self._truth.noise.get(channel, 0.0)
-        if noise:
-            reading += noise * normal(self._truth.seed, f"noise {channel}", conversion)
-        low, high = map(int, OVERFLOW)
-        return min(max(round(reading), low), high)
-
     def _thermometer(self) -> dict[int, int]:
-        seen = self._fixture.temperature() + self._truth.thermometer_error
-        raw = min(max(round(256.0 + 1.8 * (seen - 23.0)), 0), 511)
+        raw = min(max(round(256.0 + 1.8 * (self.conversions.temperature() - 23.0)), 0), 511)
         return {TEMP_MSB: raw >> 3, TEMP_LSB: (raw & 0b111) << 5}
 
 
-class Sca3000SpiTwin:
-    """An SCA3000 on the SPI bus; see :class:`Registers` for the parameters.
-
-    The clock advances by each frame's bits at 500 kHz.
-    """
-
-    letter = "s"
-
-    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock, part: Sca3000Part) -> None:
-        self._registers = Registers(truth, fixture, clock, part)
-        self._clock = clock
-        self._seed = truth.seed
-
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Answer one frame; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        if not out:
-            return b""
-        fault = self._registers.fault()
-        if fault is not None and fault.kind == "silent":
-            answer = b"\xff" * len(out)
-        else:
-            # What the part sends under the command byte is not known, so it is left to chance.
-            under_command = int(uniform(self._seed, "filler", self._clock.now_ns()) * 256)
-            answer = bytes([under_command]) + self._registers.burst(out[0] >> COMMAND_SHIFT, len(out) - 1)
-        self._clock.sleep(8 * len(out) * SPI_BIT_SECONDS)
-        return answer
-
-    def close(self) -> None:
-        """Nothing to release."""
+def sca3000_twin(part: Sca3000Part, scheme: str, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+    """Return a virtual SCA3000 on the bus of an address scheme."""
+    registers = Sca3000Registers(Conversions(truth, fixture, clock), part)
+    if scheme == "i2c":
+        return I2cTwin(registers, clock, lambda pointer: pointer >> part.pointer_shift)
+    return SpiTwin(registers, clock, lambda command: (command >> COMMAND_SHIFT, False))
 
 
-class Sca3000I2cTwin:
-    """An SCA3000 on the I2C bus; see :class:`Registers` for the parameters.
-
-    The clock advances by each transaction's bits at 100 kHz. The register pointer lives from the write to the read of
-    one transaction.
-    """
-
-    letter = "i"
-
-    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock, part: Sca3000Part) -> None:
-        self._registers = Registers(truth, fixture, clock, part)
-        self._clock = clock
-        self._shift = part.pointer_shift
-
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Answer one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        fault = self._registers.fault()
-        if fault is not None and fault.kind == "silent":
-            raise BusError("nobody acknowledges, a fault that the virtual sensor's truth asks for")
-        answer = self._registers.burst(out[0] >> self._shift if out else REVID, count)
-        # Each byte has an acknowledge; write and read each begin with an address byte.
-        sent = 1 + len(out) + (1 + count if count else 0)
-        self._clock.sleep(9 * sent * I2C_BIT_SECONDS)
-        return answer
-
-    def close(self) -> None:
-        """Nothing to release."""
-
-
-REFERENCE = 25.0
-"""Where a drawn part's errors are meant, °C."""
+SPREAD = Spread(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.5e-3, gain=1e-4, noise=0.0, thermometer=2.0)
+"""No source names the tolerances of a part: these limits are ours."""
 
 
 def draw_truth(part: Sca3000Part, seed: int) -> Truth:
-    """A plausible part: every error drawn evenly within limits that are ours, for no source names the part's.
-
-    Parameters
-    ----------
-    part : Sca3000Part
-    seed : int
-        The same seed is the same part.
-
-    Returns
-    -------
-    Truth
-        Offset within 0.05 g, sensitivity within 3 %, cross-axis sensitivity within 2 %, offset drift within 0.5 mg/°C,
-        sensitivity drift within 0.01 %/°C, noise of 1.5 count, a thermometer within 2 °C, a jig of 0.01° and a chamber
-        with a time constant of 20 s.
-    """
-    channels = ("x", "y", "z")
-
-    def within(limit: float, name: str) -> float:
-        return limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
-
-    def row(channel: str) -> dict[str, float]:
-        own = part.counts_per_g * (1.0 + within(0.03, f"sensitivity {channel}"))
-        cross, direction = own * within(0.02, f"cross {channel}"), within(pi, f"direction {channel}")
-        first, second = (other for other in channels if other != channel)
-        return {channel: own, first: cross * cos(direction), second: cross * sin(direction)}
-
-    return Truth(
-        channels=channels,
-        offset={channel: part.counts_per_g * within(0.05, f"offset {channel}") for channel in channels},
-        sensitivity={channel: row(channel) for channel in channels},
-        reference=REFERENCE,
-        drift={channel: (part.counts_per_g * within(0.5e-3, f"drift {channel}"),) for channel in channels},
-        gain={channel: (within(1e-4, f"gain {channel}"),) for channel in channels},
-        noise=dict.fromkeys(channels, 1.5),
-        thermometer_error=within(2.0, "thermometer"),
-        seed=seed,
-        jig=0.01,
-        ambient=24.0,
-        time_constant=20.0,
-    )
+    """Draw a plausible part within :data:`SPREAD`, with a noise of 1.5 count."""
+    truth = counts.draw_truth(("x", "y", "z"), part.counts_per_g, SPREAD, seed)
+    return replace(truth, noise=dict.fromkeys(truth.channels, 1.5))

@@ -10,7 +10,6 @@ import struct
 import time
 
 from gi.repository import UMockdev
-from sca100t_part import Sca100tPart
 
 # An ioctl's number has its direction in bits 30 and 31, the size of its argument in 16 to 29, its place in the low 8.
 WRITE, READ = 1, 2
@@ -35,7 +34,7 @@ class SpidevNode(UMockdev.IoctlBase):
     subsystem = "spidev"
     registers = {1: "mode", 3: "bits", 4: "speed", 5: "mode"}  # noqa: RUF012
 
-    def __init__(self, part: Sca100tPart) -> None:
+    def __init__(self, part) -> None:
         super().__init__()
         self.part = part
         self.fault = 0

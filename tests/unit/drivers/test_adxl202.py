@@ -319,7 +319,7 @@ def test_twins_give_what_their_truth_says_by_either_wiring() -> None:
             mean = sum(values[place] for values in read) / len(read)
             expected = truth.reading(channel, (0.6, 0.0, 0.8), 20.0)
             assert mean == pytest.approx(expected, abs=5 * truth.noise[channel] / 200**0.5)
-        assert "0 lost" in dict(driver.probe())["link_statistics"]
+        assert "0 lost" in dict(driver.probe())["link"]
 
 
 def test_a_twin_answers_by_the_time_alone() -> None:

@@ -122,7 +122,7 @@ def test_word_102_is_a_reading() -> None:
 @pytest.mark.parametrize(("byte", "level"), [("FF", "high"), ("00", "low")])
 def test_a_sample_of_equal_bits_is_a_dead_wire(byte: str, level: str) -> None:
     sensor, _ = driver(*sample(*[f"{byte} {byte} {byte}"] * 2, f"{byte} {byte}"))
-    with pytest.raises(BusError, match=f"data line is stuck {level} .* check MISO"):
+    with pytest.raises(BusError, match=f"data line is stuck {level} .* check the data line .MISO"):
         sensor.read()
 
 

@@ -1,0 +1,116 @@
+"""What parts with byte registers and readings in counts share: transactions, checks, and options by words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import ceil
+from typing import TYPE_CHECKING, TypeVar
+
+from tiltcal.errors import BusError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.link import Link
+
+Register = Callable[[int], int]
+"""The byte that stands for a register on a bus."""
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterPort:
+    """Registers of one byte, read in bursts and written one by one, on SPI or I2C.
+
+    Attributes
+    ----------
+    link : Link
+        Its letter tells the bus.
+    read_command, write_command : callable
+        The first byte of an SPI frame, by register.
+    pointer : callable
+        The first byte of an I2C transaction, by register.
+    """
+
+    link: Link
+    read_command: Register
+    write_command: Register
+    pointer: Register = int
+
+    def read(self, first: int, count: int) -> bytes:
+        """Return ``count`` registers of one transaction, from ``first`` on in the order of the part.
+
+        Raises
+        ------
+        BusError
+            The transaction failed.
+        """
+        if self.link.letter == "i":
+            return _whole(self.link.exchange(bytes([self.pointer(first)]), count), count)
+        return _whole(self.link.exchange(bytes([self.read_command(first), *bytes(count)])), 1 + count)[1:]
+
+    def write(self, register: int, value: int) -> None:
+        """Set one register.
+
+        Raises
+        ------
+        BusError
+            The transaction failed.
+        """
+        command = self.pointer if self.link.letter == "i" else self.write_command
+        self.link.exchange(bytes([command(register), value]))
+
+
+def _whole(answer: bytes, length: int) -> bytes:
+    if len(answer) != length:
+        raise BusError(f"a transaction of {length} bytes was answered with {len(answer)}: the adapter is at fault")
+    return answer
+
+
+def check_data_line(answers: bytes) -> None:
+    """Refuse a sample whose bits are all alike: a part at rest feels gravity in one channel at least.
+
+    Raises
+    ------
+    BusError
+        Every byte is 0xFF, or every byte is 0.
+    """
+    if set(answers) == {0xFF}:
+        raise BusError(
+            "the data line is stuck high (every bit of the sample is 1): check the data line (MISO or SDA), "
+            "chip select and the sensor's supply"
+        )
+    if set(answers) == {0x00}:
+        raise BusError(
+            "the data line is stuck low (every bit of the sample is 0): check the data line (MISO or SDA), "
+            "ground and the sensor's supply"
+        )
+
+
+def choose(address: Address, name: str, meanings: Mapping[str, R], default: R) -> R:
+    """Return what the word of an option stands for.
+
+    Raises
+    ------
+    UsageError
+        The word is none of them.
+    """
+    if name not in address.options:
+        return default
+    word = address.text(name)
+    if word not in meanings:
+        address.refuse(f"option {name}={word} is not one of {', '.join(meanings)}")
+    return meanings[word]
+
+
+def choose_range(address: Address, ranges: Mapping[str, R], default: R) -> R:
+    """Return what the option ``range`` stands for: one of the words, or the number of one that ends in g."""
+    if f"{address.options.get('range', '')}g" in ranges:
+        return ranges[f"{address.options['range']}g"]
+    return choose(address, "range", ranges, default)
+
+
+def slowest_clock(count: int, rate: float) -> int:
+    """Return the SPI clock at which a burst of ``count`` registers is over before the next word is due, Hz."""
+    return ceil(8 * (1 + count) * rate)

@@ -1,0 +1,293 @@
+"""What the virtual parts that answer in counts share: conversions and faults, their buses, and how one is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import cos, pi, sin
+from typing import TYPE_CHECKING, Protocol
+
+from tiltcal.drivers.twin.noise import normal, uniform
+from tiltcal.drivers.twin.truth import Truth
+from tiltcal.errors import BusError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.twin.fixture import HeldPose, Vector
+    from tiltcal.drivers.twin.truth import Fault
+
+LEVEL: Vector = (0.0, 0.0, 1.0)
+
+REFERENCE = 25.0
+"""Where a drawn part's errors are meant, °C."""
+
+SPI_BIT_SECONDS = 1.0 / 500_000
+I2C_BIT_SECONDS = 1.0 / 100_000
+
+
+class Conversions:
+    """The words of a virtual part, conversion by conversion.
+
+    They depend on the truth, the pose, the temperature and the time alone, so a session that is killed and resumed
+    goes on with the bytes it would have had.
+
+    Parameters
+    ----------
+    truth : Truth
+    fixture : HeldPose
+        Holds the sensor; its frame is the sensor's.
+    clock : Clock
+        Session time.
+    """
+
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        self._truth = truth
+        self._fixture = fixture
+        self._clock = clock
+
+    def fault(self) -> Fault | None:
+        """Return the fault that is present now, if any.
+
+        Raises
+        ------
+        BusError
+            The sensor is unplugged.
+        """
+        fault = self._truth.fault(self._clock.now_ns() / 1e9)
+        if fault is not None and fault.kind == "unplugged":
+            raise BusError("the virtual sensor is unplugged, a fault that its truth asks for: resume the session later")
+        return fault
+
+    def word(self, channel: str, rate: float, low: int, high: int, scale: float = 1.0) -> int:
+        """Return a channel with the noise of the present conversion, rounded and clipped, count.
+
+        Parameters
+        ----------
+        channel : str
+        rate : float
+            Conversions a second.
+        low, high : int
+            What the word cannot go beyond.
+        scale : float
+            Counts of the measuring range that is set, to those of the truth.
+        """
+        gravity, temperature = self._fixture.gravity, self._fixture.temperature()
+        now = self._clock.now_ns() / 1e9
+        fault = self.fault()
+        if fault is not None and fault.kind == "stuck":
+            # Held at what it would be in the level position: a function of the fault alone, so a resumed session finds
+            # the same words.
+            gravity, temperature, now = LEVEL, self._truth.ambient, fault.start
+        reading = self._truth.reading(channel, gravity, temperature)
+        noise = self._truth.noise.get(channel, 0.0)
+        if noise:
+            reading += noise * normal(self._truth.seed, f"noise {channel}", int(now * rate))
+        return min(max(round(scale * reading), low), high)
+
+    def temperature(self) -> float:
+        """Return what the part's own thermometer measures now, °C."""
+        return self._fixture.temperature() + self._truth.thermometer_error
+
+    def filler(self) -> int:
+        """Return a byte that a part sends where its data sheet says nothing."""
+        return int(uniform(self._truth.seed, "filler", self._clock.now_ns()) * 256)
+
+
+class Registers(Protocol):
+    """The registers of a virtual part."""
+
+    @property
+    def conversions(self) -> Conversions:
+        """Where its words come from."""
+        ...
+
+    def read(self, first: int, count: int) -> bytes:
+        """Return ``count`` registers of one moment, from ``first`` on in the order of the part."""
+        ...
+
+    def write(self, register: int, value: int) -> None:
+        """Set a register."""
+        ...
+
+    def recalled(self) -> None:
+        """Be as a part is that its driver has set up."""
+        ...
+
+
+class SpiTwin:
+    """A part with registers on the SPI bus.
+
+    The clock advances by each frame's bits at 500 kHz.
+
+    Parameters
+    ----------
+    registers : Registers
+    clock : Clock
+        Session time.
+    decode : callable
+        Takes a command byte apart: register, and whether it writes.
+    """
+
+    letter = "s"
+
+    def __init__(self, registers: Registers, clock: Clock, decode: Callable[[int], tuple[int, bool]]) -> None:
+        self._registers = registers
+        self._clock = clock
+        self._decode = decode
+        self._recalling = False
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Answer one frame; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        if not out:
+            return b""
+        fault = self._registers.conversions.fault()
+        if fault is not None and fault.kind == "silent":
+            answer = b"\xff" * len(out)
+        else:
+            # What the part sends under the command byte is not known, so it is left to chance.
+            filler = bytes([self._registers.conversions.filler()])
+            register, writing = self._decode(out[0])
+            if writing:
+                self._registers.write(register, out[-1])
+                answer = filler + bytes(len(out) - 1)
+            else:
+                answer = filler + self._registers.read(register, len(out) - 1)
+        self._clock.sleep(8 * len(out) * SPI_BIT_SECONDS)
+        return answer
+
+    def recall(self, out: bytes, now_ns: int) -> None:
+        """Take what was written at an earlier time; a part that is spoken to in mid-session has been set up before."""
+        if not self._recalling:
+            self._registers.recalled()
+            self._recalling = True
+        register, writing = self._decode(out[0])
+        if writing:
+            at_time(self._clock, now_ns, lambda: self._registers.write(register, out[-1]))
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+class I2cTwin:
+    """A part with registers on the I2C bus.
+
+    The clock advances by each transaction's bits at 100 kHz. The register pointer lives from the write to the read of
+    one transaction.
+
+    Parameters
+    ----------
+    registers : Registers
+    clock : Clock
+        Session time.
+    decode : callable
+        Takes the first byte that is written to the register it stands for.
+    """
+
+    letter = "i"
+
+    def __init__(self, registers: Registers, clock: Clock, decode: Callable[[int], int] = int) -> None:
+        self._registers = registers
+        self._clock = clock
+        self._decode = decode
+        self._recalling = False
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Answer one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        fault = self._registers.conversions.fault()
+        if fault is not None and fault.kind == "silent":
+            raise BusError("nobody acknowledges, a fault that the virtual sensor's truth asks for")
+        register = self._decode(out[0]) if out else 0
+        if len(out) > 1:
+            self._registers.write(register, out[1])
+        answer = self._registers.read(register, count)
+        # Each byte has an acknowledge; write and read each begin with an address byte.
+        sent = 1 + len(out) + (1 + count if count else 0)
+        self._clock.sleep(9 * sent * I2C_BIT_SECONDS)
+        return answer
+
+    def recall(self, out: bytes, now_ns: int) -> None:
+        """Take what was written at an earlier time; a part that is spoken to in mid-session has been set up before."""
+        if not self._recalling:
+            self._registers.recalled()
+            self._recalling = True
+        if len(out) > 1:
+            at_time(self._clock, now_ns, lambda: self._registers.write(self._decode(out[0]), out[1]))
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def at_time(clock: Clock, now_ns: int, act: Callable[[], object]) -> None:
+    """Let something happen at another session time, in nanoseconds."""
+    present_ns = clock.now_ns()
+    clock.seek(now_ns)
+    act()
+    clock.seek(present_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How the parts of a model differ; every error is drawn evenly within its limit.
+
+    Attributes
+    ----------
+    offset : float
+        g.
+    sensitivity, cross : float
+        Relative to the nominal sensitivity, and to the part's own.
+    drift : float
+        Of the offset, g/°C.
+    gain : float
+        Of the sensitivity, 1/°C.
+    noise : float
+        Standard deviation of one sample, g.
+    thermometer : float
+        °C.
+    """
+
+    offset: float
+    sensitivity: float
+    cross: float
+    drift: float
+    gain: float
+    noise: float
+    thermometer: float
+
+
+def draw_truth(channels: tuple[str, ...], counts_per_g: float, spread: Spread, seed: int) -> Truth:
+    """Draw a plausible part, on a jig of 0.01° in a chamber with a time constant of 20 s.
+
+    Parameters
+    ----------
+    channels : tuple of str
+        Axes that it measures.
+    counts_per_g : float
+        Nominal.
+    spread : Spread
+    seed : int
+        The same seed is the same part.
+    """
+
+    def within(limit: float, name: str) -> float:
+        return limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
+
+    def row(channel: str) -> dict[str, float]:
+        own = counts_per_g * (1.0 + within(spread.sensitivity, f"sensitivity {channel}"))
+        cross, direction = own * within(spread.cross, f"cross {channel}"), within(pi, f"direction {channel}")
+        first, second = (other for other in "xyz" if other != channel)
+        return {channel: own, first: cross * cos(direction), second: cross * sin(direction)}
+
+    return Truth(
+        channels=channels,
+        offset={channel: counts_per_g * within(spread.offset, f"offset {channel}") for channel in channels},
+        sensitivity={channel: row(channel) for channel in channels},
+        reference=REFERENCE,
+        drift={channel: (counts_per_g * within(spread.drift, f"drift {channel}"),) for channel in channels},
+        gain={channel: (within(spread.gain, f"gain {channel}"),) for channel in channels},
+        noise=dict.fromkeys(channels, counts_per_g * spread.noise),
+        thermometer_error=within(spread.thermometer, "thermometer"),
+        seed=seed,
+        jig=0.01,
+        ambient=24.0,
+        time_constant=20.0,
+    )
