@@ -22,7 +22,7 @@ import numpy as np
 from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
-from tiltcal.logs.csv_log import CsvLog
+from tiltcal.logs.formats import open_log
 from tiltcal.logs.pair_block import PairBlock
 from tiltcal.logs.pair_matching import demodulate_log
 
@@ -62,15 +62,14 @@ def seconds(work: Callable[[], object]) -> float:
 
 def only_read(path: Path) -> None:
     """Every number of the columns, and nothing done with it."""
-    with open(path, "rb") as stream:
-        log = CsvLog(stream, name=str(path))
+    with open_log(path) as log:
         for _ in log.rows(range(len(log.names))):
             pass
 
 
 def offline(path: Path) -> None:
-    with open(path, "rb") as stream:
-        found = demodulate_log(CsvLog(stream, name=str(path)), CHANNELS, "theta", file=str(path))
+    with open_log(path) as log:
+        found = demodulate_log(log, CHANNELS, "theta")
     match(found.demodulation, PAIR)
 
 
@@ -82,8 +81,8 @@ def online_seconds(path: Path) -> float:
         nonlocal spent
         spent += seconds(lambda: online.push(stretch.theta, stretch.readings))
 
-    with open(path, "rb") as stream:
-        demodulate_log(CsvLog(stream, name=str(path)), CHANNELS, "theta", file=str(path), witness=[push])
+    with open_log(path) as log:
+        demodulate_log(log, CHANNELS, "theta", observers=[push])
     return spent
 
 

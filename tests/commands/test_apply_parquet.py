@@ -26,7 +26,7 @@ from support.command import TILTCAL
 from tiltcal.cli.apply import command
 from tiltcal.cli.match import command as match_command
 from tiltcal.errors import InputError, TiltcalError, UsageError
-from tiltcal.logs.parquet_log import ParquetLog
+from tiltcal.logs.formats import open_log
 
 WARM = """\
 tiltcal: 1
@@ -302,10 +302,10 @@ class TestRefusals:
         assert not [name for name in os.listdir(bench) if name.startswith(".")]
 
     def test_rows_that_the_engine_loses_in_silence_are_missed(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        log = ParquetLog("log.parquet")
-        monkeypatch.setattr(log, "_rows", 5)
-        with pytest.raises(InputError, match="gives 4 of 5 rows"):
-            list(log.rows([1]))
+        with open_log("log.parquet") as log:
+            monkeypatch.setattr(log, "_rows", 5)
+            with pytest.raises(InputError, match="gives 4 of 5 rows"):
+                list(log.rows([1]))
 
     def test_a_missing_column(self) -> None:
         LOG.rename({"x": "X"}).write_parquet("in.parquet")

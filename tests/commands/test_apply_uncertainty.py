@@ -18,7 +18,7 @@ from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, write_calibration
-from tiltcal.logs.column_widths import ColumnWidths
+from tiltcal.logs.apply_summary import ColumnWidths
 
 SILENT = """\
 tiltcal: 1

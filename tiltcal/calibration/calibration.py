@@ -136,6 +136,7 @@ class Calibration:
         write_calibration(path, self.record)
 
     def __str__(self) -> str:
+
         return "\n".join([summary(self.record), *mounting_lines(self.record)])
 
 

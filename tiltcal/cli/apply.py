@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tiltcal.cli.log_files import STANDARD
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ Examples:
 @click.option(
     "-o",
     "--output",
-    default=STANDARD,
+    default="-",
     metavar="OUT",
     help="File to write, standard output by default; of several logs the folder, where each keeps its name.",
 )
@@ -99,19 +98,19 @@ def command(
     Where CALIBRATION is of accelerometer pairs (from `tiltcal match`), the columns are the matched sum of each pair
     and, with both pairs, the gradient signal and its components at twice the turning, over the turn before.
     """
-    from tiltcal.cli.apply_tasks import ApplyTask, apply_to_log, tasks_of
-    from tiltcal.logs.prepared import ApplyOptions, prepare
+    from tiltcal.cli.apply_tasks import ApplyTask, tasks_of
+    from tiltcal.logs.prepared import ApplyOptions, prepare_file
 
     if reading_noise is not None and not uncertainty:
         raise UsageError("--reading-noise is for --uncertainty, which is not there")
-    wish = ApplyOptions(calibration, first_order, uncertainty, reading_noise)
+    options = ApplyOptions(first_order, uncertainty, reading_noise)
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
-        tasks = tasks_of(wish, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
-        prepare(wish, _say)  # what is wrong with the calibration is wrong once
+        tasks = tasks_of(calibration, options, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
+        prepare_file(calibration, options, _say)  # what is wrong with the calibration is wrong once
         return _each(tasks, scheduler, as_json)
-    summary = apply_to_log(ApplyTask(wish, logs[0], output, columns, skip_bad_rows), _say)
+    summary = ApplyTask(calibration, options, logs[0], output, columns, skip_bad_rows).run(_say)
     if as_json:
-        click.echo(json.dumps(summary.as_data()), err=output == STANDARD)
+        click.echo(json.dumps(summary.as_data()), err=output == "-")
     else:
         _say(summary.as_text())
     return 0

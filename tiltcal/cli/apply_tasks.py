@@ -5,22 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.cli.log_files import STANDARD, log_sink, log_source, progress_bar
+from tiltcal.cli.progress import progress_bar
 from tiltcal.errors import TiltcalError, UsageError
-from tiltcal.logs.apply import ApplySummary, apply_blocks
-from tiltcal.logs.columns import locate_columns, parse_columns
-from tiltcal.logs.csv_log import CsvLog
-from tiltcal.logs.csv_types import TypedCsvLog
-from tiltcal.logs.csv_writer import write_csv, write_csv_of_types, write_parquet
-from tiltcal.logs.formats import is_parquet, log_of, require_way
-from tiltcal.logs.netcdf_log import NetcdfLog
-from tiltcal.logs.netcdf_writer import write_netcdf
-from tiltcal.logs.prepared import ApplyOptions, prepare
+from tiltcal.logs.apply import apply_log
+from tiltcal.logs.apply_summary import ApplySummary
+from tiltcal.logs.prepared import ApplyOptions
+from tiltcal.logs.streams import STANDARD
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -35,17 +29,18 @@ class ApplyTask:
 
     Attributes
     ----------
-    wish : ApplyOptions
-    log : str
-        A file, or ``-``.
-    output : str
+    calibration : Path
+        Its file.
+    options : ApplyOptions
+    log, output : str
         A file, or ``-``.
     columns : str
-        What ``--columns`` says.
+        The text of ``--columns``.
     skip_bad_rows : bool
     """
 
-    wish: ApplyOptions
+    calibration: Path
+    options: ApplyOptions
     log: str
     output: str
     columns: str = ""
@@ -54,47 +49,34 @@ class ApplyTask:
     @property
     def anywhere(self) -> ApplyTask:
         """The same, whatever folder a worker is in."""
-        wish = replace(self.wish, calibration=self.wish.calibration.absolute())
-        return replace(self, wish=wish, log=os.path.abspath(self.log), output=os.path.abspath(self.output))
+        return replace(
+            self,
+            calibration=self.calibration.absolute(),
+            log=os.path.abspath(self.log),
+            output=os.path.abspath(self.output),
+        )
+
+    def run(self, say: Callable[[str], None] = lambda line: None) -> ApplySummary:
+        """Compensate the log; ``say`` is called with each remark about what had to be assumed."""
+        with progress_bar("apply") as progress:
+            return apply_log(
+                self.calibration,
+                self.log,
+                self.output,
+                columns=self.columns,
+                skip_bad_rows=self.skip_bad_rows,
+                say=say,
+                progress=progress,
+                **asdict(self.options),
+            )
 
 
 Outcome = ApplySummary | TiltcalError
 
 
-def apply_to_log(task: ApplyTask, say: Callable[[str], None] = lambda line: None) -> ApplySummary:
-    """Compensate one log, from its door to where its rows go; both formats are told by the names.
-
-    Parameters
-    ----------
-    task : ApplyTask
-    say : callable
-        Told what had to be taken for granted.
-    """
-    require_way(task.log, task.output)
-    known = prepare(task.wish, say)
-    named = parse_columns(task.columns, known.channels)
-    summary = ApplySummary.watching(known.watched)
-    added = known.kernel.columns
-    with log_source(task.log) as (stream, name, size), progress_bar("apply", size) as progress:
-        rows = log_of(stream, name, skip_bad_rows=task.skip_bad_rows)
-        located = locate_columns(rows.names, known.channels, named, file=name, line=rows.header_line)
-        needed = sorted(set(located.values()))
-        way = (known.kernel, known.channels, located, summary, progress)
-        with log_sink(task.output) as sink:
-            if isinstance(rows, NetcdfLog):
-                now = datetime.now(UTC)
-                write_netcdf(sink, stream, rows, needed, added, apply_blocks(rows, *way), known.origin, now)
-            elif is_parquet(task.output):
-                typed = TypedCsvLog(rows, needed, name=name) if isinstance(rows, CsvLog) else rows
-                write_parquet(sink, typed, added, apply_blocks(typed, *way), {**typed.notes, **known.as_note})
-            elif isinstance(rows, CsvLog):
-                write_csv(sink, rows, added, apply_blocks(rows, *way))
-            else:
-                write_csv_of_types(sink, rows, added, apply_blocks(rows, *way))
-    return summary
-
-
-def tasks_of(wish: ApplyOptions, logs: Sequence[str], folder: str, **more: Any) -> list[ApplyTask]:
+def tasks_of(
+    calibration: Path, options: ApplyOptions, logs: Sequence[str], folder: str, **more: Any
+) -> list[ApplyTask]:
     """A task for each of several logs, whose results go into a folder under the logs' own names.
 
     Raises
@@ -114,7 +96,7 @@ def tasks_of(wish: ApplyOptions, logs: Sequence[str], folder: str, **more: Any) 
             raise UsageError(f"{tasks[name].log} and {log} would both be {output}: apply to them one by one")
         if os.path.realpath(output) == os.path.realpath(log):
             raise UsageError(f"{output} is the log itself: name another folder with -o")
-        tasks[name] = ApplyTask(wish, log, output, **more)
+        tasks[name] = ApplyTask(calibration, options, log, output, **more)
     return list(tasks.values())
 
 
@@ -147,7 +129,7 @@ def done_on(scheduler: str, tasks: Sequence[ApplyTask]) -> Iterator[tuple[ApplyT
 
 def _outcome(task: ApplyTask) -> Outcome:
     try:
-        return apply_to_log(task)
+        return task.run()
     except TiltcalError as refusal:
         return refusal
 

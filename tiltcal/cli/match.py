@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,10 +15,10 @@ import tiltcal
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 
 if TYPE_CHECKING:
-    from tiltcal.cli.live_stream import LiveStream
     from tiltcal.core.pair.matching import Matching
     from tiltcal.core.pair.model import Pair
     from tiltcal.files.pair import PairRecord
+    from tiltcal.logs.log import LogReader
     from tiltcal.logs.pair_matching import Demodulated
     from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
     from tiltcal.report.pair_figures import PairDrawing
@@ -85,8 +85,11 @@ def command(
     With --online, Ctrl-C ends a stream that has no end of its own, and what was found until then is the result.
     """
     from tiltcal.calibration.pair_calibration import pair_summary
+    from tiltcal.cli.progress import progress_bar
     from tiltcal.files.pair import write_pair
     from tiltcal.files.whole import check_writable
+    from tiltcal.logs.formats import open_log
+    from tiltcal.logs.pair_matching import demodulate_log
     from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
     from tiltcal.report.pair_figures import draw_matching
 
@@ -99,14 +102,21 @@ def command(
     say = partial(click.echo, err=True)
     watch = PairObserver(wanted, channels, say) if online else None
     spectra = SpectrumObserver(channels) if figure else None
-    with _source(log, online) as (stream, name, size), _told_why(name, stream):
-        found, digest = _read(stream, name, size, channels, phase, skip_bad_rows, (watch, spectra), say)
+    with (
+        progress_bar("match") as progress,
+        open_log(log, skip_bad_rows=skip_bad_rows, digest=True, live=online, progress=progress) as rows,
+        _explained(rows),
+    ):
+        observers = [observer for observer in (watch, spectra) if observer is not None]
+        found = demodulate_log(rows, channels, phase, observers=observers, say=say, live=online)
         matchings = [_matched(found, pair, watch, loops) for pair in wanted]
         drawing = _drawing(spectra, found, matchings[0], watch) if spectra else None
     if found.missing:
         say(f"{found.missing} of {found.rows + found.missing} rows have a missing value and are left out")
     if output:
-        write_pair(output, _calibration(matchings, found, phase, online, {"name": Path(name).name, "sha256": digest}))
+        write_pair(
+            output, _calibration(matchings, found, phase, online, {"name": Path(rows.name).name, "sha256": rows.sha256})
+        )
     if figure and drawing:
         draw_matching(figure, drawing)
     if as_json:
@@ -116,51 +126,18 @@ def command(
         click.echo("\n\n".join(pair_summary(matching) for matching in matchings))
 
 
-def _source(log: str, online: bool) -> AbstractContextManager[tuple[BinaryIO | LiveStream, str, int | None]]:
-    from tiltcal.cli.live_stream import live_source
-    from tiltcal.cli.log_files import log_source
-
-    return live_source(log) if online else log_source(log)
-
-
 @contextmanager
-def _told_why(log: str, stream: BinaryIO | LiveStream) -> Iterator[None]:
-    """Put the log's name in front of why it cannot be matched, and say what to do where Ctrl-C came too early."""
+def _explained(log: LogReader) -> Iterator[None]:
+    """Put the log's name in front of why it cannot be matched, and what to do where Ctrl-C came too early."""
     try:
         yield
     except (EstimateError, InputError) as refusal:
-        why = str(refusal) if isinstance(refusal, InputError) else f"{log}: {refusal}"
-        if getattr(stream, "interrupted", False):
+        why = str(refusal) if isinstance(refusal, InputError) else f"{log.name}: {refusal}"
+        if log.interrupted:
             raise Stopped(f"interrupted, and nothing is written: {why}; let the stream run for longer") from None
         if isinstance(refusal, EstimateError):
             raise EstimateError(why) from refusal
         raise
-
-
-def _read(
-    stream: BinaryIO | LiveStream,
-    name: str,
-    size: int | None,
-    channels: Sequence[str],
-    phase: str | None,
-    skip_bad_rows: bool,
-    looks: tuple[PairObserver | None, SpectrumObserver | None],
-    say: Callable[[str], None],
-) -> tuple[Demodulated, str]:
-    """The log, demodulated, and the checksum of what was read of it."""
-    from tiltcal.cli.log_files import progress_bar
-    from tiltcal.logs.digest import HashingReader, sha256_of
-    from tiltcal.logs.formats import is_csv, log_of
-    from tiltcal.logs.pair_matching import demodulate_log
-
-    digested = HashingReader(stream)
-    witness = [look for look in looks if look is not None]
-    with progress_bar("match", size) as progress:
-        rows = log_of(cast("BinaryIO", digested), name, skip_bad_rows=skip_bad_rows)
-        found = demodulate_log(
-            *(rows, channels, phase), file=name, witness=witness, say=say, live=looks[0] is not None, progress=progress
-        )
-    return found, digested.sha256 if is_csv(name) else sha256_of(Path(name))
 
 
 def _matched(found: Demodulated, pair: Pair, watch: PairObserver | None, loops: bool) -> Matching:

@@ -89,11 +89,11 @@ def command(
 ) -> int:
     """Tell how noisy a sensor is at rest, and how many samples its positions need.
 
-    Either a LOG (CSV, or - for standard input) of a sensor that nobody touched, or --sensor and --address to record
-    one now. The table shows how averages of 1, 10, 100 samples scatter, beside what independent samples would give; the
-    Allan deviation, which kinds of noise there are and where averaging stops to help. From it follows the number for
-    `measure --samples`: the smallest that meets --target, or without one the largest that is worth its time. Degrees
-    are those of an axis near level.
+    Either a LOG (CSV, Parquet, NetCDF-4, or - for CSV on standard input) of a sensor that nobody touched, or --sensor
+    and --address to record one now. The table shows how averages of 1, 10, 100 samples scatter, beside what independent
+    samples would give; the Allan deviation, which kinds of noise there are and where averaging stops to help. From it
+    follows the number for `measure --samples`: the smallest that meets --target, or without one the largest that is
+    worth its time. Degrees are those of an axis near level.
     """
     from tiltcal.files.whole import check_writable
     from tiltcal.report.noise_summary import as_data, draw_noise, summary
@@ -285,21 +285,20 @@ def _characterised(
     skip_bad_rows: bool,
     called: str | None = None,
 ) -> NoiseLog:
-    from tiltcal.cli.log_files import log_source, progress_bar, require_csv
+    from tiltcal.cli.progress import progress_bar
     from tiltcal.core.model import AXES
     from tiltcal.logs.columns import parse_columns
-    from tiltcal.logs.csv_log import CsvLog
+    from tiltcal.logs.formats import open_log
     from tiltcal.logs.noise_log import characterise_log
     from tiltcal.logs.uniform_sampling import UniformLog
 
-    require_csv(log)
     named = parse_columns(columns, AXES)
-    with log_source(log) as (stream, own_name, size), progress_bar("noise", size) as progress:
-        name = called or own_name
-        rows = CsvLog(stream, name=name, skip_bad_rows=skip_bad_rows)
+    with (
+        progress_bar("noise") as progress,
+        open_log(log, name=called, skip_bad_rows=skip_bad_rows, progress=progress) as rows,
+    ):
         asked = tuple(axis for axis in AXES if axis in named)
         there = tuple(axis for axis in AXES if axis in rows.names)
         # With neither, x is looked for, and the message that it is not there says how to name it.
         channels = asked or facts.channels or there or AXES[:1]
-        paced = UniformLog(rows, channels, named, rate, file=name)
-        return characterise_log(paced, channels, sizes, file=name, progress=progress)
+        return characterise_log(UniformLog(rows, channels, named, rate), channels, sizes)

@@ -60,14 +60,12 @@ def command(
 
 
 def _to_parquet(log: Path, output: Path) -> None:
-    """Make the Parquet log of the captured CSV, and let the CSV go once it is there."""
-    import polars as pl
-
+    """Make the Parquet log of the captured CSV, block by block, and remove the CSV once it is there."""
     from tiltcal.files.whole import whole_file
+    from tiltcal.logs.formats import create_log, open_log
 
-    rows = pl.scan_csv(log, infer_schema_length=None).with_columns(
-        pl.col("time").str.to_datetime(time_unit="ms", time_zone="UTC")
-    )
-    with whole_file(output) as stream:
-        rows.collect().write_parquet(stream)
+    with open_log(log) as rows, whole_file(output) as sink:
+        writer = create_log(output, sink, rows)
+        blocks = rows.rows(range(len(rows.names)), rows.names.index("time"), frames=True)
+        writer.write((block, {}) for block in blocks)
     log.unlink()

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, cast
+from typing import TYPE_CHECKING
 
 import click
 
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.errors import EstimateError, UsageError
 
 if TYPE_CHECKING:
-    from tiltcal.core.compensation import Compensation
     from tiltcal.files.calibration import CalibrationRecord
     from tiltcal.files.pair import PairRecord
     from tiltcal.report.log_section import ReportedLog
@@ -63,13 +62,11 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
     InputError
         A file is wrong; the message names file and line.
     """
-    from tiltcal.cli.log_files import require_csv
     from tiltcal.files.whole import check_writable, write_whole
     from tiltcal.report.page import require_extra
 
     require_extra()
     check_writable(output)
-    require_csv(*files)
     calibrations = [name for name in files if name.lower().endswith(_CALIBRATIONS)]
     logs = [name for name in files if name not in calibrations]
     if not calibrations:
@@ -103,44 +100,38 @@ def _certificate(
     columns: str,
     skip_bad_rows: bool,
 ) -> str:
-    from tiltcal.calibration.calibration import Calibration
     from tiltcal.report.tilt_page import certificate
 
     last = calibrations[-1]
-    try:
-        compensation = Calibration(last).compensation()
-    except EstimateError as failure:
-        raise InputError(str(failure), file=names[-1]) from failure
-    channels = last.coefficients.channels
-    found = [_look_over(log, compensation, channels, columns, skip_bad_rows) for log in logs]
+    found = [_look_over(log, last, Path(names[-1]), columns, skip_bad_rows) for log in logs]
     earlier = [(one, Path(name).name) for one, name in zip(calibrations[:-1], names, strict=False)]
     return certificate(last, _source(names[-1]), earlier, found)
 
 
-def _look_over(
-    log: str, compensation: Compensation, channels: Sequence[str], columns: str, skip_bad_rows: bool
-) -> ReportedLog:
-    """A log, compensated already or on the way."""
-    from tiltcal.cli.log_files import log_source, progress_bar
-    from tiltcal.logs.columns import TIME, locate_columns, parse_columns
-    from tiltcal.logs.csv_log import CsvLog
-    from tiltcal.logs.digest import HashingReader
+def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:
+    """Read a log, compensated already or on the way."""
+    from tiltcal.calibration.calibration import Calibration
+    from tiltcal.cli.progress import progress_bar
+    from tiltcal.logs.apply import CompensatedLog
+    from tiltcal.logs.columns import TIME, parse_columns
+    from tiltcal.logs.formats import open_log
     from tiltcal.logs.overview import is_compensated, look_over, look_over_compensated
+    from tiltcal.logs.prepared import ApplyOptions, prepare
     from tiltcal.report.log_section import ReportedLog
 
-    named = parse_columns(columns, channels)
-    with log_source(log) as (stream, name, size), progress_bar("report", size) as progress:
-        digested = HashingReader(stream)
-        rows = CsvLog(cast("BinaryIO", digested), name=name, skip_bad_rows=skip_bad_rows)
-        clock = named.get(TIME, TIME)
+    prepared = prepare(Calibration(calibration), ApplyOptions(), file=file)
+    with (
+        progress_bar("report") as progress,
+        open_log(log, skip_bad_rows=skip_bad_rows, digest=True, progress=progress) as rows,
+    ):
+        clock = parse_columns(columns, prepared.channels).get(TIME, TIME)
         time = rows.names.index(clock) if clock in rows.names else None
-        compensated = is_compensated(rows, compensation)
+        compensated = is_compensated(rows, prepared.angles)
         if compensated:
-            overview = look_over_compensated(rows, compensation, time=time, progress=progress)
+            overview = look_over_compensated(rows, prepared.angles, time)
         else:
-            located = locate_columns(rows.names, channels, named, file=name)
-            overview = look_over(rows, compensation, channels, located, time=time, progress=progress)
-    return ReportedLog(Path(name).name, digested.sha256, overview, compensated, time is not None)
+            overview = look_over(CompensatedLog.of(rows, prepared, columns), prepared.angles, time)
+        return ReportedLog(Path(rows.name).name, rows.sha256, overview, compensated, time is not None)
 
 
 def _pair_page(calibration: PairRecord, source: FileFacts, logs: Sequence[str], skip_bad_rows: bool) -> str:
@@ -152,22 +143,20 @@ def _pair_page(calibration: PairRecord, source: FileFacts, logs: Sequence[str], 
 
 def _spectrum(log: str, number: int, calibration: PairRecord, skip_bad_rows: bool) -> Spectrum:
     """The spectra of the first pair in a log."""
-    from tiltcal.cli.log_files import log_source, progress_bar
-    from tiltcal.logs.csv_log import CsvLog
+    from tiltcal.cli.progress import progress_bar
+    from tiltcal.logs.formats import open_log
     from tiltcal.logs.pair_matching import demodulate_log
     from tiltcal.logs.pair_observers import SpectrumObserver
     from tiltcal.report.pair_figures import PairDrawing
     from tiltcal.report.pair_page import spectrum
 
     matching = calibration.matchings[0]
-    witness = SpectrumObserver(matching.pair.channels)
-    with log_source(log) as (stream, name, size), progress_bar("report", size) as progress:
-        rows = CsvLog(stream, name=name, skip_bad_rows=skip_bad_rows)
+    observer = SpectrumObserver(matching.pair.channels)
+    with progress_bar("report") as progress, open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows:
+        name = rows.name
         try:
-            found = demodulate_log(
-                rows, matching.pair.channels, calibration.phase, file=name, witness=[witness], progress=progress
-            )
-            frequency, densities = witness.densities(matching.pair, matching.p, matching.q, found)
+            found = demodulate_log(rows, matching.pair.channels, calibration.phase, observers=[observer])
+            frequency, densities = observer.densities(matching.pair, matching.p, matching.q, found)
         except EstimateError as refusal:
             raise EstimateError(f"{name}: {refusal}") from refusal
     turning = found.frequency or found.turns / (found.rows + found.missing)

@@ -1,178 +1,163 @@
-"""A log on its way through the compensation, block after block: one way for every format."""
+"""A calibration applied to a log, block after block: one way for every format, and for frames."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from tiltcal.core.compensation import FLAGS, REASONS
-from tiltcal.core.overview import count_flags
-from tiltcal.errors import UsageError
-from tiltcal.logs.column_widths import ColumnWidths
-from tiltcal.logs.columns import TEMPERATURE
-from tiltcal.logs.log import AnyLogBlock, Log
+from tiltcal.errors import InputError
+from tiltcal.logs.apply_summary import ApplySummary
+from tiltcal.logs.cf_attributes import same_unit
+from tiltcal.logs.columns import TEMPERATURE, locate_columns, named_columns
+from tiltcal.logs.formats import create_log, open_log, require_way
+from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
+from tiltcal.logs.prepared import ApplyOptions, PreparedCalibration, prepare, prepare_file
+from tiltcal.logs.streams import log_sink
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from tiltcal.core.model import Array
-    from tiltcal.logs.csv_writer import Table
+    from tiltcal.calibration.calibration import Calibration
+    from tiltcal.calibration.pair_calibration import PairCalibration
 
 
-class Flagged(Protocol):
-    """What a kernel makes of some rows."""
-
-    @property
-    def flag(self) -> NDArray[np.uint8]: ...
-
-    @property
-    def reason(self) -> NDArray[np.uint8]: ...
-
-
-class Kernel(Protocol):
-    """What compensates rows: of a tilt sensor, or of pairs of accelerometers."""
-
-    @property
-    def columns(self) -> tuple[str, ...]: ...
-
-    def __call__(self, readings: Array, temperature: Array | None = None) -> Flagged: ...
-
-    def table(self, apply_blocks: Any, /) -> Table: ...
-
-
-@dataclass
-class ApplySummary:
-    """What came out of a log.
-
-    Attributes
-    ----------
-    rows : int
-        Written, every one that was read.
-    flags : Counter
-        Rows by flag.
-    reasons : Counter
-        Rows by bit of the reason; a row may have several.
-    bad_rows : int
-        Rows that could not be parsed and were kept as missing.
-    widths : dict of str to ColumnWidths
-        The columns that were to be watched, half widths of 95 % intervals in degrees.
-    """
-
-    rows: int = 0
-    flags: Counter[int] = field(default_factory=Counter)
-    reasons: Counter[int] = field(default_factory=Counter)
-    bad_rows: int = 0
-    widths: dict[str, ColumnWidths] = field(default_factory=dict)
-
-    @classmethod
-    def watching(cls, columns: Sequence[str]) -> ApplySummary:
-        """One that keeps the median and the largest value of some columns of the result."""
-        return cls(widths={name: ColumnWidths() for name in columns})
-
-    def add(self, flag: NDArray[np.uint8], reason: NDArray[np.uint8], bad_rows: int, table: Table) -> None:
-        """Count some rows."""
-        for name, widths in self.widths.items():
-            widths.add(np.asarray(table[name], dtype=float))
-        self.rows += len(flag)
-        self.bad_rows += bad_rows
-        count_flags(self.flags, self.reasons, flag, reason)
-
-    def as_data(self) -> dict[str, object]:
-        """The counts as plain data, every flag and reason that occurred."""
-        widths = {name: {"median": one.median, "largest": one.largest} for name, one in self.widths.items()}
-        return {
-            "rows": self.rows,
-            "flags": {str(flag): self.flags[flag] for flag in FLAGS if self.flags[flag]},
-            "reasons": {str(bit): self.reasons[bit] for bit in REASONS if self.reasons[bit]},
-            "bad_rows": self.bad_rows,
-            **({"uncertainty": widths} if widths else {}),
-        }
-
-    def as_text(self) -> str:
-        """The counts in words, one line for each."""
-        lines = [_counted(self.rows, "row")]
-        lines += [f"  flag {flag} {name}: {self.flags[flag]}" for flag, name in FLAGS.items() if self.flags[flag]]
-        lines += [f"  reason {bit} {why}: {self.reasons[bit]}" for bit, why in REASONS.items() if self.reasons[bit]]
-        if self.bad_rows:
-            lines.append(f"  {_counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
-        if self.widths:
-            lines.append(f"  median (largest) {', '.join(_told(name, one) for name, one in self.widths.items())}")
-        return "\n".join(lines)
-
-
-def apply_blocks(
-    log: Log[AnyLogBlock],
-    kernel: Kernel,
-    channels: Sequence[str],
-    columns: Mapping[str, int],
-    summary: ApplySummary,
-    progress: Callable[[int], None] | None = None,
-) -> Iterator[tuple[AnyLogBlock, Table]]:
-    """A log's rows with what a kernel makes of them.
+def apply_log(
+    calibration: Calibration | PairCalibration | str | Path,
+    log: str | Path,
+    output: str | Path,
+    *,
+    columns: Mapping[str, str] | str = "",
+    uncertainty: bool = False,
+    first_order: bool = False,
+    reading_noise: float | None = None,
+    skip_bad_rows: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+    progress: Progress | None = None,
+) -> ApplySummary:
+    """Apply a calibration to a recorded log, whatever its size, and write the result.
 
     Parameters
     ----------
-    log : Log
-    kernel : Kernel
-        Called with the rows in order, block after block.
-    channels : sequence of str
-        The readings, in the order of the calibration.
-    columns : mapping of str to int
-        Where each channel and, if there is one, the temperature stands in the log.
-    summary : ApplySummary
-        Told of every row.
+    calibration : Calibration, PairCalibration, str or Path
+        A calibration, or its file.
+    log : str or Path
+        CSV, Parquet or NetCDF-4, by the end of its name; ``-`` is CSV on standard input.
+    output : str or Path
+        It has the format that its name tells and appears whole or not at all; ``-`` is CSV on standard output.
+    columns : mapping of str to str, or str
+        The column of each reading, such as ``{"x": "VoutX"}`` or ``"x=VoutX"``; without it, the column of its name.
+    uncertainty : bool
+        Add the standard uncertainty of every angle and half of its 95 % interval, degrees.
+    first_order : bool
+        Use Cross-axis Compensation eq. 6 in place of the whole matrix.
+    reading_noise : float, optional
+        Standard uncertainty of a reading of the log, in its unit, in place of that of a sample at the bench.
+    skip_bad_rows : bool
+        Keep rows that cannot be parsed, with flag 9, instead of raising.
+    say : callable
+        Called with each remark about what had to be assumed.
     progress : callable, optional
-        Told how many bytes of the log have been read.
+        Called with the bytes that have been read, after each block.
 
     Returns
     -------
-    iterator of (Block, mapping of str to ndarray)
-        The log's own blocks, in order, and the columns that belong behind theirs.
+    ApplySummary
+        Rows by flag and reason.
 
     Raises
     ------
     UsageError
-        The log has a column of a name that the result needs.
+        A file cannot be opened or written, or the log has a column of a name that the result needs.
     InputError
-        A row cannot be parsed, or the log is damaged; once the iterator comes to it.
+        The calibration or the log is wrong, or a column is not there; the message names file and line.
     """
-    taken = [name for name in kernel.columns if name in log.names]
-    if taken:
-        raise UsageError(
-            f"the log has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
-        )
-    return _compensated(log, kernel, channels, columns, summary, progress)
+    require_way(log, output)
+    options = ApplyOptions(first_order, uncertainty, reading_noise)
+    prepared = (
+        prepare_file(calibration, options, say)
+        if isinstance(calibration, str | Path)
+        else prepare(calibration, options, say)
+    )
+    with open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as reader:
+        rows = CompensatedLog.of(reader, prepared, columns)
+        with log_sink(str(output)) as sink:
+            writer = create_log(output, sink, reader, prepared.kernel.columns, prepared.origin)
+            writer.write(rows.blocks(frames=writer.frames))
+    return rows.summary
 
 
-def _compensated(
-    log: Log[AnyLogBlock],
-    kernel: Kernel,
-    channels: Sequence[str],
-    columns: Mapping[str, int],
-    summary: ApplySummary,
-    progress: Callable[[int], None] | None,
-) -> Iterator[tuple[AnyLogBlock, Table]]:
-    for rows in log.rows(sorted(set(columns.values()))):
-        readings = np.stack([rows.values[columns[channel]] for channel in channels]).T
-        readings[list(rows.faults)] = np.nan
-        temperature = rows.values[columns[TEMPERATURE]] if TEMPERATURE in columns else None
-        result = kernel(readings, temperature)
-        table = kernel.table(result)
-        summary.add(result.flag, result.reason, len(rows.faults), table)
-        yield rows, table
-        if progress is not None:
-            progress(log.bytes_read)
+@dataclass(frozen=True)
+class CompensatedLog:
+    """The rows of a log with what a calibration makes of them.
+
+    Attributes
+    ----------
+    log : LogReader
+    prepared : PreparedCalibration
+    channels : tuple of int
+        Where each reading stands in the log, in the order of the calibration.
+    temperature : int or None
+        Where the temperature stands, if there is one.
+    summary : ApplySummary
+        Counts the rows as they pass.
+    """
+
+    log: LogReader
+    prepared: PreparedCalibration
+    channels: tuple[int, ...]
+    temperature: int | None
+    summary: ApplySummary
+
+    @classmethod
+    def of(cls, log: LogReader, prepared: PreparedCalibration, columns: Mapping[str, str] | str = "") -> CompensatedLog:
+        """Find the readings of a log.
+
+        Raises
+        ------
+        UsageError
+            The log has a column of a name that the result needs.
+        InputError
+            A column is not there, or its unit is not that of the calibration.
+        """
+        named = named_columns(columns, prepared.channels)
+        where = locate_columns(log.names, prepared.channels, named, file=log.name, line=log.header_line)
+        require_free(log.names, prepared.kernel.columns)
+        channels = tuple(where[channel] for channel in prepared.channels)
+        if prepared.unit is not None:
+            require_unit(log, channels, prepared.unit)
+        return cls(log, prepared, channels, where.get(TEMPERATURE), ApplySummary.watching(prepared.watched))
+
+    def blocks(self, time: int | None = None, *, frames: bool = False) -> Iterator[tuple[LogBlock, Table]]:
+        """Yield the log's own blocks, in order, and the columns that belong behind theirs.
+
+        Parameters
+        ----------
+        time : int, optional
+            A column of times that is needed too.
+        frames : bool
+            Give each block all columns with their types.
+        """
+        extra = [index for index in (self.temperature, time) if index is not None]
+        kernel = self.prepared.kernel
+        for block in self.log.rows(sorted({*self.channels, *extra}), time, frames=frames):
+            temperature = None if self.temperature is None else block.values[self.temperature]
+            result = kernel(block.readings(self.channels), temperature)
+            table = kernel.table(result)
+            self.summary.add(result.flag, result.reason, len(block.faults), table)
+            yield block, table
 
 
-def _told(name: str, widths: ColumnWidths) -> str:
-    if widths.median is None or widths.largest is None:
-        return f"{name} none"
-    return f"{name} {widths.median:.2g}° ({widths.largest:.2g}°)"
+def require_unit(log: LogReader, columns: Sequence[int], unit: str) -> None:
+    """Refuse a log whose columns state another unit.
 
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'s' * (count != 1)}"
+    Raises
+    ------
+    InputError
+    """
+    for column in columns:
+        stated = log.unit(column)
+        if stated is not None and not same_unit(stated, unit):
+            raise InputError(
+                f"column {log.names[column]!r} is in {stated}, and the calibration in {unit}: convert the readings",
+                file=log.name,
+            )

@@ -1,8 +1,9 @@
-"""Cells of a number column: our own rule on what is a number, in front of the engine that parses it.
+"""Text as numbers and as times: our own rule on what is a number, in front of the engine that parses it.
 
 A number is ``[+-]digits[.digits][e[+-]digits]``; the digits before the point may be left out, those behind it may not
 (``2.`` is what is left of a row that was cut). An empty cell and NaN, NA, N/A, null, None in any case are a missing
-value, and so is an infinity. Blanks around a cell do not count. Everything else is an error.
+value, and so is an infinity. Blanks around a cell do not count. Everything else is an error. A time is a number of
+seconds, or a moment in ISO 8601 as the recorder writes it.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 
 _CUT_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)[eE][+-]?|\d*\.)?")
+_ZONE = r"T.*(?:Z|[+-]\d\d:?\d\d)$"
 
 
 def numbers(cells: pl.Series) -> tuple[Array, Bits | None]:
@@ -59,3 +61,33 @@ def is_cut(cell: str) -> bool:
     ``2.``, ``1e``, ``-`` and the empty cell do; ``2``, ``2.5`` and ``done`` do not: nobody can tell that they are.
     """
     return _CUT_NUMBER.fullmatch(cell.strip()) is not None
+
+
+def seconds(cells: pl.Series) -> Array:
+    """Parse the cells of a time column.
+
+    Parameters
+    ----------
+    cells : polars.Series of String, length n
+        Numbers, or moments such as ``2026-05-01T12:00:00.5Z``; one without a zone is UTC.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        The numbers as they are; for moments seconds since 1970. NaN where a cell is neither.
+    """
+    import polars as pl
+
+    values, wrong = numbers(cells)
+    if wrong is None:
+        return values
+    texts = cells.filter(pl.Series(wrong)).str.strip_chars().str.replace(" ", "T", literal=True)
+    zoned = texts.to_frame("text").select(
+        pl.when(pl.col("text").str.contains(_ZONE))
+        .then("text")
+        .otherwise(pl.col("text") + "Z")
+        .str.replace("Z$", "+00:00")
+    )
+    moments = zoned["text"].str.to_datetime("%Y-%m-%dT%H:%M:%S%.f%#z", time_unit="us", time_zone="UTC", strict=False)
+    values[wrong] = (moments.dt.epoch("us") / 1e6).fill_null(float("nan")).to_numpy()
+    return values

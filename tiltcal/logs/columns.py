@@ -11,6 +11,23 @@ TEMPERATURE = "temperature"
 TIME = "time"
 
 
+def named_columns(columns: Mapping[str, str] | str, channels: Sequence[str]) -> dict[str, str]:
+    """Return the column of each role that was named, as a mapping or as the text of ``--columns``.
+
+    Raises
+    ------
+    UsageError
+        There is no such role, or the text is no list of pairs.
+    """
+    if isinstance(columns, str):
+        return parse_columns(columns, channels)
+    roles = (*channels, TEMPERATURE, TIME)
+    for role in columns:
+        if role not in roles:
+            raise UsageError(f"--columns: there is no role {role!r}{_suggestion(role, roles)}")
+    return dict(columns)
+
+
 def parse_columns(text: str, channels: Sequence[str]) -> dict[str, str]:
     """What ``--columns x=VoutX,y=VoutY,temperature=T`` says.
 

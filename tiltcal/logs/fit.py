@@ -23,7 +23,6 @@ from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.segments import read_segments
 from tiltcal.logs.columns import parse_columns
-from tiltcal.logs.digest import sha256_of
 from tiltcal.logs.static_detection import WINDOWS, find_still, still_segments, told
 from tiltcal.logs.static_intervals import (
     RecordedReadings,
@@ -34,6 +33,7 @@ from tiltcal.logs.static_intervals import (
     placed,
     read_record,
 )
+from tiltcal.logs.streams import sha256_of
 
 UNKNOWN_MODEL = "recorded"
 FOUND_ONLY = "--window and --segments-out are for `tiltcal fit free` without --segments, which finds them"

@@ -1,82 +1,229 @@
-"""What every format of log gives: columns by name, and blocks of rows in order."""
+"""What every format of log gives and takes: columns by name, and blocks of rows in order."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, BinaryIO, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
+from tiltcal.errors import UsageError
+from tiltcal.logs.streams import sha256_of
 
 if TYPE_CHECKING:
     import polars as pl
 
+Table = Mapping[str, Array | NDArray[np.uint8]]
+"""The columns that a calibration adds to some rows, by name."""
 
-class LogBlock(Protocol):
-    """Some rows of a log.
-
-    Attributes
-    ----------
-    values : mapping of int to ndarray, shape (n,)
-        The number columns that were asked for, by index; NaN where a value is missing.
-    faults : collection of int
-        Rows that could not be parsed and were kept.
-    """
-
-    @property
-    def values(self) -> Mapping[int, Array]: ...
-
-    @property
-    def faults(self) -> Collection[int]: ...
-
-
-AnyLogBlock = TypeVar("AnyLogBlock", bound=LogBlock)
-AnyLogBlock_co = TypeVar("AnyLogBlock_co", bound=LogBlock, covariant=True)
-
-
-class Log(Protocol[AnyLogBlock_co]):
-    """A recorded log, read once from its beginning to its end.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The columns.
-    header_line : int or None
-        Where they are named; None where the file has no lines.
-    bytes_read : int
-        So far, as far as the format lets tell.
-    """
-
-    @property
-    def names(self) -> tuple[str, ...]: ...
-
-    @property
-    def header_line(self) -> int | None: ...
-
-    @property
-    def bytes_read(self) -> int: ...
-
-    def rows(self, columns: Sequence[int], time: int | None = None) -> Iterator[AnyLogBlock_co]: ...
+Progress = Callable[[int, int | None], None]
+"""Called with the bytes of a log that have been read, and with its size where that is known."""
 
 
 @dataclass(frozen=True)
-class FrameBlock:
-    """Some rows of a log whose columns have types.
+class LogBlock:
+    """Some rows of a log, in order.
 
     Attributes
     ----------
-    frame : polars.DataFrame
-        All columns, as they are.
     values : mapping of int to ndarray, shape (n,)
+        The number columns that were asked for, by index; NaN where a value is missing, and in every column of a row
+        that could not be parsed.
     faults : collection of int
+        Rows that could not be parsed and were kept.
+    frame : polars.DataFrame or None
+        All columns with their types, where the format has types or they were asked for.
     """
 
-    frame: pl.DataFrame
     values: Mapping[int, Array]
-    faults: Collection[int] = field(default=())
+    faults: Collection[int] = ()
+    frame: pl.DataFrame | None = None
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(next(iter(self.values.values())))
+
+    def readings(self, columns: Sequence[int]) -> Array:
+        """Return some columns side by side, shape (n, columns), each of them contiguous."""
+        return np.stack([self.values[index] for index in columns]).T
 
 
-class TypedLog(Log[FrameBlock], Protocol):
-    """A log whose columns have types."""
+@dataclass(frozen=True)
+class LogSource:
+    """Where a log is read from.
 
-    def schema(self) -> Mapping[str, pl.DataType]: ...
+    Attributes
+    ----------
+    stream : BinaryIO
+        The file, open, or standard input.
+    path : str
+        The file, or ``-``.
+    name : str
+        The log as the user named it, for messages.
+    size : int or None
+        Bytes, where that is known.
+    """
+
+    stream: BinaryIO
+    path: str
+    name: str
+    size: int | None = None
+
+
+class LogReader(ABC):
+    """A recorded log, read once from its beginning to its end.
+
+    Parameters
+    ----------
+    source : LogSource
+    skip_bad_rows : bool
+        Keep rows that cannot be parsed, named in :attr:`LogBlock.faults`, instead of raising; CSV alone has such rows.
+    digest : bool
+        Keep the checksum of what is read, for :attr:`sha256`.
+    progress : callable, optional
+        Called after each block.
+
+    Attributes
+    ----------
+    source : LogSource
+    names : tuple of str
+        The columns.
+    header_line : int or None
+        The line that names them; None where the file has no lines.
+    notes : mapping of str to str
+        What the file states about itself.
+    bytes_read : int
+        Bytes read so far, as far as the format shows it.
+    """
+
+    names: tuple[str, ...]
+    header_line: int | None = None
+
+    def __init__(
+        self,
+        source: LogSource,
+        *,
+        skip_bad_rows: bool = False,
+        digest: bool = False,
+        progress: Progress | None = None,
+    ) -> None:
+        self.source = source
+        self.notes: Mapping[str, str] = {}
+        self.bytes_read = 0
+        self._skip_bad_rows = skip_bad_rows
+        self._digest = digest
+        self._progress = progress
+
+    @property
+    def name(self) -> str:
+        """The log as the user named it, for messages."""
+        return self.source.name
+
+    @property
+    def sha256(self) -> str:
+        """The checksum of the log, hexadecimal; of a stream, of what was read of it."""
+        return sha256_of(self.source.path)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C has ended a live stream."""
+        return False
+
+    def rows(self, columns: Sequence[int], time: int | None = None, *, frames: bool = False) -> Iterator[LogBlock]:
+        """Yield the rows, block after block.
+
+        Parameters
+        ----------
+        columns : sequence of int
+            Indices of the columns that hold needed numbers.
+        time : int, optional
+            The one of them that may hold moments, which become seconds.
+        frames : bool
+            Give each block all columns with their types.
+
+        Raises
+        ------
+        InputError
+            A row cannot be parsed, a needed column holds no numbers, or the file is damaged; once the iterator comes
+            to it.
+        """
+        for block in self._blocks(tuple(columns), time, frames):
+            yield block
+            if self._progress is not None:
+                self._progress(self.bytes_read, self.source.size)
+
+    @abstractmethod
+    def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]: ...
+
+    def unit(self, column: int) -> str | None:
+        """Return the unit of a column; None where the log does not state it."""
+        return None
+
+    def close(self) -> None:  # noqa: B027
+        """Let go of what the format's library holds open; nothing where it holds nothing."""
+
+
+class LogWriter(ABC):
+    """The rows of a log on their way out, with columns behind their own.
+
+    Parameters
+    ----------
+    sink : BinaryIO
+        Where they go; it can be read as well, but for standard output.
+    log : LogReader
+        Where the rows come from.
+    added : sequence of str
+        Names of the columns behind the log's own.
+    origin : mapping of str to str
+        What the added columns were made with: ``software``, ``calibration``, ...
+
+    Attributes
+    ----------
+    frames : bool
+        Whether the blocks must have their columns with types.
+    """
+
+    frames: ClassVar[bool] = False
+
+    def __init__(
+        self, sink: BinaryIO, log: LogReader, added: Sequence[str] = (), origin: Mapping[str, str] | None = None
+    ) -> None:
+        self._sink = sink
+        self._log = log
+        self._added = tuple(added)
+        self._origin = dict(origin or {})
+
+    @abstractmethod
+    def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
+        """Write one row for each row of the blocks.
+
+        Parameters
+        ----------
+        blocks : iterable of (LogBlock, mapping)
+            The log's own blocks, in order, and the columns that belong behind theirs.
+
+        Raises
+        ------
+        UsageError
+            The format has no place for what a column holds.
+        OSError
+            The disk is full.
+        """
+
+
+def require_free(names: Sequence[str], added: Sequence[str]) -> None:
+    """Refuse columns of a name that the log has already.
+
+    Raises
+    ------
+    UsageError
+    """
+    taken = [name for name in added if name in names]
+    if taken:
+        raise UsageError(
+            f"the log has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
+        )

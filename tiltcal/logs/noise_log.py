@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,9 +93,6 @@ def characterise_log(
     log: UniformLog,
     channels: Sequence[str],
     sizes: Sequence[int],
-    *,
-    file: str,
-    progress: Callable[[int], None] | None = None,
 ) -> NoiseLog:
     """Characterise the noise of a log, read once from its beginning to its end.
 
@@ -106,10 +103,6 @@ def characterise_log(
         As the log has them.
     sizes : sequence of int
         Sizes of averages that are asked for beside 1, 10, 100, ...
-    file : str
-        The log as the user named it.
-    progress : callable, optional
-        Told how many bytes of the log have been read.
 
     Raises
     ------
@@ -119,10 +112,10 @@ def characterise_log(
         There is too little to say anything.
     """
     found = Characteriser(len(channels), sizes)
-    for samples in log.samples(progress):
+    for samples in log.samples():
         found.add(samples)
     for place, channel in enumerate(channels):
-        _require_noise(found, place, channel, file)
+        _require_noise(found, place, channel, log.name)
     pace = log.pace
     noises = {channel: found.channel(place, pace.interval) for place, channel in enumerate(channels)}
     missing = {channel: pace.rows - count for channel, count in zip(channels, found.counts, strict=True)}

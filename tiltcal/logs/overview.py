@@ -2,87 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from tiltcal.core.compensation import MISSING, NOT_A_NUMBER, Compensation
+from tiltcal.core.compensation import MISSING, NOT_A_NUMBER
 from tiltcal.core.model import Array
 from tiltcal.core.overview import ColumnStatistics
-from tiltcal.logs.columns import TEMPERATURE
-from tiltcal.logs.csv_log import CsvLog
-from tiltcal.logs.csv_rows import CsvBlock
+from tiltcal.logs.apply import CompensatedLog
+from tiltcal.logs.log import LogReader
 
 FLAG, REASON = "flag", "reason"
-
 
 _ABSENT = {FLAG: MISSING, REASON: NOT_A_NUMBER}
 
 
-def is_compensated(log: CsvLog, compensation: Compensation) -> bool:
-    """Whether a log has the columns that the compensation would add."""
-    return set(compensation.angles) | {FLAG, REASON} <= set(log.names)
+def is_compensated(log: LogReader, angles: Sequence[str]) -> bool:
+    """Return whether a log has the columns that a calibration would add."""
+    return {*angles, FLAG, REASON} <= set(log.names)
 
 
-def look_over(
-    log: CsvLog,
-    compensation: Compensation,
-    channels: Sequence[str],
-    columns: Mapping[str, int],
-    *,
-    time: int | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> ColumnStatistics:
+def look_over(log: CompensatedLog, angles: Sequence[str], time: int | None = None) -> ColumnStatistics:
     """Compensate a raw log, and keep what a report shows of it.
 
     Parameters
     ----------
-    log : CsvLog
-    compensation : Compensation
-    channels : sequence of str
-        The readings, in the order of the calibration.
-    columns : mapping of str to int
-        Where each channel and, if there is one, the temperature stands in the log.
+    log : CompensatedLog
+    angles : sequence of str
+        The columns that are angles.
     time : int, optional
         Where the time stands, in seconds or ISO 8601; rows are counted where there is none.
-    progress : callable, optional
-        Told how many bytes of the log have been read.
 
     Raises
     ------
     InputError
-        See :class:`CsvLog`.
+        A row cannot be parsed, or the log is damaged.
     """
-    overview = ColumnStatistics(compensation.angles)
-    for rows, clock in _timed(log, columns.values(), time, overview):
-        readings = np.stack([rows.values[columns[channel]] for channel in channels]).T
-        readings[list(rows.faults)] = np.nan
-        found = compensation(readings, rows.values[columns[TEMPERATURE]] if TEMPERATURE in columns else None)
-        table = compensation.table(found)
-        overview.add(clock, np.stack([table[angle] for angle in overview.angles], axis=1), found.flag, found.reason)
-        if progress is not None:
-            progress(log.bytes_read)
+    overview = ColumnStatistics(angles)
+    for block, table in log.blocks(time):
+        shown = np.stack([np.asarray(table[angle], float) for angle in angles], axis=1)
+        flag, reason = (np.asarray(table[name], np.uint8) for name in (FLAG, REASON))
+        overview.add(_clock(overview, len(flag), None if time is None else block.values[time]), shown, flag, reason)
     return overview
 
 
-def look_over_compensated(
-    log: CsvLog, compensation: Compensation, *, time: int | None = None, progress: Callable[[int], None] | None = None
-) -> ColumnStatistics:
-    """Keep what a report shows of a log that was compensated before; see :func:`is_compensated`.
-
-    Raises
-    ------
-    InputError
-        See :class:`CsvLog`.
-    """
-    overview = ColumnStatistics(compensation.angles)
-    where = {name: log.names.index(name) for name in (*overview.angles, FLAG, REASON)}
-    for rows, clock in _timed(log, where.values(), time, overview):
-        angles = np.stack([rows.values[where[angle]] for angle in overview.angles], axis=1)
-        flag, reason = (_small(rows.values[where[name]], absent) for name, absent in _ABSENT.items())
-        overview.add(clock, angles, flag, reason)
-        if progress is not None:
-            progress(log.bytes_read)
+def look_over_compensated(log: LogReader, angles: Sequence[str], time: int | None = None) -> ColumnStatistics:
+    """Keep what a report shows of a log that was compensated before; see :func:`is_compensated`."""
+    overview = ColumnStatistics(angles)
+    where = {name: log.names.index(name) for name in (*angles, FLAG, REASON)}
+    for block in log.rows(sorted({*where.values(), *(() if time is None else (time,))}), time):
+        shown = np.stack([block.values[where[angle]] for angle in angles], axis=1)
+        flag, reason = (_small(block.values[where[name]], absent) for name, absent in _ABSENT.items())
+        overview.add(_clock(overview, len(flag), None if time is None else block.values[time]), shown, flag, reason)
     return overview
 
 
@@ -92,11 +63,6 @@ def _small(column: Array, absent: int) -> np.ndarray[tuple[int], np.dtype[np.uin
     return np.where(fits, column, absent).astype(np.uint8)
 
 
-def _timed(
-    log: CsvLog, columns: Iterable[int], time: int | None, overview: ColumnStatistics
-) -> Iterator[tuple[CsvBlock, Array]]:
-    """The log's rows with their time, or their number from 0 where the log has none."""
-    wanted = {*columns, *(() if time is None else (time,))}
-    for rows in log.rows(sorted(wanted), time):
-        counted = overview.rows + np.arange(float(len(rows.lines)))
-        yield rows, counted if time is None else rows.values[time]
+def _clock(overview: ColumnStatistics, rows: int, times: Array | None) -> Array:
+    """The times of some rows, or their numbers from 0 where the log has none."""
+    return overview.rows + np.arange(float(rows)) if times is None else times

@@ -14,7 +14,7 @@ from tiltcal.core.pair.encoder import AngleTracker
 from tiltcal.core.pair.spin import Spin, estimate_spin, followed_spin
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.logs.columns import TIME, locate_columns
-from tiltcal.logs.log import Log, LogBlock
+from tiltcal.logs.log import LogReader
 from tiltcal.logs.pair_block import PairBlock
 from tiltcal.logs.stuck_values import StuckValues
 
@@ -60,36 +60,30 @@ class Demodulated:
 
 
 def demodulate_log(
-    log: Log[LogBlock],
+    log: LogReader,
     channels: Sequence[str],
     phase: str | None,
     *,
-    file: str,
-    witness: Sequence[Callable[[PairBlock], None]] = (),
+    observers: Sequence[Callable[[PairBlock], None]] = (),
     say: Callable[[str], None] = lambda line: None,
     live: bool = False,
-    progress: Callable[[int], None] | None = None,
 ) -> Demodulated:
     """Demodulate the readings of a log, read once from its beginning to its end.
 
     Parameters
     ----------
-    log : Log
+    log : LogReader
     channels : sequence of str
         The columns of the readings.
     phase : str or None
         The column of the stage angle in degrees; None where there is no encoder and the spin is to be estimated, from
         the column ``time`` or, without one, from the number of the row.
-    file : str
-        The log as the user named it.
-    witness : sequence of callable
+    observers : sequence of callable
         Shown every stretch as it is read, rows with missing values and all; stuck ones are among them.
     say : callable
         Told which channel is stuck, and from which row on.
     live : bool
-        The log is taken for a stream: a stage that turns too little, or backwards, is left to the witnesses.
-    progress : callable, optional
-        Told how many bytes of the log have been read.
+        The log is taken for a stream: a stage that turns too little, or backwards, is left to the observers.
 
     Raises
     ------
@@ -100,17 +94,15 @@ def demodulate_log(
     """
     stage, demodulator, tally = AngleTracker(), Demodulator(channels), _Tally(len(channels))
     angles = _Angles(phase)
-    rows = tally.counted(angles.told(_stretches(log, channels, phase, file)))
+    rows = tally.counted(angles.told(_stretches(log, channels, phase)))
     for stretch in StuckValues(channels, say).cleaned(rows):
         theta, readings, numbers = stretch.complete()
         demodulator.add(stage.follow(theta), readings, numbers)
-        for look in witness:
-            look(stretch)
-        if progress is not None:
-            progress(log.bytes_read)
+        for observe in observers:
+            observe(stretch)
     for name, present in zip((*channels, str(phase)), tally.present.tolist(), strict=True):
         if not present:
-            raise InputError(f"column {name!r} has no value in any row: is {name} connected?", file=file)
+            raise InputError(f"column {name!r} has no value in any row: is {name} connected?", file=log.name)
     if not live or not stage.moved:
         stage.require_turns()
     missing = tally.rows - stage.rows
@@ -168,9 +160,9 @@ class _Angles:
             yield PairBlock(self.spin.theta(_clock(stretch)), stretch.readings, stretch.time, stretch.first)
 
 
-def _stretches(log: Log[LogBlock], channels: Sequence[str], phase: str | None, file: str) -> Iterator[PairBlock]:
+def _stretches(log: LogReader, channels: Sequence[str], phase: str | None) -> Iterator[PairBlock]:
     """The log's rows."""
-    line = log.header_line
+    file, line = log.name, log.header_line
     where = locate_columns(log.names, channels, {}, file=file, line=line, option="--pair or --orthogonal ")
     if phase is not None:
         where |= locate_columns(log.names, (phase,), {}, file=file, line=line, option="--phase ")
@@ -178,7 +170,7 @@ def _stretches(log: Log[LogBlock], channels: Sequence[str], phase: str | None, f
         where[TIME] = log.names.index(TIME)
     first = 0
     for rows in log.rows(sorted(set(where.values())), where.get(TIME)):
-        readings = np.stack([rows.values[where[channel]] for channel in channels], axis=1)
+        readings = rows.readings([where[channel] for channel in channels])
         theta = np.full(len(readings), np.nan) if phase is None else rows.values[where[phase]]
         yield PairBlock(theta, readings, rows.values[where[TIME]] if TIME in where else None, first)
         first += len(readings)

@@ -1,25 +1,50 @@
-"""From a calibration file to the kernel that applies it: of a tilt sensor, or of pairs of accelerometers."""
+"""From a calibration to the kernel that applies it: of a tilt sensor, or of pairs of accelerometers."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 import tiltcal
-from tiltcal.calibration.calibration import Calibration
-from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
-from tiltcal.core.compensation import Compensation
-from tiltcal.core.pair.compensation import PairCompensation
+from tiltcal.calibration.calibration import Calibration, read
+from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, calibration_of
-from tiltcal.files.document import checked_kind, read_document
-from tiltcal.files.node import Node
-from tiltcal.files.pair import pair_of
 from tiltcal.files.uncertainty import stated_uncertainty
-from tiltcal.logs.apply import Kernel
-from tiltcal.logs.digest import sha256_of
+from tiltcal.logs.log import Table
+from tiltcal.logs.streams import sha256_of
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from tiltcal.calibration.pair_calibration import PairCalibration
+    from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+    from tiltcal.core.compensation import Compensation
+
+
+class Flagged(Protocol):
+    """What a kernel makes of some rows."""
+
+    @property
+    def flag(self) -> NDArray[np.uint8]: ...
+
+    @property
+    def reason(self) -> NDArray[np.uint8]: ...
+
+
+class Kernel(Protocol):
+    """What compensates rows: of a tilt sensor, or of pairs of accelerometers."""
+
+    @property
+    def columns(self) -> tuple[str, ...]: ...
+
+    def __call__(self, readings: Array, temperature: Array | None = None) -> Flagged: ...
+
+    def table(self, result: Any, /) -> Table: ...
 
 
 @dataclass(frozen=True)
@@ -28,8 +53,6 @@ class ApplyOptions:
 
     Attributes
     ----------
-    calibration : Path
-        Its file.
     first_order : bool
         Cross-axis Compensation eq. 6 in place of the whole matrix.
     uncertainty : bool
@@ -38,7 +61,6 @@ class ApplyOptions:
         Standard uncertainty of a reading of the log, in its unit; None for that of a sample at the bench.
     """
 
-    calibration: Path
     first_order: bool = False
     uncertainty: bool = False
     reading_noise: float | None = None
@@ -46,79 +68,112 @@ class ApplyOptions:
 
 @dataclass(frozen=True)
 class PreparedCalibration:
-    """A calibration, ready for the rows of one log: a pair's kernel remembers those that it has seen.
+    """A calibration, ready for the rows of one log: a pair's kernel remembers those that have passed.
 
     Attributes
     ----------
     kernel : Kernel
     channels : tuple of str
         The readings that it takes.
+    unit : str or None
+        Of the readings; None for pairs, whose unit does not matter.
+    angles : tuple of str
+        The added columns that are angles.
     watched : tuple of str
         The columns to be summed up.
     origin : mapping of str to str
-        What a file made with it should say: ``software``, ``calibration``, ``sha256`` and, of a sensor, ``serial``.
+        What a file made with it should state: ``software``; of a file ``calibration`` and ``sha256``; of a sensor
+        ``serial``.
     """
 
     kernel: Kernel
     channels: tuple[str, ...]
+    unit: str | None
+    angles: tuple[str, ...]
     watched: tuple[str, ...]
     origin: Mapping[str, str]
 
-    @property
-    def as_note(self) -> dict[str, str]:
-        """The origin as key-value metadata."""
-        return {"tiltcal": json.dumps(dict(self.origin))}
 
-
-def prepare(wish: ApplyOptions, say: Callable[[str], None] = lambda line: None) -> PreparedCalibration:
-    """Read a calibration file and make it ready.
-
-    Parameters
-    ----------
-    wish : ApplyOptions
-    say : callable
-        Told what had to be taken for granted.
+def prepare_file(
+    path: str | Path, options: ApplyOptions, say: Callable[[str], None] = lambda line: None
+) -> PreparedCalibration:
+    """Read a calibration file, of a sensor or of pairs, and make it ready.
 
     Raises
     ------
     UsageError
-        The file is of pairs, and what is wished is for tilt.
+        The file is of pairs, and the options are for tilt.
     InputError
         Anything in the file is wrong.
     """
-    path = wish.calibration
-    document = read_document(path)
-    kind = document.entries().get("kind")
-    origin = {"software": f"tiltcal {tiltcal.__version__}", "calibration": path.name, "sha256": sha256_of(path)}
-    if kind is not None and kind.names("pair"):
-        return _of_pairs(document, wish, origin)
-    known = calibration_of(checked_kind(document, "tilt"))
-    channels = known.coefficients.channels
-    origin["serial"] = known.sensor.serial
+    path = Path(path)
+    return prepare(read(path), options, say, file=path, origin={"calibration": path.name, "sha256": sha256_of(path)})
+
+
+def prepare(
+    calibration: Calibration | PairCalibration,
+    options: ApplyOptions,
+    say: Callable[[str], None] = lambda line: None,
+    *,
+    file: Path | None = None,
+    origin: Mapping[str, str] | None = None,
+) -> PreparedCalibration:
+    """Make a calibration ready.
+
+    Parameters
+    ----------
+    calibration : Calibration or PairCalibration
+    options : ApplyOptions
+    say : callable
+        Called with each remark about what had to be assumed.
+    file : Path, optional
+        The calibration's file, for messages.
+    origin : mapping of str to str, optional
+        What is known of that file.
+
+    Raises
+    ------
+    UsageError
+        The calibration is of pairs, and the options are for tilt.
+    InputError
+        The calibration cannot be applied.
+    """
+    stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}
+    if not isinstance(calibration, Calibration):
+        return _of_pairs(calibration, options, stated, str(file or "the calibration"))
+    coefficients, sensor = calibration.coefficients, calibration.sensor
+    stated["serial"] = sensor.serial
     try:
-        compensation = Calibration(known).compensation(first_order=wish.first_order)
-        if not wish.uncertainty:
-            return PreparedCalibration(compensation, channels, (), origin)
-        uncertain = _uncertain(known, compensation, wish.reading_noise, say)
+        compensation = calibration.compensation(first_order=options.first_order)
+        if not options.uncertainty:
+            return PreparedCalibration(
+                compensation, coefficients.channels, sensor.unit, compensation.angles, (), stated
+            )
+        uncertain = _uncertain(calibration, compensation, options.reading_noise, say)
     except EstimateError as failure:
-        raise InputError(str(failure), file=path) from failure
-    return PreparedCalibration(uncertain, channels, uncertain.expanded, origin)
+        raise InputError(str(failure), file=file) from failure
+    return PreparedCalibration(
+        uncertain, coefficients.channels, sensor.unit, compensation.angles, uncertain.expanded, stated
+    )
 
 
-def _of_pairs(document: Node, wish: ApplyOptions, origin: Mapping[str, str]) -> PreparedCalibration:
-    for name, given in (("--first-order", wish.first_order), ("--uncertainty", wish.uncertainty)):
+def _of_pairs(
+    calibration: PairCalibration, options: ApplyOptions, origin: Mapping[str, str], file: str
+) -> PreparedCalibration:
+    for name, given in (("--first-order", options.first_order), ("--uncertainty", options.uncertainty)):
         if given:
-            raise UsageError(f"{name} is for tilt calibrations; {wish.calibration} is of pairs, which have no tilt")
-    pairs = pair_of(checked_kind(document, "pair"))
-    matched = PairCompensation(pairs.matchings, pairs.phase)
-    return PreparedCalibration(matched, matched.channels, (), origin)
+            raise UsageError(f"{name} is for tilt calibrations; {file} is of pairs, which have no tilt")
+    matched = calibration.compensation()
+    return PreparedCalibration(matched, matched.channels, None, (), (), origin)
 
 
 def _uncertain(
-    known: CalibrationRecord, compensation: Compensation, reading_noise: float | None, say: Callable[[str], None]
+    calibration: Calibration, compensation: Compensation, reading_noise: float | None, say: Callable[[str], None]
 ) -> CompensationWithUncertainty:
-    """The kernel that tells uncertainties too; says what it has to take for granted."""
-    stated = stated_uncertainty(known.uncertainty, known.coefficients, reading_noise=reading_noise)
+    """Return the kernel that adds uncertainties; report what it has to assume."""
+    from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+
+    stated = stated_uncertainty(calibration.record.uncertainty, calibration.coefficients, reading_noise=reading_noise)
     for remark in stated.remarks:
         say(f"note: {remark}")
-    return CompensationWithUncertainty(compensation, known.coefficients, stated.doubt)
+    return CompensationWithUncertainty(compensation, calibration.coefficients, stated.doubt)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from itertools import groupby
 from math import sqrt
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
 from tiltcal.logs.columns import TEMPERATURE, locate_columns
-from tiltcal.logs.formats import log_of
+from tiltcal.logs.formats import open_log
 from tiltcal.logs.resolution import alike_by_chance, step_of
 
 FEWEST = 2
@@ -41,12 +40,13 @@ class RecordedReadings:
 
     Attributes
     ----------
-    path : Path
+    name : str
+        The log as the user named it.
     columns : mapping of str to ndarray, shape (rows,)
         By role: the channels and, where there is one, the temperature; NaN where a value is missing.
     """
 
-    path: Path
+    name: str
     columns: Mapping[str, Array]
 
     @property
@@ -93,12 +93,12 @@ class StaticInterval:
     where: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_record(path: Path, channels: Sequence[str], named: Mapping[str, str]) -> RecordedReadings:
+def read_record(log: object, channels: Sequence[str], named: Mapping[str, str]) -> RecordedReadings:
     """Read the readings of a log.
 
     Parameters
     ----------
-    path : Path
+    log : str, Path or frame
     channels : sequence of str
     named : mapping of str to str
         Column name by role, from ``--columns``.
@@ -108,15 +108,11 @@ def read_record(path: Path, channels: Sequence[str], named: Mapping[str, str]) -
     InputError
         A column is missing, or a row cannot be parsed.
     """
-    try:
-        with open(path, "rb") as stream:
-            log = log_of(stream, str(path))
-            where = locate_columns(log.names, channels, named, file=str(path), line=log.header_line)
-            blocks = [rows.values for rows in log.rows(sorted(set(where.values())))]
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", file=path) from None
+    with open_log(log) as reader:
+        where = locate_columns(reader.names, channels, named, file=reader.name, line=reader.header_line)
+        blocks = [block.values for block in reader.rows(sorted(set(where.values())))]
     return RecordedReadings(
-        path, {role: np.concatenate([block[index] for block in blocks]) for role, index in where.items()}
+        reader.name, {role: np.concatenate([block[index] for block in blocks]) for role, index in where.items()}
     )
 
 
@@ -315,14 +311,14 @@ def _samples(record: RecordedReadings, role: str, parts: Iterable[Segment]) -> A
 
 def _require_readings(record: RecordedReadings, segment: Segment, channels: Iterable[str], file: str) -> None:
     if segment.end > record.rows:
-        raise _refusal(segment, f"ends at row {segment.end}; {record.path} has {record.rows} rows", file)
+        raise _refusal(segment, f"ends at row {segment.end}; {record.name} has {record.rows} rows", file)
     if segment.end - segment.start < FEWEST:
         raise _refusal(segment, f"has {segment.end - segment.start} row; at least {FEWEST} are needed", file)
     for channel in channels:
         lost = np.flatnonzero(~np.isfinite(record.columns[channel][segment.start : segment.end]))
         if len(lost):
             row = segment.start + int(lost[0])
-            raise _refusal(segment, f"{channel} has no number in row {row} of {record.path}", file)
+            raise _refusal(segment, f"{channel} has no number in row {row} of {record.name}", file)
 
 
 def _refusal(segment: Segment, why: str, file: str) -> InputError:

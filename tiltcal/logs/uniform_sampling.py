@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.columns import TIME, locate_columns
-from tiltcal.logs.csv_log import CsvLog
+from tiltcal.logs.log import LogReader
 
 _LATE = 1.5
 """Intervals after which the next row is late by so much that rows must be missing between."""
@@ -52,7 +52,7 @@ class UniformLog:
 
     Parameters
     ----------
-    log : CsvLog
+    log : LogReader
     channels : sequence of str
         The readings.
     named : mapping of str to str
@@ -60,8 +60,6 @@ class UniformLog:
     rate : float or None
         Rows per second, of a log whose time is not to be asked; None where the column of the time says it, as seconds
         or as ISO 8601.
-    file : str
-        The log as the user named it.
 
     Attributes
     ----------
@@ -74,11 +72,9 @@ class UniformLog:
         A column is not there, or nothing says how fast the rows follow each other.
     """
 
-    def __init__(
-        self, log: CsvLog, channels: Sequence[str], named: Mapping[str, str], rate: float | None, *, file: str
-    ) -> None:
-        self._log, self._channels, self._file = log, channels, file
-        self._where = locate_columns(log.names, channels, named, file=file)
+    def __init__(self, log: LogReader, channels: Sequence[str], named: Mapping[str, str], rate: float | None) -> None:
+        self._log, self._channels, self._file = log, channels, log.name
+        self._where = locate_columns(log.names, channels, named, file=log.name, line=log.header_line)
         self._time: int | None = None
         self.pace = SamplingInterval(0.0 if rate is None else 1.0 / rate)
         if rate is None:
@@ -87,21 +83,21 @@ class UniformLog:
                 raise InputError(
                     "nothing says how fast its rows were taken: there is no column 'time'; name it with --columns "
                     "time=NAME, or say --rate HZ",
-                    file=file,
-                    line=1,
+                    file=log.name,
+                    line=log.header_line,
                 )
             self._time = log.names.index(name)
         self._last = np.nan
         self._slack = 0.0
         self._regular, self._regular_span = 0, 0.0
 
-    def samples(self, progress: Callable[[int], None] | None = None) -> Iterator[Array]:
-        """The readings, block after block.
+    @property
+    def name(self) -> str:
+        """The log as the user named it."""
+        return self._log.name
 
-        Parameters
-        ----------
-        progress : callable, optional
-            Told how many bytes of the log have been read.
+    def samples(self) -> Iterator[Array]:
+        """Yield the readings, block after block.
 
         Yields
         ------
@@ -117,16 +113,13 @@ class UniformLog:
         if self._time is not None:
             columns.add(self._time)
         for rows in self._log.rows(sorted(columns), self._time):
-            readings = np.stack([rows.values[self._where[channel]] for channel in self._channels], axis=1)
-            readings[list(rows.faults)] = np.nan
+            readings = rows.readings([self._where[channel] for channel in self._channels])
             if self._time is None:
                 yield readings
             else:
                 yield from self._spaced(readings, rows.values[self._time])
             self.pace.rows += len(readings)
             self.pace.faulty += len(rows.faults)
-            if progress is not None:
-                progress(self._log.bytes_read)
         if self._time is not None:
             if self._regular == 0:
                 raise self._unclear("it has no two rows with a time")

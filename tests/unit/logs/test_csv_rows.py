@@ -15,14 +15,15 @@ from hypothesis import strategies as st
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
-from tiltcal.logs.csv_log import CsvLog
-from tiltcal.logs.csv_rows import parse_rows
+from tiltcal.logs.formats.csv import CsvReader
+from tiltcal.logs.formats.csv_rows import parse_rows
+from tiltcal.logs.log import LogSource
 
 NAMES = ("time", "x", "y")
 
 
-def log(content: bytes, *, skip: bool = False, block: int = 1 << 20) -> CsvLog:
-    return CsvLog(io.BytesIO(content), name="night.csv", skip_bad_rows=skip, block=block)
+def log(content: bytes, *, skip: bool = False, block: int = 1 << 20) -> CsvReader:
+    return CsvReader(LogSource(io.BytesIO(content), "night.csv", "night.csv"), skip_bad_rows=skip, block=block)
 
 
 def column(content: bytes, name: str = "x", *, skip: bool = False, block: int = 1 << 20) -> list[float]:
@@ -180,10 +181,10 @@ class TestSkippedRows:
     def test_what_does_not_end_is_refused_before_it_fills_the_memory(
         self, content: bytes, line: int, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("tiltcal.logs.csv_log._LONGEST_ROW", 100)
+        monkeypatch.setattr("tiltcal.logs.formats.csv._LONGEST_ROW", 100)
         stream = io.BytesIO(content)
         with pytest.raises(InputError, match="does not end") as raised:
-            list(CsvLog(stream, name="night.csv", skip_bad_rows=True, block=20).rows([1]))
+            list(CsvReader(LogSource(stream, "night.csv", "night.csv"), skip_bad_rows=True, block=20).rows([1]))
         assert raised.value.line == line
         assert stream.tell() < 200
 

@@ -7,8 +7,9 @@ from typing import BinaryIO, cast
 import polars as pl
 import pytest
 
-from tiltcal.logs.csv_log import CsvLog
-from tiltcal.logs.times import seconds
+from tiltcal.logs.cells import seconds
+from tiltcal.logs.formats.csv import CsvReader
+from tiltcal.logs.log import LogSource
 
 
 class StillWritten:
@@ -29,7 +30,7 @@ class StillWritten:
     ids=["with its header", "behind its header", "no header", "blanks", "in pieces"],
 )
 def test_a_row_is_read_when_its_line_ends(arrivals: tuple[bytes, ...]) -> None:
-    log = CsvLog(cast("BinaryIO", StillWritten(*arrivals)), name="log")
+    log = CsvReader(LogSource(cast("BinaryIO", StillWritten(*arrivals)), "log", "log"))
     assert next(log.rows([0, 1])).values[1].tolist() == [2.0]
 
 

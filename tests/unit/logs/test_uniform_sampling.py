@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from tiltcal.errors import InputError
-from tiltcal.logs.csv_log import CsvLog
+from tiltcal.logs.formats.csv import CsvReader
+from tiltcal.logs.log import LogSource
 from tiltcal.logs.uniform_sampling import SamplingInterval, UniformLog
 
 
@@ -16,8 +17,8 @@ def paced(
     text: str, rate: float | None = None, block: int = 1 << 20, *, skip_bad_rows: bool = False
 ) -> tuple[SamplingInterval, list[float]]:
     """The pace of a log with a column x, and its samples."""
-    log = CsvLog(BytesIO(text.encode()), name="log.csv", skip_bad_rows=skip_bad_rows, block=block)
-    rows = UniformLog(log, ["x"], {}, rate, file="log.csv")
+    log = CsvReader(LogSource(BytesIO(text.encode()), "log.csv", "log.csv"), skip_bad_rows=skip_bad_rows, block=block)
+    rows = UniformLog(log, ["x"], {}, rate)
     samples = [float(value) for part in rows.samples() for value in part[:, 0]]
     return rows.pace, samples
 

@@ -375,7 +375,7 @@ class TestCommand:
             (["nothing.yaml"], "nothing.yaml"),
             (["plane.yaml", "free.yaml"], "not two calibrations of one sensor"),
             (["twins/mavs.yaml"], "kind"),
-            (["plane.yaml", "log.csv", "night.parquet"], "logs are CSV for now"),
+            (["plane.yaml", "night.parquet"], "cannot read"),
             (["plane.yaml", "log.csv"], "no column 'y'"),
         ],
     )

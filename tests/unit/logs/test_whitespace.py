@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 
 from tiltcal.errors import InputError
 from tiltcal.logs.columns import locate_columns
-from tiltcal.logs.csv_log import CsvLog
-from tiltcal.logs.whitespace_separated import WhitespaceSeparated, blank_separated_names, numbered_columns
+from tiltcal.logs.formats.csv import CsvReader
+from tiltcal.logs.formats.whitespace import WhitespaceSeparated, blank_separated_names, numbered_columns
+from tiltcal.logs.log import LogSource
 
 
 def table(content: bytes, block: int = 1 << 20, skip_bad_rows: bool = False) -> list[tuple[float, ...]]:
     """All numbers of a log, row by row."""
-    log = CsvLog(BytesIO(content), name="log.txt", block=block, skip_bad_rows=skip_bad_rows)
+    log = CsvReader(LogSource(BytesIO(content), "log.txt", "log.txt"), block=block, skip_bad_rows=skip_bad_rows)
     every = range(len(log.names))
     return [row for rows in log.rows(every) for row in zip(*(rows.values[k].tolist() for k in every), strict=True)]
 
@@ -107,7 +108,7 @@ def test_bad_rows_can_be_kept() -> None:
     ],
 )
 def test_names_may_be_parted_by_blanks_too(content: bytes, block: int) -> None:
-    log = CsvLog(BytesIO(content), name="log.txt", block=block)
+    log = CsvReader(LogSource(BytesIO(content), "log.txt", "log.txt"), block=block)
     assert log.names == ("time", "x")
     assert log.header == b"time,x"
     values = np.concatenate([np.stack([rows.values[0], rows.values[1]], axis=1) for rows in log.rows([0, 1])])
@@ -131,7 +132,7 @@ def test_blanks_within_a_name_part_nothing(first: str, second: str) -> None:
 
 def test_a_name_that_is_there_twice_is_refused_however_names_are_parted() -> None:
     with pytest.raises(InputError, match="names column 'x' twice"):
-        CsvLog(BytesIO(b"x x\n1 2\n"), name="log.txt")
+        CsvReader(LogSource(BytesIO(b"x x\n1 2\n"), "log.txt", "log.txt"))
 
 
 def test_columns_are_told_by_number() -> None:

@@ -1,19 +1,26 @@
-"""The CSV door: a recorded log, read block by block so that its size does not matter.
+"""CSV: a log read block by block so that its size does not matter, and written with columns behind its own.
 
-The first line names the columns, every other line is a row (:mod:`tiltcal.logs.csv_rows` says what that is). Where the
+The first line names the columns, every other line is a row (:mod:`tiltcal.logs.formats.csv_rows` defines it). Where the
 first line holds numbers alone it is a row, and the columns are called by number; fields may be parted by blanks
-(:mod:`tiltcal.logs.whitespace_separated`). Empty lines at the very end of the file are nothing.
+(:mod:`tiltcal.logs.formats.whitespace`). Empty lines at the very end of the file are nothing.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
-from typing import BinaryIO
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, cast
 
-from tiltcal.errors import InputError
-from tiltcal.logs.csv_rows import CsvBlock, parse_rows
-from tiltcal.logs.whitespace_separated import WhitespaceSeparated, blank_separated_names, numbered_columns
+from tiltcal.errors import InputError, UsageError
+from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
+from tiltcal.logs.formats.whitespace import WhitespaceSeparated, blank_separated_names, numbered_columns
+from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
+from tiltcal.logs.streams import ByteReader, HashingReader
+
+if TYPE_CHECKING:
+    import polars as pl
 
 _BLOCK = 4 << 20
 _LONGEST_ROW = 16 << 20
@@ -21,17 +28,18 @@ _UTF8_BOM = b"\xef\xbb\xbf"
 _UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
 
 
-class CsvLog:
-    """A log in CSV, read once from its beginning to its end.
+class CsvReader(LogReader):
+    """A log in CSV.
 
     Parameters
     ----------
-    stream : BinaryIO
-        A file or standard input.
-    name : str
-        The log as the user named it, for messages.
+    source : LogSource
     skip_bad_rows : bool
-        Keep rows that cannot be parsed, named in :attr:`Rows.faults`, instead of raising.
+        Keep rows that cannot be parsed, named in :attr:`LogBlock.faults`, instead of raising.
+    digest : bool
+        Keep the checksum of what is read.
+    progress : callable, optional
+        Called after each block.
     block : int
         How much to read at a time, bytes.
 
@@ -40,14 +48,8 @@ class CsvLog:
     header : bytes
         The first line as it stands, byte-order mark and all, without its line end; the columns, parted by commas, in a
         log without a header or parted by blanks.
-    names : tuple of str
-        The columns.
-    header_line : int
-        Where they are named: the first.
     line_end : str
         LF or CRLF, as the first line has it.
-    bytes_read : int
-        So far.
 
     Raises
     ------
@@ -57,13 +59,20 @@ class CsvLog:
 
     header_line = 1
 
-    def __init__(self, stream: BinaryIO, *, name: str, skip_bad_rows: bool = False, block: int = _BLOCK) -> None:
-        self._stream: BinaryIO | WhitespaceSeparated = stream
-        self._name = name
-        self._skip_bad_rows = skip_bad_rows
+    def __init__(
+        self,
+        source: LogSource,
+        *,
+        skip_bad_rows: bool = False,
+        digest: bool = False,
+        progress: Progress | None = None,
+        block: int = _BLOCK,
+    ) -> None:
+        super().__init__(source, skip_bad_rows=skip_bad_rows, digest=digest, progress=progress)
+        stream: ByteReader = HashingReader(source.stream) if digest else source.stream
+        self._stream = self._source_stream = stream
         self._block = block
         self._line = 1
-        self.bytes_read = 0
         first, self._pending = self._first_line()
         self._line = 2
         self.line_end = "\r\n" if first.endswith(b"\r\n") else "\n"
@@ -80,29 +89,29 @@ class CsvLog:
         if names is not None:
             self._begin_behind_blanks(stream)
 
-    def rows(self, columns: Sequence[int], time: int | None = None, texts: Sequence[int] = ()) -> Iterator[CsvBlock]:
-        """The rows, block after block.
+    @property
+    def sha256(self) -> str:
+        stream = self._source_stream
+        return stream.sha256 if isinstance(stream, HashingReader) else super().sha256
 
-        Parameters
-        ----------
-        columns : sequence of int
-            Indices of the columns that hold needed numbers.
-        time : int, optional
-            Of them, the one that may hold moments in ISO 8601, which become seconds.
-        texts : sequence of int
-            Indices of other columns that are wanted as text.
+    @property
+    def interrupted(self) -> bool:
+        return bool(getattr(self.source.stream, "interrupted", False))
 
-        Yields
-        ------
-        CsvBlock
+    def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
+        if not frames:
+            yield from self._parsed(columns, time)
+            return
+        from tiltcal.logs.formats.csv_types import ColumnTypes
 
-        Raises
-        ------
-        InputError
-            There is no row, or a row cannot be parsed; the message names file and line, and what was found there.
-        """
+        types = ColumnTypes(self.names, columns, time, file=self.name)
+        for block in self._parsed(columns, time, types.others):
+            yield types.typed(block)
+
+    def _parsed(self, columns: Sequence[int], time: int | None, texts: Sequence[int] = ()) -> Iterator[CsvBlock]:
+        """The rows, block after block, and with them the text of some other columns."""
         empty = True
-        for data, ended, unended in self._blocks():
+        for data, ended, unended in self._lines():
             rows = parse_rows(data, self.names, columns, time=time, texts=texts, unended=unended)
             if rows.faults and not self._skip_bad_rows:
                 row = min(rows.faults)
@@ -117,7 +126,7 @@ class CsvLog:
         if empty:
             raise self._error("the log has a header and no rows", self._line)
 
-    def _blocks(self) -> Iterator[tuple[bytes, bool, bool]]:
+    def _lines(self) -> Iterator[tuple[bytes, bool, bool]]:
         """Whole lines; whether they are the last; whether the very last had no end."""
         ended = False
         # A stream may have brought rows along with its header, and nothing more for a while.
@@ -151,7 +160,7 @@ class CsvLog:
             self._refuse_endless(data)
         first, end, rest = data.partition(b"\n")
         if not data.removeprefix(_UTF8_BOM).strip():
-            raise InputError("the log is empty", file=self._name)
+            raise InputError("the log is empty", file=self.name)
         return first + end, rest
 
     def _refuse_what_is_no_text(self) -> None:
@@ -176,7 +185,7 @@ class CsvLog:
             seen.add(name)
         return names
 
-    def _begin_without_header(self, first: bytes, stream: BinaryIO) -> None:
+    def _begin_without_header(self, first: bytes, stream: ByteReader) -> None:
         """Take the first line for the first row."""
         self.header = ",".join(self.names).encode()
         self._line = 1
@@ -193,7 +202,7 @@ class CsvLog:
             self._refuse_endless(self._pending)
         return _text(self._pending.partition(b"\n")[0])
 
-    def _begin_behind_blanks(self, stream: BinaryIO) -> None:
+    def _begin_behind_blanks(self, stream: ByteReader) -> None:
         """Take all lines below the header for rows that are parted by blanks."""
         self.header = ",".join(self.names).encode()
         self._stream, self._pending = WhitespaceSeparated(self._pending, stream), b""
@@ -205,7 +214,7 @@ class CsvLog:
             raise self._error(f"the row does not end within {_LONGEST_ROW >> 20} MB: is this a CSV log?", line)
 
     def _error(self, message: str, line: int) -> InputError:
-        return InputError(message, file=self._name, line=line)
+        return InputError(message, file=self.name, line=line)
 
 
 def _end_of_content(data: bytes) -> int:
@@ -219,3 +228,80 @@ def _text(data: bytes) -> str:
         return data.decode()
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+class CsvWriter(LogWriter):
+    """Writes the rows of a CSV log as they stand, byte for byte, with columns behind their own.
+
+    The rows of a log whose columns have types become text: numbers with the digits that bring them back, moments in
+    ISO 8601, missing values as nothing.
+    """
+
+    def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
+        """Write each block while the next is read and compensated; a single thread keeps the order."""
+        verbatim = isinstance(self._log, CsvReader)
+        header, text = (self._header(), self._as_it_stands) if verbatim else (b"", self._in_words)
+        with ThreadPoolExecutor(max_workers=1) as thread:
+            written: Future[object] | None = None
+            for block, table in blocks:
+                if written is not None:
+                    written.result()
+                else:
+                    self._sink.write(header or self._header_of(block))
+                written = thread.submit(lambda *rows: self._sink.write(text(*rows).getbuffer()), block, table)
+            if written is not None:
+                written.result()
+
+    def _header(self) -> bytes:
+        log = cast("CsvReader", self._log)
+        return log.header + "".join(f",{name}" for name in self._added).encode() + log.line_end.encode()
+
+    def _as_it_stands(self, block: LogBlock, table: Table) -> BytesIO:
+        import polars as pl
+
+        rows, line_end = cast("CsvBlock", block), cast("CsvReader", self._log).line_end
+        text = _csv(pl.DataFrame({"": rows.lines, **table}), quote_style="never", line_terminator=line_end)
+        return text if rows.encoding == "utf-8" else BytesIO(text.getvalue().decode().encode(rows.encoding))
+
+    def _header_of(self, block: LogBlock) -> bytes:
+        import polars as pl
+
+        for column in _frame(block):
+            if column.dtype.is_nested() or column.dtype in (pl.Binary, pl.Object):
+                raise UsageError(
+                    f"column {column.name!r} holds {column.dtype}, which CSV has no place for: write Parquet instead"
+                )
+        return _csv(pl.DataFrame(schema=[*self._log.names, *self._added]), include_header=True).getvalue()
+
+    def _in_words(self, block: LogBlock, table: Table) -> BytesIO:
+        import polars as pl
+
+        frame = _frame(block)
+        added = {name: pl.Series(name, column) for name, column in table.items()}
+        return _csv(frame.with_columns(*map(_words, frame)).with_columns(**added))
+
+
+def _frame(block: LogBlock) -> pl.DataFrame:
+    if block.frame is None:
+        raise TypeError("a block without its columns cannot be written as CSV")
+    return block.frame
+
+
+def _csv(frame: pl.DataFrame, *, include_header: bool = False, **options: Any) -> BytesIO:
+    text = BytesIO()
+    frame.write_csv(text, include_header=include_header, **options)
+    return text
+
+
+def _words(column: pl.Series) -> pl.Series:
+    """A column as its cells are to be written, where the engine has no way, or a way of its own."""
+    import polars as pl
+
+    kind = column.dtype
+    if isinstance(kind, pl.Duration):
+        return column.dt.to_string("iso")
+    if not isinstance(kind, pl.Datetime):
+        return column
+    if kind.time_zone is None:
+        return column.dt.to_string("%Y-%m-%dT%H:%M:%S%.f")
+    return column.dt.convert_time_zone("UTC").dt.to_string("%Y-%m-%dT%H:%M:%S%.fZ")

@@ -11,9 +11,9 @@ is none of them.
 from __future__ import annotations
 
 import re
-from typing import BinaryIO
 
 from tiltcal.logs.columns import is_number
+from tiltcal.logs.streams import ByteReader
 
 _LONGEST_LINE = 32 << 20
 """Bytes; what is longer is handed on as it is, to be refused there."""
@@ -58,11 +58,11 @@ class WhitespaceSeparated:
     ----------
     beginning : bytes
         What was read of the log already.
-    stream : BinaryIO
+    stream : ByteReader
         The rest of it.
     """
 
-    def __init__(self, beginning: bytes, stream: BinaryIO) -> None:
+    def __init__(self, beginning: bytes, stream: ByteReader) -> None:
         self._pending = beginning
         self._stream = stream
 

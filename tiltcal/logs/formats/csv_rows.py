@@ -8,7 +8,7 @@ the grammar is our own, and the same for every row of every file:
 - Lines end in LF or CRLF. A NUL byte, or a bare CR outside quotes, is damage.
 - An empty line is a row that cannot be parsed.
 - A last line that has no end is torn where it is short, or stops inside a number.
-- What is a number says :mod:`tiltcal.logs.cells`, and what is a time :mod:`tiltcal.logs.times`.
+- :mod:`tiltcal.logs.cells` defines what is a number, and what is a time.
 
 Rows that break a rule are kept with the text that they had: missing fields are added empty at the end, surplus fields
 are joined into the last one, in quotes, and a bad row that has quotes already becomes one quoted field.
@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.logs.cells import is_cut, numbers
-from tiltcal.logs.times import seconds
+from tiltcal.logs.cells import is_cut, numbers, seconds
+from tiltcal.logs.log import LogBlock
 
 if TYPE_CHECKING:
     import polars as pl
@@ -38,19 +38,16 @@ _TORN = "the last row is cut short"
 _UNUSED = "\x1f\x1e\x1d\x1c\x01\x02\x03\x04\x05\x06\x0e\x0f\x10\x11\x12\x13\x14\x15\x16\x17"
 
 
-@dataclass(frozen=True)
-class CsvBlock:
-    """Some rows of a log, in order.
+@dataclass(frozen=True, kw_only=True)
+class CsvBlock(LogBlock):
+    """Some rows of a CSV log, in order.
 
     Attributes
     ----------
-    lines : polars.Series of String, length n
-        Each row's text without its line end.
-    values : dict of int to ndarray, shape (n,)
-        The number columns that were asked for, by index in the header; NaN where the value is missing, and in every
-        column of a row that is at fault.
     faults : dict of int to str
         What is wrong, by row.
+    lines : polars.Series of String, length n
+        Each row's text without its line end.
     starts : sequence of int
         On which line of the bytes each row starts, counted from 0.
     line_count : int
@@ -63,9 +60,8 @@ class CsvBlock:
         The text columns that were asked for; null where a cell is empty.
     """
 
+    faults: Mapping[int, str]
     lines: pl.Series
-    values: dict[int, Array]
-    faults: dict[int, str]
     starts: Sequence[int]
     line_count: int
     encoding: str
@@ -128,7 +124,16 @@ def parse_rows(
         column[list(faults)] = np.nan
     if words and faults:
         words = _with_bad_rows(words, series, faults)
-    return CsvBlock(series, values, faults, starts, line_count, encoding, rest.encode(encoding), words)
+    return CsvBlock(
+        values=values,
+        faults=faults,
+        lines=series,
+        starts=starts,
+        line_count=line_count,
+        encoding=encoding,
+        rest=rest.encode(encoding),
+        texts=words,
+    )
 
 
 def _as_utf8(data: bytes) -> tuple[bytes, str]:

@@ -1,0 +1,197 @@
+"""Frames of every kind give what ``tiltcal apply`` writes, to the last bit, and come back as their own kind."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+import xarray
+from support import FIXTURES
+
+from tiltcal.calibration.calibration import Calibration, read
+from tiltcal.errors import InputError, UsageError
+from tiltcal.logs.apply import apply_log
+from tiltcal.logs.formats import open_log
+from tiltcal.logs.frames import apply_frame
+from tiltcal.logs.log import LogBlock
+
+ROWS = 40_000  # more than a chunk of the kernel, and no multiple of one
+CAL = FIXTURES / "mavs.yaml"
+
+
+def log() -> pl.DataFrame:
+    """Readings that meet every flag: clipped, out of range, at the rail, without a temperature, missing."""
+    draw, turn = np.random.default_rng(5), np.linspace(0.0, 30.0, ROWS)
+    x = 1024.0 + 900.0 * np.sin(turn) + draw.normal(0.0, 0.6, ROWS)
+    y = 1024.0 + 710.0 * np.cos(turn / 3.0) + draw.normal(0.0, 0.6, ROWS)
+    temperature = 15.0 + 30.0 * np.sin(turn / 5.0)
+    x[7], y[11], temperature[13], x[17] = np.nan, np.inf, np.nan, 2048.0
+    return pl.DataFrame({"when": [f"row {k}" for k in range(ROWS)], "x": x, "y": y, "T": temperature}).with_columns(
+        pl.col("x", "T").fill_nan(None)
+    )
+
+
+def dataset(frame: pl.DataFrame) -> xarray.Dataset:
+    return xarray.Dataset(
+        {name: ("time", frame[name].to_numpy(), {"units": "count"}) for name in ("x", "y")}
+        | {"T": ("time", frame["T"].to_numpy(), {"units": "degree_Celsius"}), "site": "shed"},
+        coords={"time": np.arange(len(frame))},
+    )
+
+
+KINDS: dict[str, tuple[type, Callable[[pl.DataFrame], Any]]] = {
+    "polars": (pl.DataFrame, lambda frame: frame),
+    "pandas": (pd.DataFrame, lambda frame: frame.to_pandas().set_index(pd.RangeIndex(100, 100 + ROWS))),
+    "pyarrow": (pa.Table, lambda frame: frame.to_arrow()),
+    "xarray": (xarray.Dataset, dataset),
+    "dict": (dict, lambda frame: {name: frame[name].to_numpy() for name in frame.columns}),
+}
+
+
+def array(frame: Any, name: str) -> np.ndarray[Any, Any]:
+    column = frame[name]
+    return np.asarray(column.values if isinstance(column, xarray.DataArray) else column)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
+    folder = tmp_path_factory.mktemp("log")
+    log().write_csv(folder / "log.csv")
+    apply_log(CAL, folder / "log.csv", folder / "out.csv", columns={"temperature": "T"}, uncertainty=True)
+    return pl.read_csv(folder / "out.csv", infer_schema_length=None)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_results_are_those_of_the_command(kind: str, written: pl.DataFrame) -> None:
+    own, made = KINDS[kind]
+    given = made(log())
+    found = apply_frame(read(CAL), given, columns={"temperature": "T"}, uncertainty=True)
+    assert type(found) is own
+    assert set(written["flag"].to_list()) == {1, 3, 4, 9}
+    for name in written.columns[4:]:
+        expected = written[name].fill_null(np.nan).to_numpy()
+        np.testing.assert_array_equal(array(found, name), expected, err_msg=name)
+    assert array(found, "flag").dtype == array(found, "reason").dtype == np.uint8
+    assert "tilt_x" not in given
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_its_own_columns_stay(kind: str) -> None:
+    made = KINDS[kind][1]
+    found = apply_frame(read(CAL), made(log()), columns="temperature=T")
+    given = made(log())
+    for name in ("x", "y", "T"):
+        np.testing.assert_array_equal(array(found, name), array(given, name))
+    if kind == "pandas":
+        assert found.index.tolist() == given.index.tolist()
+    if kind == "xarray":
+        assert found["site"] == "shed"
+        assert found["tilt_x"].attrs["units"] == "degree"
+        assert found["flag"].attrs["standard_name"] == "quality_flag"
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    found = read(CAL)
+    assert isinstance(found, Calibration)
+    return found
+
+
+READINGS: dict[str, list[float]] = {"x": [1024.0, 1100.0], "y": [1024.0, 1000.0]}
+
+
+class TestRefusals:
+    def test_another_unit(self, calibration: Calibration) -> None:
+        with pytest.raises(InputError, match="column 'x' is in V, and the calibration in count"):
+            apply_frame(calibration, READINGS, unit="V")
+        volts = xarray.Dataset({name: ("n", column, {"units": "V"}) for name, column in READINGS.items()})
+        with pytest.raises(InputError, match="column 'x' is in V, and the calibration in count"):
+            apply_frame(calibration, volts)
+
+    @pytest.mark.parametrize("unit", ["count", "counts", "1", "LSB"])
+    def test_another_spelling_of_the_unit_is_none(self, unit: str, calibration: Calibration) -> None:
+        assert apply_frame(calibration, READINGS, unit=unit)["flag"].tolist() == [3, 3]  # no temperature
+
+    def test_a_column_that_is_not_there(self, calibration: Calibration) -> None:
+        with pytest.raises(InputError, match="the frame: there is no column 'VoutX'; the log has x, y"):
+            apply_frame(calibration, READINGS, columns={"x": "VoutX"})
+
+    def test_a_role_that_is_none(self, calibration: Calibration) -> None:
+        with pytest.raises(UsageError, match="there is no role 'X'"):
+            apply_frame(calibration, READINGS, columns={"X": "x"})
+
+    @pytest.mark.parametrize("frame", [{**READINGS, "x": ["a", "b"]}, pl.DataFrame({**READINGS, "x": ["a", "b"]})])
+    def test_text_for_numbers(self, frame: Any, calibration: Calibration) -> None:
+        with pytest.raises(InputError, match=r"column 'x' holds .*, not numbers"):
+            apply_frame(calibration, frame)
+
+    def test_columns_of_different_length(self, calibration: Calibration) -> None:
+        with pytest.raises(InputError, match="differ in length"):
+            apply_frame(calibration, {**READINGS, "x": [1.0]})
+
+    def test_no_rows(self, calibration: Calibration) -> None:
+        with pytest.raises(InputError, match="no rows"):
+            apply_frame(calibration, {"x": [], "y": []})
+
+    def test_a_frame_that_was_compensated(self, calibration: Calibration) -> None:
+        with pytest.raises(UsageError, match="column 'g_x' already"):
+            apply_frame(calibration, apply_frame(calibration, READINGS))
+
+    @pytest.mark.parametrize("frame", [pl.LazyFrame(READINGS), 5, [1.0]])
+    def test_what_is_no_frame(self, frame: Any, calibration: Calibration) -> None:
+        with pytest.raises(UsageError, match="give a polars, pandas or pyarrow frame"):
+            apply_frame(calibration, frame)
+
+
+MOMENTS = ["2026-05-01T12:00:00.5Z", "2026-05-01T12:00:01.75Z"]
+STAMPS = pl.Series(MOMENTS).str.to_datetime(time_zone="UTC", time_unit="us")
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        pl.DataFrame({"time": MOMENTS, "x": [1, 2]}),
+        pl.DataFrame({"time": STAMPS, "x": [1, None]}).fill_null(2),
+        pl.DataFrame({"time": STAMPS, "x": [1, 2]}).to_pandas(),
+        pl.DataFrame({"time": STAMPS, "x": [1, 2]}).to_arrow(),
+        {"time": np.array([text[:-1] for text in MOMENTS], "M8[ms]"), "x": np.array([1, 2])},
+        xarray.Dataset({"x": ("time", [1, 2])}, coords={"time": np.array([text[:-1] for text in MOMENTS], "M8[ns]")}),
+        {"time": [1777636800.5, 1777636801.75], "x": [1.0, 2.0]},
+    ],
+    ids=["text", "polars", "pandas", "pyarrow", "dict", "xarray", "seconds"],
+)
+def test_a_frame_is_read_like_a_log(frame: Any) -> None:
+    """2026-05-01T12:00:00Z is 1777636800 s after 1970 (`date -u -d … +%s`)."""
+    with open_log(frame) as reader:
+        where = [reader.names.index(name) for name in ("time", "x")]
+        (block,) = reader.rows(where, where[0])
+        assert block.values[where[0]].tolist() == [1777636800.5, 1777636801.75]
+        assert block.values[where[1]].tolist() == [1.0, 2.0]
+
+
+def test_csv_files_load_no_frames(tmp_path: Path) -> None:
+    script = (
+        f"import sys\nfrom tiltcal.logs.apply import apply_log\napply_log({str(CAL)!r}, 'log.csv', 'out.csv')\n"
+        "print(*sys.modules)"
+    )
+    import subprocess
+
+    (tmp_path / "log.csv").write_text("x,y\n1024,1024\n")
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "tiltcal.logs.formats.csv" in loaded
+    unwanted = ("tiltcal.core.pair", "tiltcal.files.pair", "tiltcal.drivers", "tiltcal.logs.frames", "narwhals")
+    assert not [name for name in loaded if name.startswith((*unwanted, "tiltcal.logs.formats.netcdf", "xarray"))]
+
+
+def test_a_block_gives_readings_side_by_side() -> None:
+    block = LogBlock({2: np.array([1.0, 2.0]), 0: np.array([3.0, 4.0])})
+    assert block.readings([0, 2]).tolist() == [[3.0, 1.0], [4.0, 2.0]]
+    assert len(block) == 2

@@ -1,0 +1,122 @@
+"""What came out of applying a calibration to a log: rows by flag and reason, and how wide the intervals are."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.compensation import FLAGS, REASONS
+from tiltcal.core.model import Array
+from tiltcal.core.overview import count_flags
+from tiltcal.logs.log import Table
+
+_CODES = 1 << 15
+"""Sign, exponent and the seven leading bits of the mantissa: neighbours are a per cent apart."""
+
+
+class ColumnWidths:
+    """Half widths of intervals, counted by size; NaN is none."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_CODES, np.int64)
+        self._largest = 0.0
+
+    def add(self, widths: Array) -> None:
+        """Count some more."""
+        known = widths[np.isfinite(widths)]
+        if len(known):
+            self._largest = max(self._largest, float(known.max()))
+            self._counts += np.bincount(_codes(known), minlength=_CODES)
+
+    @property
+    def median(self) -> float | None:
+        """To half a per cent; None where there is none."""
+        total = int(self._counts.sum())
+        if not total:
+            return None
+        code = int(np.searchsorted(np.cumsum(self._counts), (total + 1) // 2))
+        ends = np.array([code << 16, (code + 1) << 16], np.int32).view(np.float32)
+        return min(float(ends.mean()), self._largest)
+
+    @property
+    def largest(self) -> float | None:
+        """None where there is none."""
+        return self._largest if self._counts.any() else None
+
+
+@dataclass
+class ApplySummary:
+    """What came out of a log, counted.
+
+    Attributes
+    ----------
+    rows : int
+        Written, every one that was read.
+    flags : Counter
+        Rows by flag.
+    reasons : Counter
+        Rows by bit of the reason; a row may have several.
+    bad_rows : int
+        Rows that could not be parsed and were kept as missing.
+    widths : dict of str to ColumnWidths
+        The columns that were to be watched, half widths of 95 % intervals in degrees.
+    """
+
+    rows: int = 0
+    flags: Counter[int] = field(default_factory=Counter)
+    reasons: Counter[int] = field(default_factory=Counter)
+    bad_rows: int = 0
+    widths: dict[str, ColumnWidths] = field(default_factory=dict)
+
+    @classmethod
+    def watching(cls, columns: Sequence[str]) -> ApplySummary:
+        """One that keeps the median and the largest value of some columns of the result."""
+        return cls(widths={name: ColumnWidths() for name in columns})
+
+    def add(self, flag: NDArray[np.uint8], reason: NDArray[np.uint8], bad_rows: int, table: Table) -> None:
+        """Count some rows."""
+        for name, widths in self.widths.items():
+            widths.add(np.asarray(table[name], dtype=float))
+        self.rows += len(flag)
+        self.bad_rows += bad_rows
+        count_flags(self.flags, self.reasons, flag, reason)
+
+    def as_data(self) -> dict[str, object]:
+        """The counts as plain data, every flag and reason that occurred."""
+        widths = {name: {"median": one.median, "largest": one.largest} for name, one in self.widths.items()}
+        return {
+            "rows": self.rows,
+            "flags": {str(flag): self.flags[flag] for flag in FLAGS if self.flags[flag]},
+            "reasons": {str(bit): self.reasons[bit] for bit in REASONS if self.reasons[bit]},
+            "bad_rows": self.bad_rows,
+            **({"uncertainty": widths} if widths else {}),
+        }
+
+    def as_text(self) -> str:
+        """The counts in words, one line for each."""
+        lines = [_counted(self.rows, "row")]
+        lines += [f"  flag {flag} {name}: {self.flags[flag]}" for flag, name in FLAGS.items() if self.flags[flag]]
+        lines += [f"  reason {bit} {why}: {self.reasons[bit]}" for bit, why in REASONS.items() if self.reasons[bit]]
+        if self.bad_rows:
+            lines.append(f"  {_counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
+        if self.widths:
+            lines.append(f"  median (largest) {', '.join(_told(name, one) for name, one in self.widths.items())}")
+        return "\n".join(lines)
+
+
+def _told(name: str, widths: ColumnWidths) -> str:
+    if widths.median is None or widths.largest is None:
+        return f"{name} none"
+    return f"{name} {widths.median:.2g}° ({widths.largest:.2g}°)"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def _codes(numbers: Array) -> NDArray[np.int32]:
+    return np.asarray(numbers.astype(np.float32).view(np.int32) >> 16)

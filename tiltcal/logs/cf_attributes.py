@@ -1,0 +1,123 @@
+"""What the CF conventions want to be known of a column: units, and what flags mean.
+
+Source: NetCDF Climate and Forecast conventions 1.11, sections 3.1 (units), 3.5 (flags) and 4.4 (time).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tiltcal.core.compensation import (
+    CLIPPED,
+    FLAGS,
+    NO_TEMPERATURE,
+    NOT_A_NUMBER,
+    RAIL,
+    TEMPERATURE_RANGE,
+    TILT_RANGE,
+)
+
+_MEANINGS = {
+    CLIPPED: "arcsine_argument_beyond_1",
+    TEMPERATURE_RANGE: "temperature_outside_calibrated_range",
+    RAIL: "reading_at_rail",
+    TILT_RANGE: "tilt_outside_calibrated_range",
+    NO_TEMPERATURE: "temperature_missing",
+    NOT_A_NUMBER: "not_a_number",
+}
+_JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
+    "flag": {
+        "long_name": "quality flag of QARTOD",
+        "standard_name": "quality_flag",
+        "flag_values": np.array([*FLAGS], np.uint8),
+        "flag_meanings": " ".join(FLAGS.values()),
+    },
+    "reason": {
+        "long_name": "reasons for the quality flag",
+        "standard_name": "status_flag",
+        "flag_masks": np.array([*_MEANINGS], np.uint8),
+        "flag_meanings": " ".join(_MEANINGS.values()),
+    },
+}
+_STANDARD, _EXPANDED = "u_", "U95_"
+_SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0, "days": 86400.0}
+"""Of the units in which a time is counted since some moment; anything else counts as seconds."""
+
+_UNITS = {
+    "count": ("counts", "lsb", "digit", "digits"),
+    "V": ("v", "volt", "volts"),
+    "g": ("g_n", "g0", "standard_gravity"),
+    "m/s2": ("m s-2", "m s^-2", "m s**-2", "m/s^2", "m/s²", "m/s**2", "m.s-2", "meter second-2"),
+}
+_DIMENSIONLESS = ("", "1")
+"""Units that fit every count and ratio, and say nothing."""
+
+
+def seconds_of_unit(unit: str | None) -> float:
+    """Return the seconds in one of the units that a time is counted in."""
+    return _SECONDS.get((unit or "").partition(" since ")[0], 1.0)
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Return whether two spellings of units mean the same, or one of them means nothing."""
+    return one in _DIMENSIONLESS or other in _DIMENSIONLESS or _spelt(one) == _spelt(other)
+
+
+def _spelt(unit: str) -> str:
+    text = unit.strip()
+    return next((name for name, others in _UNITS.items() if text == name or text.casefold() in others), text)
+
+
+def is_judgement(name: str) -> bool:
+    """Return whether a column holds flags or reasons, which are whole numbers."""
+    return name in _JUDGEMENTS
+
+
+def describe(name: str, added: Sequence[str], like: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes of a new column.
+
+    Parameters
+    ----------
+    name : str
+    added : sequence of str
+        All new columns.
+    like : mapping of str to Any
+        The attributes of a reading, whose unit the matched sum of a pair has.
+    """
+    place = {key: like[key] for key in ("coordinates",) if key in like}
+    if name in _JUDGEMENTS:
+        return {**_JUDGEMENTS[name], **place}
+    beside = [one for one in ("flag", "reason", _STANDARD + name, _EXPANDED + name) if one in added]
+    unit = _unit(name, like)
+    return {
+        "long_name": _long_name(name),
+        **({} if unit is None else {"units": unit}),
+        **({} if name.startswith((_STANDARD, _EXPANDED)) else {"ancillary_variables": " ".join(beside)}),
+        **place,
+    }
+
+
+def _unit(name: str, like: Mapping[str, Any]) -> Any:
+    if name.startswith(("matched_", "gradient")):
+        return like.get("units")
+    return "1" if name.startswith("g_") else "degree"
+
+
+def _long_name(name: str) -> str:
+    if name.startswith(_STANDARD):
+        return f"standard uncertainty of {name.removeprefix(_STANDARD)}"
+    if name.startswith(_EXPANDED):
+        return f"half width of the 95 % interval of {name.removeprefix(_EXPANDED)}"
+    kind, _, of = name.partition("_")
+    return {
+        "g": f"share of gravity along {of}, up",
+        "tilt": f"tilt of the {of} axis, positive where it points up",
+        "pitch": "pitch, positive where the x axis points up",
+        "roll": "roll, positive where the y axis points up",
+        "inclination": "inclination of the z axis from the vertical",
+        "matched": f"matched sum of the pair {of}",
+        "gradient": "gradient signal" if not of else f"{of} component of the gradient signal at twice the turning",
+    }.get(kind, name)

@@ -1,0 +1,159 @@
+"""The formats of logs: which one a log has is told by the end of its name, and what tells nothing is CSV.
+
+A new format is a module with a reader and a writer, and a line in :data:`FORMATS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import BinaryIO
+
+from tiltcal.errors import UsageError
+from tiltcal.logs.log import LogReader, LogSource, LogWriter, Progress
+from tiltcal.logs.streams import STANDARD, log_source
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """A format of logs.
+
+    Attributes
+    ----------
+    module : str
+        Where its reader and its writer are; it is imported when a log of the format is opened.
+    name : str
+        The classes' first half, such as ``Csv`` for ``CsvReader`` and ``CsvWriter``.
+    kept : bool
+        Whether a log of the format can be written in no other format, and no other log in this one.
+    """
+
+    module: str
+    name: str
+    kept: bool = False
+
+    def reader(self) -> type[LogReader]:
+        """Import the reader."""
+        reader: type[LogReader] = getattr(import_module(self.module), f"{self.name}Reader")
+        return reader
+
+    def writer(self) -> type[LogWriter]:
+        """Import the writer."""
+        writer: type[LogWriter] = getattr(import_module(self.module), f"{self.name}Writer")
+        return writer
+
+
+_CSV = LogFormat("tiltcal.logs.formats.csv", "Csv")
+_PARQUET = LogFormat("tiltcal.logs.formats.parquet", "Parquet")
+_NETCDF = LogFormat("tiltcal.logs.formats.netcdf", "Netcdf", kept=True)
+
+FORMATS: Mapping[str, LogFormat] = {
+    ".csv": _CSV,
+    ".parquet": _PARQUET,
+    ".pq": _PARQUET,
+    ".nc": _NETCDF,
+    ".nc4": _NETCDF,
+}
+"""The format of a log by the end of its name."""
+
+
+def log_format(name: str | Path) -> LogFormat:
+    """Return the format of a log by its name."""
+    return FORMATS.get(Path(name).suffix.lower(), _CSV)
+
+
+def require_way(log: str | Path, output: str | Path) -> None:
+    """Refuse what cannot be written: NetCDF in another format, or another format in NetCDF.
+
+    Raises
+    ------
+    UsageError
+    """
+    read, written = log_format(log), log_format(output)
+    if read is written or not (read.kept or written.kept):
+        return
+    if read.kept:
+        raise UsageError(f"{log} is NetCDF and stays it: name an output that ends in .nc, with -o")
+    raise UsageError(f"{output} would be NetCDF, and only a NetCDF log becomes that: name a .csv or .parquet")
+
+
+@contextmanager
+def open_log(
+    log: object,
+    *,
+    name: str | None = None,
+    skip_bad_rows: bool = False,
+    digest: bool = False,
+    live: bool = False,
+    progress: Progress | None = None,
+) -> Iterator[LogReader]:
+    """Open a log of any format, or a frame.
+
+    Parameters
+    ----------
+    log : str, Path or frame
+        A file, ``-`` for CSV on standard input, or a frame; see :mod:`tiltcal.logs.frames`.
+    name : str, optional
+        What messages call the log, in place of its own name.
+    skip_bad_rows : bool
+        Keep rows of CSV that cannot be parsed, instead of raising.
+    digest : bool
+        Keep the checksum of what is read, for :attr:`LogReader.sha256`.
+    live : bool
+        Hand on each line of CSV as it arrives, and let Ctrl-C end a stream that has no end of its own.
+    progress : callable, optional
+        Called with the bytes that have been read, after each block.
+
+    Raises
+    ------
+    InputError
+        The file is not what its name says, is empty or damaged.
+    UsageError
+        The file cannot be opened, or the library that its format takes is not there.
+    """
+    if not isinstance(log, str | Path):
+        from tiltcal.logs.frames import FrameReader
+
+        yield FrameReader(log, name=name or "the frame")
+        return
+    path = str(log)
+    reader = log_format(path).reader()
+    with log_source(path, live=live) as (stream, size):
+        opened = reader(
+            LogSource(stream, path, name or ("standard input" if path == STANDARD else path), size),
+            skip_bad_rows=skip_bad_rows,
+            digest=digest,
+            progress=progress,
+        )
+        try:
+            yield opened
+        finally:
+            opened.close()
+
+
+def create_log(
+    output: str | Path,
+    sink: BinaryIO,
+    log: LogReader,
+    added: Sequence[str] = (),
+    origin: Mapping[str, str] | None = None,
+) -> LogWriter:
+    """Return what writes the rows of a log, in the format that the output's name tells.
+
+    Parameters
+    ----------
+    output : str or Path
+        A file, or ``-`` for CSV on standard output.
+    sink : BinaryIO
+        Where the rows go; see :func:`tiltcal.logs.streams.log_sink`.
+    log : LogReader
+        Where they come from.
+    added : sequence of str
+        Names of the columns behind the log's own.
+    origin : mapping of str to str, optional
+        What these were made with.
+    """
+    return log_format(output).writer()(sink, log, added, origin)

@@ -1,0 +1,202 @@
+"""NetCDF-4: a log whose columns are variables along one dimension, read some thousand rows at a time.
+
+The conventions (CF) define what a number is: packed values are unpacked, the fill value and NaN are a missing value.
+
+To write, the log's file is copied, byte for byte, and the new variables are put into the copy: all that it holds stays
+as it was, attributes, packing, groups and all. What is added is described as the CF conventions want it. Roll and pitch
+have no ``standard_name``: those of CF are a platform's, with its bow and its starboard side, and where on it the
+sensor's x axis points is unknown.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from itertools import chain
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from tiltcal.core.model import Array
+from tiltcal.errors import InputError, UsageError
+from tiltcal.logs.cf_attributes import describe, is_judgement, seconds_of_unit
+from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
+
+_ROWS = 1 << 16
+"""Of a block, or as many as a chunk of the file holds, which is unpacked as a whole."""
+
+_CLASSIC = b"CDF"
+_CHUNK = 1 << 16
+"""Rows of a written chunk."""
+
+
+class NetcdfReader(LogReader):
+    """A log in NetCDF-4; see :class:`tiltcal.logs.log.LogReader`.
+
+    Its columns are all variables; those that hold readings have one dimension, the same.
+
+    Raises
+    ------
+    UsageError
+        The libraries are not there.
+    InputError
+        The file is no NetCDF-4, or damaged.
+    """
+
+    def __init__(
+        self,
+        source: LogSource,
+        *,
+        skip_bad_rows: bool = False,
+        digest: bool = False,
+        progress: Progress | None = None,
+    ) -> None:
+        super().__init__(source, skip_bad_rows=skip_bad_rows, digest=digest, progress=progress)
+        xarray = _library()
+        if source.stream.read(3) == _CLASSIC:
+            self._refuse("this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW")
+        with self._refusing_damage():
+            self._data = xarray.open_dataset(
+                Path(source.path), engine="h5netcdf", decode_times=False, decode_coords=False, cache=False
+            )
+        self.names = tuple(str(name) for name in self._data.variables)
+
+    def close(self) -> None:
+        self._data.close()
+
+    def unit(self, column: int) -> str | None:
+        unit = self._data[self.names[column]].attrs.get("units")
+        return None if unit is None else str(unit)
+
+    def dimension(self, columns: Sequence[int]) -> str:
+        """Along which the columns have their rows.
+
+        Raises
+        ------
+        InputError
+            A column has none or several, they differ, or there is no row.
+        """
+        along: dict[str, str] = {}
+        for name in (self.names[index] for index in columns):
+            dimensions = self._data[name].dims
+            if len(dimensions) != 1:
+                self._refuse(
+                    f"variable {name!r} has {len(dimensions)} dimensions ({', '.join(map(str, dimensions))}): a log's "
+                    "columns have one, such as time"
+                )
+            along[str(dimensions[0])] = name
+        if len(along) > 1:
+            told = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
+            self._refuse(f"the variables have rows of different kinds: {told}")
+        dimension = next(iter(along))
+        if not self._data.sizes[dimension]:
+            self._refuse(f"the log has no rows: dimension {dimension!r} is empty")
+        return dimension
+
+    def attributes(self, name: str) -> Mapping[str, Any]:
+        """Return the attributes of a variable that its decoding has left."""
+        variable = self._data[name]
+        return {
+            **variable.attrs,
+            **{key: variable.encoding[key] for key in ("coordinates",) if key in variable.encoding},
+        }
+
+    def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
+        dimension = self.dimension(columns)
+        for index in columns:
+            self._require_numbers(self.names[index])
+        total, step = self._data.sizes[dimension], self._step(columns)
+        for start in range(0, total, step):
+            rows = slice(start, min(start + step, total))
+            with self._refusing_damage():
+                values = {index: self._numbers(self.names[index], {dimension: rows}) for index in columns}
+            if time is not None:
+                values[time] = values[time] * seconds_of_unit(self.unit(time))
+            self.bytes_read = (self.source.size or 0) * rows.stop // total
+            yield LogBlock(values)
+
+    def _numbers(self, name: str, rows: Mapping[str, slice]) -> Array:
+        return np.asarray(self._data[name].isel(rows).values, dtype=float)
+
+    def _step(self, columns: Sequence[int]) -> int:
+        """Rows of a block: whole chunks, or each would be unpacked for every block that has a part of it."""
+        chunks = [self._data[self.names[index]].encoding.get("chunksizes") or (1,) for index in columns]
+        longest = max(int(chunk[0]) for chunk in chunks)
+        return -(-_ROWS // longest) * longest
+
+    def _require_numbers(self, name: str) -> None:
+        kind = self._data[name].dtype
+        if kind.kind not in "iuf":
+            self._refuse(f"variable {name!r} holds {kind}, not numbers: name another, or make numbers of it")
+
+    def _refuse(self, why: str) -> NoReturn:
+        raise InputError(why, file=self.name)
+
+    @contextmanager
+    def _refusing_damage(self) -> Iterator[None]:
+        """Put the libraries' complaints as ours."""
+        try:
+            yield
+        except (OSError, ValueError, KeyError, RuntimeError) as failure:
+            raise InputError(f"this is no NetCDF-4 file, or a damaged one: {failure}", file=self.name) from failure
+
+
+def _library() -> Any:
+    try:
+        import h5netcdf  # noqa: F401  (what xarray reads with)
+        import xarray
+    except ImportError as failure:
+        raise UsageError(f"NetCDF needs xarray and h5netcdf ({failure}): pip install 'tiltcal[netcdf]'") from failure
+    return xarray
+
+
+class NetcdfWriter(LogWriter):
+    """Writes a NetCDF log with variables behind its own."""
+
+    def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
+        import h5netcdf
+
+        log = self._log
+        if not isinstance(log, NetcdfReader):
+            raise UsageError(f"only a NetCDF log becomes NetCDF, and {log.name} is none")
+        log.source.stream.seek(0)
+        shutil.copyfileobj(log.source.stream, self._sink, 1 << 20)
+        self._sink.flush()
+        rows = iter(blocks)
+        first = next(rows)
+        columns = list(first[0].values)
+        dimension, like = log.dimension(columns), log.attributes(log.names[columns[0]])
+        with h5netcdf.File(self._sink, "r+", decode_vlen_strings=True) as file:
+            variables = {name: self._variable(file, name, dimension, like) for name in self._added}
+            start = 0
+            for block, table in chain([first], rows):
+                for name, values in table.items():
+                    variables[name][start : start + len(block)] = np.asarray(values)
+                start += len(block)
+            file.attrs["history"] = _history(file.attrs.get("history"), self._origin, datetime.now(UTC))
+
+    def _variable(self, file: Any, name: str, dimension: str, like: Mapping[str, Any]) -> Any:
+        """Create a variable; ``like`` are the attributes of a reading."""
+        whole = is_judgement(name)
+        variable = file.create_variable(
+            name,
+            (dimension,),
+            "u1" if whole else "f8",
+            chunks=(min(file.dimensions[dimension].size, _CHUNK),),
+            compression="gzip",
+            compression_opts=1,
+            shuffle=True,
+            fillvalue=None if whole else np.nan,
+        )
+        for key, value in describe(name, self._added, like).items():
+            variable.attrs[key] = value
+        return variable
+
+
+def _history(before: Any, origin: Mapping[str, str], moment: datetime) -> str:
+    made = ", ".join(f"{key} {value}" for key, value in origin.items() if key != "software")
+    line = f"{moment:%Y-%m-%dT%H:%M:%SZ} {origin['software']} apply: {made}"
+    return line if before is None else f"{before}\n{line}"

@@ -1,0 +1,160 @@
+"""Parquet: a log whose columns have types, read some thousand rows at a time, and written with columns behind its own.
+
+A reading is a column of whole or decimal numbers; null and NaN are a missing value. All other columns pass through,
+whatever they hold.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from tiltcal.core.model import Array
+from tiltcal.errors import InputError
+from tiltcal.logs.cells import seconds
+from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_ROWS = 1 << 16
+"""Of a block: as many as stay in the cache on their way through the kernel, twice over."""
+
+_ROW_GROUP = 1 << 18
+"""Rows of a written file that are packed together; so many are in memory at once."""
+
+_OF_THE_ENGINE = "ARROW:schema"
+"""The key under which a writer keeps the types in its own words; the next one writes its own."""
+
+_OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")
+"""How the engine ends its message on a full disk, and on all else that the system refuses."""
+
+
+class ParquetReader(LogReader):
+    """A log in Parquet; see :class:`tiltcal.logs.log.LogReader`.
+
+    Raises
+    ------
+    InputError
+        The file is no Parquet file, damaged, or without a row.
+    """
+
+    def __init__(
+        self,
+        source: LogSource,
+        *,
+        skip_bad_rows: bool = False,
+        digest: bool = False,
+        progress: Progress | None = None,
+    ) -> None:
+        import polars as pl
+
+        super().__init__(source, skip_bad_rows=skip_bad_rows, digest=digest, progress=progress)
+        path = Path(source.path)
+        with self._refusing_damage():
+            self._scan = pl.scan_parquet(path, glob=False, hive_partitioning=False)
+            self._schema = self._scan.collect_schema()
+            self.notes = {key: note for key, note in pl.read_parquet_metadata(path).items() if key != _OF_THE_ENGINE}
+            self._rows = self._scan.select(pl.len()).collect().item()
+        self.names = tuple(self._schema)
+        if not self._rows:
+            raise InputError("the log has columns and no rows", file=self.name)
+
+    def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
+        for index in columns:
+            if index != time:
+                self._require_numbers(self.names[index])
+        done = 0
+        with self._refusing_damage():
+            for frame in self._scan.collect_batches(chunk_size=_ROWS, maintain_order=True):
+                done += len(frame)
+                self.bytes_read = (self.source.size or 0) * done // self._rows
+                values = {index: (_times if index == time else _numbers)(frame.to_series(index)) for index in columns}
+                yield LogBlock(values, frame=frame)
+        if done != self._rows:
+            # The engine ends in silence where one of its threads fails on a damaged page.
+            raise InputError(f"the file is damaged: it gives {done} of {self._rows} rows", file=self.name)
+
+    def _require_numbers(self, name: str) -> None:
+        import polars as pl
+
+        kind = self._schema[name]
+        if not (kind.is_numeric() or kind == pl.Null):
+            raise InputError(
+                f"column {name!r} holds {kind}, not numbers: name another, or make numbers of it", file=self.name
+            )
+
+    @contextmanager
+    def _refusing_damage(self) -> Iterator[None]:
+        """Put the engine's complaints as ours."""
+        import polars as pl
+
+        try:
+            yield
+        except (pl.exceptions.PolarsError, OSError) as failure:
+            raise InputError(f"this is no Parquet file, or a damaged one: {failure}", file=self.name) from failure
+
+
+class ParquetWriter(LogWriter):
+    """Writes Parquet: the log's columns keep their types; flag and reason take a byte, all others are doubles.
+
+    Notes
+    -----
+    The engine packs and writes while the next block is read and compensated. It is handed the blocks one by one: were
+    the kernel handed to it, it would call it on several blocks at once, and a pair's needs theirs in order.
+    """
+
+    frames: ClassVar[bool] = True
+
+    def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
+        import polars as pl
+        from polars.io.plugins import register_io_source
+
+        whole = (_widened(block, table) for block, table in blocks)
+        first = next(whole)
+        frames = chain([first], whole)
+        notes = {**self._log.notes, **({"tiltcal": json.dumps(self._origin)} if self._origin else {})}
+        try:
+            register_io_source(lambda *_: frames, schema=first.schema).sink_parquet(
+                self._sink, row_group_size=_ROW_GROUP, maintain_order=True, metadata=notes, engine="streaming"
+            )
+        except pl.exceptions.ComputeError as failure:
+            if found := _OF_THE_SYSTEM.search(str(failure)):
+                code = int(found[1])
+                raise OSError(code, os.strerror(code)) from failure
+            raise
+
+
+def _widened(block: LogBlock, table: Table) -> pl.DataFrame:
+    """All columns of a block, and those that belong behind them."""
+    import polars as pl
+
+    if block.frame is None:
+        raise TypeError("a block without its columns cannot be written as Parquet")
+    return block.frame.with_columns(**{name: pl.Series(name, column) for name, column in table.items()})
+
+
+def _numbers(column: pl.Series) -> Array:
+    import polars as pl
+
+    return column.cast(pl.Float64).fill_null(np.nan).to_numpy()
+
+
+def _times(column: pl.Series) -> Array:
+    """Seconds: numbers as they are, moments since 1970, durations, or text that holds one of these."""
+    import polars as pl
+
+    kind = column.dtype
+    if isinstance(kind, pl.Datetime | pl.Duration):
+        return _numbers(column.to_physical()) / {"ms": 1e3, "us": 1e6, "ns": 1e9}[kind.time_unit]
+    if kind.is_numeric() or kind == pl.Null:
+        return _numbers(column)
+    return seconds(column.cast(pl.String, strict=False))

@@ -1,0 +1,305 @@
+"""Frames as logs: polars, pandas, pyarrow and xarray ones and dicts of arrays, given back as their own kind.
+
+None of these libraries is imported here: a frame brings its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.model import Array
+from tiltcal.errors import InputError, UsageError
+from tiltcal.logs.apply import CompensatedLog
+from tiltcal.logs.cf_attributes import describe, same_unit, seconds_of_unit
+from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
+from tiltcal.logs.prepared import ApplyOptions, prepare
+
+if TYPE_CHECKING:
+    from tiltcal.calibration.calibration import Calibration
+    from tiltcal.calibration.pair_calibration import PairCalibration
+
+
+def apply_frame(
+    calibration: Calibration | PairCalibration,
+    frame: Any,
+    *,
+    columns: Mapping[str, str] | str = "",
+    uncertainty: bool = False,
+    first_order: bool = False,
+    reading_noise: float | None = None,
+    unit: str | None = None,
+) -> Any:
+    """Apply a calibration to a frame.
+
+    Parameters
+    ----------
+    calibration : Calibration or PairCalibration
+    frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
+        A column for each reading, and for the temperature in °C where there is one.
+    columns : mapping of str to str, or str
+        The column of each reading, such as ``{"x": "VoutX"}``; without it, the column of its name.
+    uncertainty : bool
+        Add the standard uncertainty of every angle and half of its 95 % interval, degrees.
+    first_order : bool
+        Use Cross-axis Compensation eq. 6 in place of the whole matrix.
+    reading_noise : float, optional
+        Standard uncertainty of a reading of the frame, in its unit, in place of that of a sample at the bench.
+    unit : str, optional
+        Of the readings; an xarray Dataset states it itself.
+
+    Returns
+    -------
+    frame
+        The same kind, with the columns that ``tiltcal apply`` adds to a log, and their values to the last bit.
+
+    Raises
+    ------
+    UsageError
+        The frame is of no known kind, or has a column of a name that the result needs.
+    InputError
+        A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
+    """
+    prepared = prepare(calibration, ApplyOptions(first_order, uncertainty, reading_noise))
+    reader = FrameReader(frame, unit=unit)
+    log = CompensatedLog.of(reader, prepared, columns)
+    ((_block, table),) = log.blocks()
+    return reader.with_columns(table, log.channels)
+
+
+class FrameReader(LogReader):
+    """A frame, read like a log of one block.
+
+    Parameters
+    ----------
+    frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
+    name : str
+        What messages call it.
+    unit : str, optional
+        Of its readings, where the frame does not state one.
+
+    Raises
+    ------
+    UsageError
+        It is of no known kind.
+    InputError
+        It has no row, or its columns are not of one length.
+    """
+
+    def __init__(self, frame: Any, *, name: str = "the frame", unit: str | None = None) -> None:
+        super().__init__(LogSource(BytesIO(), "", name))
+        self._frame = _columns_of(frame, name)
+        self._unit = unit
+        self.names = self._frame.names
+
+    def unit(self, column: int) -> str | None:
+        stated = self._frame.unit(self.names[column])
+        if self._unit is None or stated is None:
+            return stated or self._unit
+        if not same_unit(self._unit, stated):
+            raise InputError(f"column {self.names[column]!r} is in {stated}, not in {self._unit}", file=self.name)
+        return self._unit
+
+    @property
+    def sha256(self) -> str:
+        raise UsageError("a frame has no checksum: name the file that it came from")
+
+    def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
+        values = {}
+        for index in columns:
+            name = self.names[index]
+            found = self._frame.times(name) if index == time else self._frame.numbers(name)
+            if found is None:
+                raise InputError(
+                    f"column {name!r} holds {self._frame.kind(name)}, not numbers: name another, or make numbers of it",
+                    file=self.name,
+                )
+            values[index] = found
+        block = LogBlock(values)
+        if values and not len(block):
+            raise InputError("the log has columns and no rows", file=self.name)
+        if len({len(found) for found in values.values()}) > 1:
+            raise InputError("the columns differ in length", file=self.name)
+        yield block
+
+    def with_columns(self, table: Table, channels: Sequence[int]) -> Any:
+        """Return the frame, of its own kind, with columns behind its own.
+
+        Parameters
+        ----------
+        table : mapping of str to ndarray
+        channels : sequence of int
+            Where the readings stand that they were made of.
+        """
+        return self._frame.with_columns(table, [self.names[index] for index in channels])
+
+
+class _Columns(Protocol):
+    """A frame of any kind: its columns by name; numbers or times are None where a column holds something else."""
+
+    names: tuple[str, ...]
+
+    def unit(self, name: str) -> str | None: ...
+
+    def kind(self, name: str) -> object: ...
+
+    def numbers(self, name: str) -> Array | None: ...
+
+    def times(self, name: str) -> Array | None: ...
+
+    def with_columns(self, table: Table, readings: Sequence[str]) -> Any: ...
+
+
+def _columns_of(frame: Any, name: str) -> _Columns:
+    if hasattr(frame, "data_vars") and hasattr(frame, "dims"):
+        return _Dataset(frame, name)
+    if isinstance(frame, Mapping):
+        return _Arrays(frame)
+    import narwhals.stable.v2 as nw
+
+    try:
+        return _Table(nw.from_native(frame, eager_only=True))
+    except TypeError:
+        raise UsageError(
+            f"{name} is a {type(frame).__module__.partition('.')[0]}.{type(frame).__name__}: give a polars, pandas or "
+            "pyarrow frame (collected, not lazy), an xarray Dataset, or a dict of arrays"
+        ) from None
+
+
+class _Table:
+    """A polars, pandas or pyarrow frame, by way of narwhals."""
+
+    def __init__(self, frame: Any) -> None:
+        self._frame = frame
+        self.names = tuple(frame.columns)
+
+    def unit(self, name: str) -> str | None:
+        return None
+
+    def kind(self, name: str) -> object:
+        return self._frame[name].dtype
+
+    def numbers(self, name: str) -> Array | None:
+        import narwhals.stable.v2 as nw
+
+        column = self._frame[name]
+        return _floats(column.cast(nw.Float64)) if column.dtype.is_numeric() else None
+
+    def times(self, name: str) -> Array | None:
+        import narwhals.stable.v2 as nw
+
+        column = self._frame[name]
+        kind = column.dtype
+        if isinstance(kind, nw.Datetime | nw.Duration):
+            moment = isinstance(kind, nw.Datetime)
+            micros = column.dt.timestamp("us") if moment else column.dt.total_microseconds()
+            return _floats(micros.cast(nw.Float64)) / 1e6
+        if not isinstance(kind, nw.String):
+            return self.numbers(name)
+        return _seconds(column.to_list())
+
+    def with_columns(self, table: Table, readings: Sequence[str]) -> Any:
+        import narwhals.stable.v2 as nw
+
+        backend = self._frame.implementation
+        added = [nw.new_series(name, np.ascontiguousarray(values), backend=backend) for name, values in table.items()]
+        return self._frame.with_columns(*added).to_native()
+
+
+class _Arrays:
+    """A dict of arrays."""
+
+    def __init__(self, arrays: Mapping[str, Any]) -> None:
+        self._given = dict(arrays)
+        self._arrays = {str(name): np.asarray(values) for name, values in arrays.items()}
+        self.names = tuple(name for name, values in self._arrays.items() if values.ndim == 1)
+
+    def unit(self, name: str) -> str | None:
+        return None
+
+    def kind(self, name: str) -> object:
+        return self._arrays[name].dtype
+
+    def numbers(self, name: str) -> Array | None:
+        return _numeric(self._arrays[name])
+
+    def times(self, name: str) -> Array | None:
+        return _timed(self._arrays[name])
+
+    def with_columns(self, table: Table, readings: Sequence[str]) -> dict[str, Any]:
+        return self._given | {name: np.ascontiguousarray(values) for name, values in table.items()}
+
+
+class _Dataset:
+    """An xarray Dataset, whose readings are variables along one dimension and state their unit."""
+
+    def __init__(self, data: Any, name: str) -> None:
+        self._data = data
+        self._file = name
+        self.names = tuple(str(variable) for variable in data.variables)
+
+    def unit(self, name: str) -> str | None:
+        unit = self._data[name].attrs.get("units")
+        return None if unit is None else str(unit)
+
+    def kind(self, name: str) -> object:
+        return self._data[name].dtype
+
+    def numbers(self, name: str) -> Array | None:
+        return _numeric(self._along_one(name))
+
+    def times(self, name: str) -> Array | None:
+        found = _timed(self._along_one(name))
+        return None if found is None else found * seconds_of_unit(self.unit(name))
+
+    def _along_one(self, name: str) -> NDArray[Any]:
+        variable = self._data[name]
+        if len(variable.dims) != 1:
+            raise InputError(
+                f"variable {name!r} has {len(variable.dims)} dimensions ({', '.join(map(str, variable.dims))}): a "
+                "log's columns have one, such as time",
+                file=self._file,
+            )
+        return np.asarray(variable.values)
+
+    def with_columns(self, table: Table, readings: Sequence[str]) -> Any:
+        (dimension,) = self._data[readings[0]].dims
+        like = self._data[readings[0]].attrs
+        return self._data.assign(
+            {
+                name: (dimension, np.ascontiguousarray(values), describe(name, tuple(table), like))
+                for name, values in table.items()
+            }
+        )
+
+
+def _floats(column: Any) -> Array:
+    """A narwhals column of doubles as an array; NaN where a value is missing."""
+    return np.array(column.fill_null(float("nan")).to_numpy(), dtype=float)
+
+
+def _numeric(values: NDArray[Any]) -> Array | None:
+    if isinstance(values, np.ma.MaskedArray):
+        values = values.filled(np.nan)
+    return np.array(values, dtype=float) if values.dtype.kind in "iuf" else None
+
+
+def _timed(values: NDArray[Any]) -> Array | None:
+    if values.dtype.kind in "mM":
+        seconds = values.astype(f"{values.dtype.kind}8[us]").astype(np.int64) / 1e6
+        return np.where(np.isnat(values), np.nan, seconds)
+    if values.dtype.kind in "OUT":
+        return _seconds([str(value) for value in values])
+    return _numeric(values)
+
+
+def _seconds(cells: Sequence[str | None]) -> Array:
+    import polars as pl
+
+    from tiltcal.logs.cells import seconds
+
+    return seconds(pl.Series("", cells, dtype=pl.String))

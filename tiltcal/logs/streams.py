@@ -1,0 +1,225 @@
+"""Where the bytes of a log come from and where they go: files, pipes, devices, standard input and output."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import stat
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from hashlib import file_digest, sha256
+from pathlib import Path
+from select import select
+from tempfile import SpooledTemporaryFile
+from types import FrameType
+from typing import TYPE_CHECKING, BinaryIO, Protocol, cast
+
+from tiltcal.errors import UsageError
+
+if TYPE_CHECKING:
+    import io
+
+STANDARD = "-"
+"""The name of standard input and standard output."""
+
+_PIPE_BUFFER = 1 << 16  # bytes that a pipe holds
+_SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
+
+
+class ByteReader(Protocol):
+    """What the bytes of a CSV log are read from."""
+
+    def read(self, size: int, /) -> bytes: ...
+
+
+@contextmanager
+def log_source(log: str, *, live: bool = False) -> Iterator[tuple[BinaryIO, int | None]]:
+    """Open a log; its bytes, and its size where it has one.
+
+    Parameters
+    ----------
+    log : str
+        A file, or ``-`` for standard input.
+    live : bool
+        Hand on each line as it arrives, and let Ctrl-C end a stream that has no end of its own; see
+        :class:`LiveStream`.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be opened.
+    """
+    with _opened(log) as (opened, size):
+        stream = cast("BinaryIO", PipeReader(opened)) if has_no_end(opened) else opened
+        if not live:
+            yield stream, size
+            return
+        lines = LiveStream(cast("io.BufferedReader", stream))
+        with lines.ended_by_ctrl_c():
+            yield cast("BinaryIO", lines), size
+
+
+@contextmanager
+def _opened(log: str) -> Iterator[tuple[BinaryIO, int | None]]:
+    if log == STANDARD:
+        yield sys.stdin.buffer, None
+        return
+    try:
+        stream = open(log, "rb")  # noqa: SIM115 (only what opening raises is about opening)
+    except OSError as failure:
+        raise UsageError(f"cannot read {log}: {failure.strerror}") from failure
+    with stream:
+        yield stream, os.fstat(stream.fileno()).st_size or None
+
+
+@contextmanager
+def log_sink(output: str) -> Iterator[BinaryIO]:
+    """Open where the rows go: all of them or none appear there.
+
+    Parameters
+    ----------
+    output : str
+        A file, or ``-`` for standard output.
+    """
+    if output != STANDARD:
+        from tiltcal.files.whole import whole_file
+
+        with whole_file(output) as stream:
+            yield stream
+        return
+    with SpooledTemporaryFile(_SPOOL) as spool:
+        yield cast("BinaryIO", spool)
+        spool.seek(0)
+        stdout = sys.stdout.buffer
+        shutil.copyfileobj(spool, stdout)
+        stdout.flush()
+
+
+class HashingReader:
+    """A stream that keeps the SHA-256 of the bytes that were read from it."""
+
+    def __init__(self, stream: ByteReader) -> None:
+        self._stream = stream
+        self._digest = sha256()
+
+    @property
+    def sha256(self) -> str:
+        """The checksum of the bytes so far, hexadecimal."""
+        return self._digest.hexdigest()
+
+    def read(self, size: int = -1) -> bytes:
+        data = self._stream.read(size)
+        self._digest.update(data)
+        return data
+
+
+def sha256_of(path: str | Path) -> str:
+    """Return the SHA-256 of a whole file, hexadecimal."""
+    with open(path, "rb") as stream:
+        return file_digest(stream, "sha256").hexdigest()
+
+
+class PipeReader:
+    """What arrives from a pipe, a device or a terminal; Ctrl-C ends the wait for it.
+
+    The engine that parses rows handles signals in its own way, and lets a read go on after one.
+
+    Parameters
+    ----------
+    stream : BinaryIO
+        Of which nothing was read: what stands in its buffer would not be seen.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._descriptor = stream.fileno()
+
+    def fileno(self) -> int:
+        """Return the descriptor of the stream."""
+        return self._descriptor
+
+    def read1(self, size: int = -1) -> bytes:
+        """Return what has arrived, once something has; nothing at the end."""
+        if os.name == "posix":
+            select([self._descriptor], [], [])
+        return os.read(self._descriptor, size if size >= 0 else _PIPE_BUFFER)
+
+    def read(self, size: int = -1) -> bytes:
+        """Return so many bytes, or all that come until the end."""
+        parts, left = [], size
+        while left and (part := self.read1(left)):
+            parts.append(part)
+            left -= len(part) if size >= 0 else 0
+        return b"".join(parts)
+
+
+def has_no_end(stream: BinaryIO) -> bool:
+    """Return whether nothing but Ctrl-C, or the other side, will end a stream; a file has its own end."""
+    try:
+        return not stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
+    except OSError:  # memory
+        return False
+
+
+class LiveStream:
+    """The whole lines of a log, handed on as they arrive and not when a block is full.
+
+    Parameters
+    ----------
+    stream : io.BufferedReader
+        Standard input, a pipe, a serial device, or a file.
+
+    Attributes
+    ----------
+    endless : bool
+        Whether nothing but Ctrl-C, or the other side, will end it; a file has its own end.
+    interrupted : bool
+        Whether Ctrl-C has ended it.
+    """
+
+    def __init__(self, stream: io.BufferedReader) -> None:
+        self._stream = stream
+        self.endless = has_no_end(stream)
+        self.interrupted = False
+        self._waiting = False
+        self._begun = b""
+
+    def read(self, size: int = -1) -> bytes:
+        """What has arrived, up to the end of its last line; nothing at the end, where a line may lack its own."""
+        while not self.interrupted:
+            try:
+                self._waiting = True
+                arrived = self._stream.read1(size)
+            except KeyboardInterrupt:
+                break
+            finally:
+                self._waiting = False
+            if not arrived:
+                rest, self._begun = self._begun, b""
+                return rest
+            lines, end, begun = arrived.rpartition(b"\n")
+            if end:
+                whole, self._begun = self._begun + lines + end, begun
+                return whole
+            self._begun += arrived
+        return b""
+
+    @contextmanager
+    def ended_by_ctrl_c(self) -> Iterator[None]:
+        """While this lasts Ctrl-C ends the stream and leaves what was read of it; a file it stops as it stops all."""
+        before = signal.getsignal(signal.SIGINT)
+        if not self.endless or before is not signal.default_int_handler:
+            yield
+            return
+
+        def end(_signal: int, _frame: FrameType | None) -> None:
+            self.interrupted = True
+            if self._waiting:
+                raise KeyboardInterrupt
+
+        signal.signal(signal.SIGINT, end)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
