@@ -1,3 +1,74 @@
-"""Calibrate tilt sensors at the bench, and remove their errors from recorded logs."""
+"""Calibrate tilt sensors at the bench, and remove their errors from recorded logs.
+
+The names below are the library; each is imported when it is first used, so that ``import tiltcal`` is instant.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from tiltcal.errors import (
+    BusError,
+    DeviceFault,
+    EstimateError,
+    HardwareError,
+    InputError,
+    JournalError,
+    SensorError,
+    Stopped,
+    TiltcalError,
+    UsageError,
+)
+
+if TYPE_CHECKING:
+    from tiltcal.bench.plan import plan
+    from tiltcal.calibration.calibration import Calibration, read
+    from tiltcal.calibration.comparison import compare
+    from tiltcal.calibration.pair_calibration import PairCalibration
+    from tiltcal.logs.fit import fit
 
 __version__ = "0.1.0"
+
+_HOME = {
+    "Calibration": "tiltcal.calibration.calibration",
+    "PairCalibration": "tiltcal.calibration.pair_calibration",
+    "compare": "tiltcal.calibration.comparison",
+    "fit": "tiltcal.logs.fit",
+    "plan": "tiltcal.bench.plan",
+    "read": "tiltcal.calibration.calibration",
+}
+"""Where each name of the library is defined."""
+
+__all__ = [
+    "BusError",
+    "Calibration",
+    "DeviceFault",
+    "EstimateError",
+    "HardwareError",
+    "InputError",
+    "JournalError",
+    "PairCalibration",
+    "SensorError",
+    "Stopped",
+    "TiltcalError",
+    "UsageError",
+    "__version__",
+    "compare",
+    "fit",
+    "plan",
+    "read",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Import a name of the library on its first use (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found: object = getattr(import_module(_HOME[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,14 +1,16 @@
-"""What a procedure will determine of a sensor, before the operator starts."""
+"""The uncertainty that a procedure will leave, predicted before the operator starts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import degrees, hypot, radians, sqrt
+from typing import Any
 
 import numpy as np
 
 from tiltcal.calibration.joint_fit import design_of
+from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.measurement import BenchUncertainty, Nominal
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.prediction import PlannedPosition, Prediction, predicted_covariance
@@ -22,10 +24,13 @@ from tiltcal.files.calibration import SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
 
+SHOWN = 3
+"""Correlations and positions that are named."""
+
 
 @dataclass(frozen=True)
 class PredictedUncertainty:
-    """What may be expected of a procedure.
+    """The uncertainty that a procedure of positions leaves.
 
     Attributes
     ----------
@@ -41,30 +46,88 @@ class PredictedUncertainty:
     noise: float
     unit: str
 
+    @property
+    def uncertainty(self) -> dict[str, float]:
+        """Standard uncertainty of each coefficient by its dotted name, in its unit."""
+        return self.prediction.uncertainty()
 
-def mounting_outlook(
+    def as_data(self) -> dict[str, Any]:
+        """The prediction as plain data."""
+        return {
+            "noise": self.noise,
+            "jig": None if self.design.free else self.design.jig,
+            "uncertainty": self.uncertainty,
+            "degrees_of_freedom": self.prediction.dof,
+            "correlations": [list(pair) for pair in self.prediction.correlations],
+            "worth_adding": [list(one) for one in self.prediction.worth_adding],
+        }
+
+    def __str__(self) -> str:
+        return "\n".join(self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        prediction, free = self.prediction, self.design.free
+        jig = "positions that are not set" if free else _jig_in_words(self.design.jig)
+        yield f"predicted standard uncertainty, with {self.noise:.2g} {self.unit} of noise a sample and {jig}:"
+        for name, u in self.uncertainty.items():
+            # What unit gravity leaves open is the choice of a frame, in which these are 0.
+            if u > 0.0 or not free:
+                yield f"  {name:<28} {u:.2g} {unit_of(name, self.unit)}"
+        yield f"  degrees of freedom {prediction.dof}" + (
+            "" if prediction.dof else ": nothing is left to check the result by"
+        )
+        for first, second, correlation in prediction.correlations[:SHOWN]:
+            yield f"  {first} and {second} are hardly told apart (correlation {correlation:+.2f})"
+        for name, coefficient, share in prediction.worth_adding[:SHOWN]:
+            yield f"  adding {name} would bring {coefficient} to {100 * share:.0f} % of its uncertainty"
+
+
+@dataclass(frozen=True)
+class PredictedMounting:
+    """The uncertainty that a mounting leaves in the angles of a sensor that sits straight.
+
+    That of the sensor's own calibration comes on top.
+
+    Attributes
+    ----------
+    angles : dict of str to float
+        Standard uncertainty of roll, pitch and yaw, degrees.
+    jig : float or None
+        Standard uncertainty of a set angle that was counted with, degrees; None for a perfect jig.
+    """
+
+    angles: dict[str, float]
+    jig: float | None
+
+    @property
+    def uncertainty(self) -> dict[str, float]:
+        """Standard uncertainty of each angle by its dotted name, degrees."""
+        return {f"mounting.{angle}": u for angle, u in self.angles.items()}
+
+    def as_data(self) -> dict[str, Any]:
+        """The prediction as plain data."""
+        return {"jig": self.jig, "uncertainty": self.uncertainty}
+
+    def __str__(self) -> str:
+        with_what = f"with its noise and {_jig_in_words(self.jig)}"
+        return "\n".join(
+            [
+                f"predicted standard uncertainty of a sensor that sits straight, {with_what}:",
+                *(f"  {angle:<6} {u:.2g}°" for angle, u in self.angles.items()),
+                "  that of its calibration comes on top",
+            ]
+        )
+
+
+def predict_mounting(
     procedure: Procedure,
     model: Model,
     *,
     jig: float | None = None,
     noise: float | None = None,
     samples: int | None = None,
-) -> dict[str, float]:
-    """Predict the standard uncertainty of roll, pitch and yaw of a sensor that sits straight.
-
-    What the sensor's own calibration is uncertain by comes on top.
-
-    Parameters
-    ----------
-    procedure : Procedure
-        Of a mounting.
-    model, jig, noise, samples
-        As for :func:`outlook`.
-
-    Returns
-    -------
-    dict of str to float
-        Degrees.
+) -> PredictedMounting:
+    """Predict the standard uncertainty of roll, pitch and yaw; the arguments are those of :func:`predict`.
 
     Raises
     ------
@@ -79,26 +142,10 @@ def mounting_outlook(
     known = np.array([position.gravity for position in procedure.positions])
     found = solve_mounting(known, known, np.full(len(known), hypot(radians(jig or 0.0), read)))
     straight = angle_uncertainty(np.eye(3), found.covariance)
-    return {name: degrees(getattr(straight, name)) for name in ANGLES}
+    return PredictedMounting({name: degrees(getattr(straight, name)) for name in ANGLES}, jig)
 
 
-def require_tilt(procedure: Procedure, model: Model) -> None:
-    """Refuse a device whose readings are no components of gravity.
-
-    Raises
-    ------
-    UsageError
-        What it reads, and what to do.
-    """
-    if not model.senses_tilt:
-        others = [channel for channel in model.channels if channel not in AXES]
-        raise UsageError(
-            f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
-            "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
-        )
-
-
-def outlook(
+def predict(
     procedure: Procedure,
     model: Model,
     *,
@@ -154,6 +201,10 @@ def outlook(
     return PredictedUncertainty(design, prediction, scatter, model.unit)
 
 
+def _jig_in_words(jig: float | None) -> str:
+    return "a perfect jig (none is stated)" if jig is None else f"a jig of {jig:g}°"
+
+
 def _usual_noise(model: Model) -> float:
     """The noise of a sample of the model's virtual part, at least that of rounding, unit."""
     known = max(model.default_truth(0).noise.values(), default=0.0) if model.default_truth else 0.0
@@ -176,3 +227,19 @@ def _planned(procedure: Procedure, orientation: Orientation) -> Sequence[Planned
         )
         before = stands
     return planned
+
+
+def require_tilt(procedure: Procedure, model: Model) -> None:
+    """Refuse a device whose readings are no components of gravity.
+
+    Raises
+    ------
+    UsageError
+        What it reads, and what to do.
+    """
+    if not model.senses_tilt:
+        others = [channel for channel in model.channels if channel not in AXES]
+        raise UsageError(
+            f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
+            "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
+        )

@@ -136,8 +136,7 @@ def command(
 
 def _show_outlook(plan: SessionPlan) -> None:
     """Tell how well the positions will determine the coefficients; refuse those that cannot."""
-    from tiltcal.calibration.prediction import outlook
-    from tiltcal.report.prediction import outlook_text
+    from tiltcal.calibration.prediction import predict
 
     if plan.procedure.determines.mounting:
         return
@@ -152,7 +151,7 @@ def _show_outlook(plan: SessionPlan) -> None:
             )
         return
     for place in {(place.model, place.orientation): place for place in plan.places}.values():
-        expected = outlook(
+        expected = predict(
             plan.procedure,
             place.fitted,
             jig=plan.jig,
@@ -161,7 +160,7 @@ def _show_outlook(plan: SessionPlan) -> None:
             orientation=place.orientation,
             sensors=len(plan.places),
         )
-        click.echo(f"{place.model}, {outlook_text(expected)}", err=True)
+        click.echo(f"{place.model}, {expected}", err=True)
 
 
 def _base(procedure: Procedure, base: Path | None, sensors: BenchFile) -> str | None:

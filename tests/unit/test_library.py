@@ -1,0 +1,84 @@
+"""The names of the library, and what importing it costs."""
+
+from __future__ import annotations
+
+import pytest
+from support.command import loaded_by
+from support.command import tiltcal as command
+
+import tiltcal
+
+NAMES = [
+    "BusError",
+    "Calibration",
+    "DeviceFault",
+    "EstimateError",
+    "HardwareError",
+    "InputError",
+    "JournalError",
+    "PairCalibration",
+    "SensorError",
+    "Stopped",
+    "TiltcalError",
+    "UsageError",
+    "__version__",
+    "compare",
+    "fit",
+    "plan",
+    "read",
+]
+
+
+def test_names_are_these() -> None:
+    assert dir(tiltcal) == sorted(tiltcal.__all__) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_is_there_and_documented(name: str) -> None:
+    found = getattr(tiltcal, name)
+    assert name == "__version__" or found.__doc__
+
+
+def test_another_name_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'calibrate_all'"):
+        tiltcal.calibrate_all  # noqa: B018
+
+
+def test_import_loads_nothing_heavy() -> None:
+    assert not {"numpy", "scipy", "polars", "yaml", "click", "rich"} & loaded_by("import tiltcal; dir(tiltcal)")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options"),
+    [
+        (("zero-45",), {"jig": 0.1}),
+        (("mounting",), {"jig": 0.1, "noise": 0.5}),
+        (("plane",), {"samples": 30, "tilt": 20.0}),
+    ],
+    ids=["positions", "mounting", "free angle"],
+)
+def test_plan_prints_what_the_command_prints(arguments: tuple[str, ...], options: dict[str, float]) -> None:
+    told = str(tiltcal.plan(*arguments, sensor="sca100t-d02", **options))
+    given = [text for name, value in options.items() for text in (f"--{name}", str(value))]
+    assert told + "\n" == command("plan", *arguments, "--sensor", "sca100t-d02", *given).stdout
+
+
+@pytest.mark.parametrize(
+    ("call", "arguments"),
+    [
+        (lambda: tiltcal.plan("six-fase", sensor="sca100t-d02"), ("plan", "six-fase", "--sensor", "sca100t-d02")),
+        (lambda: tiltcal.plan("plane", sensor="sca100"), ("plan", "plane", "--sensor", "sca100")),
+        (lambda: tiltcal.read("no.yaml"), ("diff", "no.yaml", "no.yaml")),
+        (
+            lambda: tiltcal.fit("plane", "log.csv", serial="S", unit="V"),
+            ("fit", "plane", "log.csv", "--serial", "S", "--unit", "V", "-o", "S.yaml"),
+        ),
+    ],
+    ids=["procedure", "model", "file", "fit without segments"],
+)
+def test_library_refuses_in_the_words_of_the_command(call: object, arguments: tuple[str, ...]) -> None:
+    with pytest.raises(tiltcal.TiltcalError) as refusal:
+        call()  # type: ignore[operator]
+    result = command(*arguments)
+    assert result.returncode == refusal.value.exit_code == 2
+    assert result.stderr == f"tiltcal: {refusal.value}\n"

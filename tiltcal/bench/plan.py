@@ -1,0 +1,110 @@
+"""A procedure judged before anybody starts: the library's ``plan``, which ``tiltcal plan`` prints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from tiltcal.bench.channel_map import map_channels
+from tiltcal.calibration.prediction import PredictedMounting, PredictedUncertainty, predict, predict_mounting
+from tiltcal.calibration.unit_gravity import require_no_jig
+from tiltcal.core.pair.model import Pair
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.files.procedure import find_procedure
+
+_NOT_PREDICTED = (
+    "nothing to predict before the stage turns: p and q come out with a standard uncertainty of 2 s / (A sqrt(n)), "
+    "after n samples of noise s, where A is the amplitude that an accelerometer has at the turning; it shows then"
+)
+
+
+@dataclass(frozen=True)
+class PlannedRotation:
+    """The pairs that a rotation will match; their uncertainty depends on the amplitude, which is not known before.
+
+    Attributes
+    ----------
+    pairs : tuple of Pair
+    turns : int
+        The most turns of the stage.
+    left_out : tuple of str
+        Why other pairs are not matched.
+    """
+
+    pairs: tuple[Pair, ...]
+    turns: int
+    left_out: tuple[str, ...]
+
+    def as_data(self) -> dict[str, Any]:
+        """The plan as plain data."""
+        pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in self.pairs]
+        return {"pairs": pairs, "turns": self.turns, "left_out": list(self.left_out), "why": _NOT_PREDICTED}
+
+    def __str__(self) -> str:
+        pairs = (
+            f"{pair.first} and {pair.second}, orthogonal {pair.orthogonal}, in up to {self.turns} turns"
+            for pair in self.pairs
+        )
+        return "\n".join([*pairs, *self.left_out, _NOT_PREDICTED])
+
+
+def plan(
+    procedure: str,
+    *,
+    sensor: str,
+    address: str | None = None,
+    jig: float | None = None,
+    thermometer: float | None = None,
+    noise: float | None = None,
+    samples: int | None = None,
+    tilt: float | None = None,
+) -> PredictedUncertainty | PredictedMounting | PlannedRotation:
+    """Predict how well a procedure will determine every coefficient, before anybody starts.
+
+    Parameters
+    ----------
+    procedure : str
+        Its name, or the path of your own.
+    sensor : str
+        The sensor's model.
+    address : str, optional
+        Its address, where that settles facts of the model, such as ``counts_per_g``.
+    jig : float, optional
+        Standard uncertainty of a set angle, degrees.
+    thermometer : float, optional
+        Standard uncertainty of a temperature, °C.
+    noise : float, optional
+        Standard deviation of one sample, in the sensor's unit; without it that of the model's virtual twin.
+    samples : int, optional
+        Per position, in place of the procedure's.
+    tilt : float, optional
+        The angle that the procedure leaves free, degrees.
+
+    Returns
+    -------
+    PredictedUncertainty, PredictedMounting or PlannedRotation
+        By the kind of procedure; each prints as ``tiltcal plan`` does.
+
+    Raises
+    ------
+    EstimateError
+        The positions cannot determine what the procedure asks for; the message names the position to add.
+    UsageError
+        The model or the procedure is unknown, or does not go with the other.
+
+    Examples
+    --------
+    >>> print(tiltcal.plan("zero-45", sensor="sca100t-d02", jig=0.1))
+    """
+    model = find_model(sensor)
+    if address is not None:
+        model = model.at(parse_address(address))
+    steps = find_procedure(procedure, tilt)
+    require_no_jig(steps, jig)
+    if steps.rotation is not None:
+        channels = map_channels(steps.rotation, [("", model)])
+        return PlannedRotation(channels.pairs, steps.rotation.turns, channels.left_out)
+    if steps.determines.mounting:
+        return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
+    return predict(steps, model, jig=jig, thermometer=thermometer, noise=noise, samples=samples)

@@ -1,0 +1,84 @@
+"""Whether two calibrations of one sensor differ: the library's ``compare``, which ``tiltcal diff`` prints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.core.comparison import CoefficientChange, Verdict, judge
+from tiltcal.files.calibration import SensorIdentity, changes_between, require_same_sensor
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How an older and a newer calibration of one sensor differ.
+
+    Attributes
+    ----------
+    sensor : SensorIdentity
+    changes : tuple of CoefficientChange
+        Every coefficient that both have, at the newer one's reference temperature.
+    verdict : Verdict
+    """
+
+    sensor: SensorIdentity
+    changes: tuple[CoefficientChange, ...]
+    verdict: Verdict
+
+    def as_data(self) -> dict[str, Any]:
+        """The comparison as plain data."""
+        verdict = self.verdict
+        return {
+            "sensor": self.sensor.serial,
+            "verdict": verdict.word,
+            "threshold": verdict.threshold,
+            "changed": list(verdict.changed),
+            "coefficients": [
+                {
+                    "name": change.name,
+                    "before": change.before,
+                    "after": change.after,
+                    "change": change.difference,
+                    "u": change.u,
+                    "ratio": change.ratio,
+                    "threshold": verdict.thresholds.get(change.name),
+                }
+                for change in self.changes
+            ],
+        }
+
+    def __str__(self) -> str:
+        verdict = self.verdict
+        lines = [
+            f"{self.sensor.model} {self.sensor.serial}, {self.sensor.unit}",
+            f"  {'':<26} {'before':>12} {'after':>12} {'change':>12}   change / u (threshold)",
+        ]
+        for change in self.changes:
+            ratio = "" if change.ratio is None else f"{change.ratio:8.2f} ({verdict.thresholds[change.name]:.2f})"
+            mark = "  <" if change.name in verdict.changed else ""
+            lines.append(
+                f"  {change.name:<26} {change.before:>12.6g} {change.after:>12.6g} {change.difference:>+12.4g}"
+                f"   {ratio}{mark}"
+            )
+        return "\n".join([*lines, str(verdict)])
+
+
+def compare(old: Calibration, new: Calibration) -> Comparison:
+    """Compare two calibrations of one sensor.
+
+    The verdict allows for the number of coefficients that are compared: of two calibrations of an unchanged sensor it
+    calls 5 % different.
+
+    Raises
+    ------
+    UsageError
+        They are not of one sensor; the message names what differs.
+
+    Examples
+    --------
+    >>> print(tiltcal.compare(tiltcal.read("spring.yaml"), tiltcal.read("autumn.yaml")))
+    """
+    require_same_sensor(old.record, new.record)
+    found = tuple(changes_between(old.record, new.record))
+    return Comparison(new.sensor, found, judge(found))
