@@ -11,12 +11,11 @@ import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.results import covariance_record
-from tiltcal.core.angle_terms import TURN
+from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.budget import coverage_factor
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import AXES, Array, Coefficients, Mounting
+from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
 from tiltcal.core.mounting import mounting_matrix
-from tiltcal.core.propagation import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, rotation_vector, solve_mounting
 from tiltcal.errors import EstimateError

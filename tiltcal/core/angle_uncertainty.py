@@ -1,34 +1,35 @@
 """The uncertainty of every angle that the kernel gives, row by row, by the GUM's law of propagation.
 
-What the compensation finds solves ``u = f(c, T, g)``, so its error follows from the derivatives of the model that it
-turned round. With the slope w of a channel, which is 1 / ((1 + gain) B') for a bend B(a), the straight signal v errs by
+The compensation solves ``u = f(c, T, g)``, so its error follows from the derivatives of the model that it inverts. With
+the slope w of a channel, one over the derivative of its reading by the signal v = S g::
 
-    dv = w (du - d offset - d drift - B S_ii d gain) - sum_j g_j dS_ij - ...
-    dg = S⁻¹ dv + (turn of the mounting) × g
+    dv = w (du - sum_k (df/dc_k) dc_k - (df/dT) dT)
+    dg = S⁻¹ dv + (rotation error of the mounting) × g
 
-Each term is a coefficient's error times something of the row: 1, dT, g_x, ... So the covariance of g is a quadratic
-form of a few such features, whose matrix is worked out once. Where a third component is hidden it follows the two that
-are seen; see :mod:`tiltcal.core.compensation`. From the components to the angles it is a gradient again, except where
-an angle has an edge: at ±90° of a tilt the interval of the argument is taken through the arcsine, and where pitch or
-inclination comes from a length near zero, an error across it counts too.
+and the covariance of two channels' signals is a quadratic form of their derivatives, taken for many rows at a time.
+A component that is not measured follows the two that are; see :mod:`tiltcal.core.compensation`. From the components to
+the angles it is a gradient again, except at an edge: at ±90° of a tilt the interval of the argument is taken through
+the arcsine, and where pitch or inclination comes from a length near zero, an error across it counts too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 from math import pi, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tiltcal.core.angle_terms import TURN, AngleTerm, AngleTerms
-from tiltcal.core.budget import NEGLIGIBLE
-from tiltcal.core.compensation import DIRECTIONS, FAIL, NO_TEMPERATURE, Bytes, Compensated, Compensation, KernelChunk
-from tiltcal.core.expanded_uncertainty import ExpandedUncertainty
+from tiltcal.core.budget import NEGLIGIBLE, CoverageFactors
+from tiltcal.core.compensation import FAIL, NO_TEMPERATURE, Bytes, Compensated, Compensation, KernelChunk
 from tiltcal.core.model import AXES, Array, Coefficients
-from tiltcal.core.quadratic_forms import QuadraticForms, pairs_of
+from tiltcal.core.tilt_angles import DIRECTIONS
 from tiltcal.errors import EstimateError
+
+TURN = "mounting.turn."
+"""A small rotation error of the mounting about one of the application's axes, by its dotted name."""
 
 HALF_TURN = pi
 """No half width is more, radians."""
@@ -42,6 +43,7 @@ ANYWHERE = pi / sqrt(3.0)
 _EXACT = 1e-9  # part of a square below which its error changes nothing else
 _LOWEST = -60  # binary exponent of an angle too small for anyone
 _SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(_LOWEST, 10) - 1)), 0, 22)  # by binary exponent
+_ROWS = 2048  # of a step: they stay in the cache, and the linear algebra starts no threads for them
 _CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
 
 
@@ -106,7 +108,7 @@ class CompensationWithUncertainty:
     compensation : Compensation
     coefficients : Coefficients
         Those of the compensation.
-    doubt : UncertaintyInputs
+    inputs : UncertaintyInputs
 
     Raises
     ------
@@ -119,9 +121,9 @@ class CompensationWithUncertainty:
     argument of an arcsine is so far beyond ±1 that its interval does not reach back.
     """
 
-    def __init__(self, compensation: Compensation, coefficients: Coefficients, doubt: UncertaintyInputs) -> None:
+    def __init__(self, compensation: Compensation, coefficients: Coefficients, inputs: UncertaintyInputs) -> None:
         self._compensation = compensation
-        self._propagation = _Propagation(compensation, coefficients, doubt)
+        self._propagation = _Propagation(compensation, coefficients, inputs)
         self._angles = compensation.angles
 
     @property
@@ -144,8 +146,8 @@ class CompensationWithUncertainty:
         """Compensate rows; the arguments are those of :class:`Compensation`."""
         room = np.empty((2, len(self._angles), len(np.asarray(readings))))
 
-        def follow(stage: KernelChunk) -> None:
-            self._propagation(stage, room[:, :, stage.rows])
+        def follow(chunk: KernelChunk) -> None:
+            self._propagation(chunk, room[:, :, chunk.rows])
 
         compensated = self._compensation(readings, temperature, follow=follow)
         return AngleUncertainty(compensated, room[0].T, room[1].T)
@@ -154,102 +156,137 @@ class CompensationWithUncertainty:
 class _Propagation:
     """From rows on their way through the kernel to the uncertainty of their angles.
 
-    The forms' outputs are the components of g in the application; or, of two channels, those in the sensor's frame and,
-    where the mounting is uncertain, behind them what its turn moves in the application.
+    The raw outputs are the signals of the channels and, where the mounting is uncertain, behind them the errors of the
+    components in the application's frame that its rotation makes. The outputs are the components of g in the
+    application's frame; or, of two channels, those in the sensor's frame and behind them the rotation's errors.
     """
 
-    def __init__(self, compensation: Compensation, coefficients: Coefficients, doubt: UncertaintyInputs) -> None:
+    def __init__(self, compensation: Compensation, coefficients: Coefficients, inputs: UncertaintyInputs) -> None:
         self._axes = compensation.axes
         self._coupling = compensation.coupling
-        self._turn = np.eye(3) if compensation.rotation is None else compensation.rotation
+        self._rotation = np.eye(3) if compensation.rotation is None else compensation.rotation
         self._sees_all = len(self._axes) == 3
-        self._turned = any(name.startswith(TURN) for name in doubt.names)
-        if self._turned and self._axes not in (("x", "y"), AXES):
+        self._rotated = any(name.startswith(TURN) for name in inputs.names)
+        if self._rotated and self._axes not in (("x", "y"), AXES):
             raise EstimateError("a mounting that is uncertain takes a sensor that measures at least x and y")
-        self._features = AngleTerms(coefficients, self._axes, self._turn)
-        self._expansion = ExpandedUncertainty()
-        moves = self._moves(coefficients, doubt)
-        stretch = doubt.factors / self._expansion.normal
-        if np.allclose(stretch, 1.0, rtol=NEGLIGIBLE):
-            joined = np.zeros((sum(one.shape[1] for one in moves),) * 2)
-            joined[: len(stretch), : len(stretch)] = doubt.covariance
-            joined[len(stretch) :, len(stretch) :] = np.eye(len(joined) - len(stretch))
-            kinds = [(np.concatenate(moves, axis=1), joined)]
-        else:
-            stretched = doubt.covariance * np.outer(stretch, stretch)
-            kinds = [(moves[0], doubt.covariance), (moves[0], stretched), (moves[1], np.eye(moves[1].shape[1]))]
-        self._forms = QuadraticForms(kinds, self._lift(compensation))
-        self._pairs = {pair: k for k, pair in enumerate(pairs_of(self._forms.outputs))}
+        self._models, self._vectors = coefficients.models, coefficients.vectors
+        self._readings, self._temperature = inputs.readings, inputs.temperature
+        self._coverage = CoverageFactors()
+        self._chosen, parameters = self._parameters(inputs.names)
+        widening = inputs.factors / self._coverage.normal
+        self._known = bool(np.allclose(widening, 1.0, rtol=NEGLIGIBLE))
+        """Whether every coefficient has the normal factor, so that one variance says all."""
+        covariances = (
+            [inputs.covariance]
+            if self._known
+            else [inputs.covariance, inputs.covariance * np.outer(widening, widening)]
+        )
+        self._raw = _pairs(len(parameters))
+        self._covariances = [
+            [covariance[np.ix_(parameters[a], parameters[b])] for covariance in covariances] for a, b in self._raw
+        ]
+        lift = self._lift(compensation)
+        self._pair_lift = _pair_lift(lift)
+        self._pairs = {pair: k for k, pair in enumerate(_pairs(len(lift)))}
 
-    def __call__(self, stage: KernelChunk, room: Array) -> None:
-        """Standard and expanded uncertainty of every angle into ``room``, shape (2, angles, n), degrees."""
-        for start in range(0, room.shape[2], self._forms.rows):
-            rows = slice(start, start + self._forms.rows)
-            self._fill(_part(stage, rows), room[:, :, rows])
+    def __call__(self, chunk: KernelChunk, room: Array) -> None:
+        """Write standard and expanded uncertainty of every angle into ``room``, shape (2, angles, n), degrees."""
+        for start in range(0, room.shape[2], _ROWS):
+            rows = slice(start, start + _ROWS)
+            self._fill(_part(chunk, rows), room[:, :, rows])
             _shorten(room[:, :, rows])
-        lost = (stage.out.flag >= FAIL) | (stage.out.reason & NO_TEMPERATURE > 0)
+        lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)
         if lost.any():
             room[:, :, lost] = np.nan
 
-    def _fill(self, stage: KernelChunk, room: Array) -> None:
-        variances = self._forms(self._features(stage))
-        application = stage.out.gravity.T
+    def _fill(self, chunk: KernelChunk, room: Array) -> None:
+        variances = self._variances(chunk)
+        application = chunk.out.gravity.T
         for axis, argument in enumerate(application):
-            half, factor = self._half(self._of_axis(axis, stage, variances))
+            half, factor = self._half(self._of_axis(axis, chunk, variances))
             room[1, axis] = _through_arcsine(argument, half)
             np.divide(room[1, axis], factor, out=room[0, axis])
         if self._sees_all:
             for number, name in enumerate(DIRECTIONS, start=len(self._axes)):
                 self._direction(name, application, variances, room[:, number])
 
-    # ------------------------------------------------------------------------------------------- what depends on what
+    # ------------------------------------------------------------------------------------- from errors to components
 
-    def _moves(self, coefficients: Coefficients, doubt: UncertaintyInputs) -> tuple[Array, Array]:
-        """How each coefficient, and each reading and the temperature, moves each channel's straight signal.
+    def _parameters(self, names: Sequence[str]) -> tuple[list[list[int]], list[list[int]]]:
+        """Return the derivatives that count of each raw output, and the uncertain parameters that they belong to."""
+        places = {name: k for k, name in enumerate(names)}
+        chosen, parameters = [], []
+        for model in self._models:
+            rows = [row for row, name in enumerate(model.coefficients) if name in places]
+            chosen.append(rows)
+            parameters.append([places.pop(model.coefficients[row]) for row in rows])
+        if self._rotated:
+            about = [places.pop(TURN + axis) for axis in AXES]
+            # The rotation error r adds r × g: its component along an axis takes the two other components of r.
+            parameters += [[about[(axis + 1) % 3], about[(axis + 2) % 3]] for axis in range(len(self._axes))]
+        if places:
+            raise EstimateError(f"the calibration has no coefficient {next(iter(places))!r}")
+        return chosen, parameters
 
-        Shapes (channels, k, features); where the mounting is uncertain, behind the channels what its turn moves.
+    def _variances(self, chunk: KernelChunk) -> Array:
+        """Return the covariance of each pair of outputs, shape (kinds, pairs, n).
+
+        Kinds: all together where every coefficient has the normal factor; else of the coefficients, the same widened by
+        their factors, and of readings and temperature.
         """
-        features, channels = self._features, len(coefficients.channels)
-        of_coefficients: list[tuple[int, int, AngleTerm, float]] = []
-        for k, name in enumerate(doubt.names):
-            if name.startswith(TURN):
-                axis = AXES.index(name.removeprefix(TURN))
-                first, second = (axis + 1) % 3, (axis + 2) % 3
-                for row, column, sign in ((second, first, 1.0), (first, second, -1.0)):
-                    if row < len(self._axes):
-                        of_coefficients.append((channels + row, k, AngleTerm("up", column), sign))
-            else:
-                of_coefficients += [(i, k, term, -1.0) for i, term in features.of_coefficient(name)]
-        of_readings = [(i, i, features.of_reading(i), sigma) for i, sigma in enumerate(doubt.readings.tolist())]
-        for i in range(channels):
-            of_readings += [
-                (i, channels, term, -weight * doubt.temperature) for term, weight in features.of_temperature(i)
-            ]
-        for _, _, term, _ in (*of_coefficients, *of_readings):
-            features.add(term)
-        outputs = channels + (len(self._axes) if self._turned else 0)
-        return (
-            self._map(of_coefficients, outputs, len(doubt.names)),
-            self._map(of_readings, outputs, channels + 1),
-        )
+        gravity = self._sensed(chunk)
+        n = gravity.shape[1]
+        dt = np.zeros(n) if chunk.dt is None else chunk.dt
+        derivatives, slopes, by_temperature = [], [], []
+        for model, theta, chosen in zip(self._models, self._vectors, self._chosen, strict=True):
+            reading = model.read(theta, gravity.T, dt)
+            slopes.append(1.0 / reading.by_signal)
+            table = reading.by_coefficient.T
+            derivatives.append(table if len(chosen) == len(table) else table[chosen])
+            derivatives[-1] *= -slopes[-1]
+            by_temperature.append(slopes[-1] * (self._temperature * reading.by_temperature))
+        if self._rotated:
+            up = self._in_application(chunk, gravity)
+            derivatives += [np.stack([up[(k + 2) % 3], -up[(k + 1) % 3]]) for k in range(len(self._axes))]
+        found = np.zeros((1 if self._known else 3, len(self._raw), n))
+        for k, (a, b) in enumerate(self._raw):
+            for kind, covariance in enumerate(self._covariances[k]):
+                np.einsum("kn,kn->n", derivatives[a], covariance @ derivatives[b], out=found[kind, k])
+            if b < len(slopes):
+                if self._temperature:
+                    found[-1, k] += by_temperature[a] * by_temperature[b]
+                if a == b:
+                    found[-1, k] += (slopes[a] * self._readings[a]) ** 2
+        return np.asarray(np.matmul(self._pair_lift, found))
 
-    def _map(self, entries: Sequence[tuple[int, int, AngleTerm, float]], outputs: int, count: int) -> Array:
-        table = np.zeros((outputs, count, len(self._features)))
-        for row, k, term, weight in entries:
-            table[row, k, self._features.place(term)] += weight
-        return table
+    def _sensed(self, chunk: KernelChunk) -> Array:
+        """Return g in the sensor's frame, shape (3, n); 0 along an axis that a sensor of one channel does not see."""
+        gravity = np.zeros((3, chunk.own.shape[1]))
+        for row, axis in zip(chunk.own, self._axes, strict=True):
+            gravity[AXES.index(axis)] = row
+        if self._axes == ("x", "y"):
+            gravity[2] = (
+                np.sqrt(np.maximum(1.0 - np.sum(chunk.own**2, axis=0), 0.0)) if chunk.hidden is None else chunk.hidden
+            )
+        return gravity
+
+    def _in_application(self, chunk: KernelChunk, gravity: Array) -> Array:
+        """Return g in the application's frame, shape (3, n)."""
+        up: Array = self._rotation @ gravity
+        up[: len(self._axes)] = chunk.out.gravity.T
+        return up
 
     def _lift(self, compensation: Compensation) -> Array:
-        """From the channels' straight signals to the outputs."""
+        """Return the matrix from the raw outputs to the outputs."""
         seen = len(self._axes)
-        lift = self._turn @ compensation.inverse if self._sees_all else compensation.inverse
-        if not self._turned:
+        lift = self._rotation @ compensation.inverse if self._sees_all else compensation.inverse
+        if not self._rotated:
             return lift
         if self._sees_all:
             return np.hstack([lift, np.eye(seen)])
         return np.block([[lift, np.zeros((seen, seen))], [np.zeros((seen, seen)), np.eye(seen)]])
 
-    # ------------------------------------------------------------------------------------------------------ to angles
+    # ------------------------------------------------------------------------------------- from components to angles
 
     def _along(self, variances: Array, gradient: Sequence[Array | float]) -> Array:
         """Variance along a gradient over the outputs, shape (kinds, n)."""
@@ -259,18 +296,18 @@ class _Propagation:
             total += (double * gradient[first]) * gradient[second] * variances[:, k]
         return total
 
-    def _of_axis(self, axis: int, stage: KernelChunk, variances: Array) -> Array:
+    def _of_axis(self, axis: int, chunk: KernelChunk, variances: Array) -> Array:
         """Variance of one component of g in the application, shape (kinds, n)."""
-        moved = self._turned and not self._sees_all
-        if stage.hidden is None:
+        moved = self._rotated and not self._sees_all
+        if chunk.hidden is None:
             if not moved:
                 return np.asarray(variances[:, self._pairs[axis, axis]])
             gradient: list[Array | float] = [float(axis == k) for k in range(2)]
         else:
-            q, row = self._coupling, self._turn[axis]
-            own = stage.own
+            q, row = self._coupling, self._rotation[axis]
+            own = chunk.own
             along, _ = self._half(self._along(variances, [own[0], own[1], *([0.0, 0.0] if moved else [])]))
-            share = (row[:2] @ q - row[2]) / _slope_of_root(stage.hidden - q @ own, along)
+            share = (row[:2] @ q - row[2]) / _slope_of_root(chunk.hidden - q @ own, along)
             gradient = [row[k] + share * own[k] for k in range(2)]
         if moved:
             gradient += [float(axis == k) for k in range(2)]
@@ -279,9 +316,9 @@ class _Propagation:
     def _half(self, parts: Array) -> tuple[Array, Array | float]:
         """Half width of the 95 % interval, and its coverage factor."""
         np.maximum(parts, 0.0, out=parts)
-        if self._forms.kinds == 1:
-            return self._expansion.normal * np.sqrt(parts[0]), self._expansion.normal
-        factor = self._expansion.factor(*parts)
+        if self._known:
+            return self._coverage.normal * np.sqrt(parts[0]), self._coverage.normal
+        factor = self._coverage.factor(*parts)
         return factor * np.sqrt(parts[0] + parts[2]), factor
 
     def _direction(self, name: str, gravity: Array, variances: Array, room: Array) -> None:
@@ -314,6 +351,20 @@ class _Propagation:
         np.copyto(width, np.maximum(width, from_edge), where=within)
         np.minimum(width, HALF_TURN, out=room[1])
         np.minimum(room[1] / factor, ANYWHERE, out=room[0])
+
+
+def _pairs(count: int) -> list[tuple[int, int]]:
+    return list(combinations_with_replacement(range(count), 2))
+
+
+def _pair_lift(lift: Array) -> Array:
+    """Return the matrix from covariances of the raw outputs to those of the outputs, shape (pairs, raw pairs)."""
+    rows = []
+    for a, b in _pairs(len(lift)):
+        table = np.outer(lift[a], lift[b])
+        table = table + table.T
+        rows.append([table[i, j] / (2.0 if i == j else 1.0) for i, j in _pairs(lift.shape[1])])
+    return np.array(rows)
 
 
 def _slope_of_root(root: Array, half: Array) -> Array:
@@ -352,14 +403,14 @@ def _shorten(room: Array) -> None:
     room /= scale
 
 
-def _part(stage: KernelChunk, rows: slice) -> KernelChunk:
-    """Some rows of a stage; of what comes out, gravity alone."""
-    out = stage.out
+def _part(chunk: KernelChunk, rows: slice) -> KernelChunk:
+    """Some rows of a chunk; of what comes out, gravity alone."""
+    out = chunk.out
     return KernelChunk(
         rows,
-        None if stage.dt is None else stage.dt[rows],
-        stage.signal[:, rows],
-        stage.own[:, rows],
-        None if stage.hidden is None else stage.hidden[rows],
+        None if chunk.dt is None else chunk.dt[rows],
+        chunk.signal[:, rows],
+        chunk.own[:, rows],
+        None if chunk.hidden is None else chunk.hidden[rows],
         Compensated(out.gravity[rows], out.tilt[rows], None, None, None, out.flag[rows], out.reason[rows]),
     )

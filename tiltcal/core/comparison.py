@@ -8,9 +8,8 @@ from math import inf, sqrt
 
 import numpy as np
 
-from tiltcal.core.budget import COVERAGE, NEGLIGIBLE, coverage_factor, welch_satterthwaite
-from tiltcal.core.model import Array, Coefficients, Thermal, polynomial
-from tiltcal.core.propagation import propagated, vector_of, with_vector
+from tiltcal.core.budget import COVERAGE, NEGLIGIBLE, coverage_factor, propagated, welch_satterthwaite
+from tiltcal.core.model import Array, Coefficients, Thermal, polynomial, vector_of, with_vector
 
 
 @dataclass(frozen=True)
@@ -170,8 +169,9 @@ def referred(coefficients: Coefficients, reference: float) -> Coefficients:
     if thermal is None or thermal.reference == reference:
         return coefficients
     shift = reference - thermal.reference
-    at = np.array([shift])
-    drift, gain = polynomial(thermal.drift, at)[0], polynomial(thermal.gain, at)[0]
+    drift, gain = (
+        np.array([polynomial(row, np.array(shift)) for row in table]) for table in (thermal.drift, thermal.gain)
+    )
     return replace(
         coefficients,
         offset=coefficients.offset + drift,

@@ -1,6 +1,6 @@
 """The compensation kernel: from raw readings to gravity, tilt and quality flags.
 
-The model is turned round. With ``v_i = (u_i - offset_i - drift_i(dT)) / (1 + gain_i(dT))``::
+The model of :mod:`tiltcal.core.model` is inverted. With ``v_i = (u_i - offset_i - drift_i(dT)) / (1 + gain_i(dT))``::
 
     v = S g    =>    g = S⁻¹ v    =>    a' = R g    =>    tilt_i = asin(a'_i)
 
@@ -23,8 +23,9 @@ from math import pi, radians, sin
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tiltcal.core.model import AXES, Array, Coefficients, Limits
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, nonlinearity_slope, polynomial
 from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.tilt_angles import DIRECTIONS, inclination, pitch, roll, tilt
 from tiltcal.errors import EstimateError
 
 Bytes = NDArray[np.uint8]
@@ -46,11 +47,11 @@ REASONS = {
     NOT_A_NUMBER: "not a number",
 }
 
-DIRECTIONS = ("pitch", "roll", "inclination")
-"""The angles over the full circle that three axes have."""
-
 CLIP_LIMIT = 1.02
 """An arcsine argument up to this is taken for ±90°, g."""
+
+NEWTON_STEPS = 4
+"""Of the non-linearity's inverse: a non-linearity of 5 % needs three to reach double precision."""
 
 _CHUNK = 32_768  # rows whose columns stay in the cache from the first step to the last
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
@@ -187,7 +188,7 @@ class Compensation:
             raise EstimateError(f"the first-order compensation is for two channels; this sensor has {channels}")
 
         self._offset = coefficients.offset
-        self._bend = None if coefficients.nonlinearity is None else Nonlinearity(coefficients)
+        self._coefficients = coefficients
         self._thermal = coefficients.thermal
         square = sensitivity[:, : len(self.axes)]
         self.inverse = _first_order_inverse(square) if first_order else _inverse(square)
@@ -288,23 +289,25 @@ class Compensation:
         """One chunk, ``u`` having a row per channel, into ``out``."""
         out.flag.fill(PASS)
         out.reason.fill(0)
-        dt = self._warmth(temperature, out)
+        dt = self._temperature_difference(temperature, out)
         signal = self._signal(u, dt)
-        if self._bend is not None:
-            self._bend.linearise(signal)
+        linearise(signal, self._coefficients)
         own = self.inverse @ signal
         hidden = self._solve_hidden(own, out) if self._hidden else None
         application = out.gravity.T
         self._mount(own, hidden, application)
-        for tilt, argument in zip(out.tilt.T, application, strict=True):
-            _arcsine(argument, tilt, out)
+        for angle, argument in zip(out.tilt.T, application, strict=True):
+            _arcsine(argument, angle, out)
         if len(self.axes) == 3:
-            _directions(application, out)
+            g_x, g_y, g_z = application
+            pitch(g_x, g_y, g_z, out=out.pitch)
+            roll(g_x, g_y, g_z, out=out.roll)
+            inclination(g_x, g_y, g_z, out=out.inclination)
         self._judge_tilt(own, out)
         self._judge_readings(u, out)
         return KernelChunk(rows, dt, signal, own, hidden, out)
 
-    def _warmth(self, temperature: Array | None, out: Compensated) -> Array | None:
+    def _temperature_difference(self, temperature: Array | None, out: Compensated) -> Array | None:
         """How much warmer than at the reference temperature, °C, where that counts; marks the rows that do not say."""
         known = None
         if temperature is not None:
@@ -330,9 +333,9 @@ class Compensation:
             return signal
         for row, drift, gain in zip(signal, self._thermal.drift, self._thermal.gain, strict=True):
             if drift.any():
-                row -= _polynomial(drift, dt)
+                row -= polynomial(drift, dt)
             if gain.any():
-                row /= 1.0 + _polynomial(gain, dt)
+                row /= 1.0 + polynomial(gain, dt)
         return signal
 
     def _solve_hidden(self, own: Array, out: Compensated) -> Array:
@@ -385,43 +388,32 @@ class Compensation:
                 column[missing] = np.nan
 
 
-class Nonlinearity:
-    """The non-linearity of each channel, ready to be taken out of its signal.
+def linearise(signal: Array, coefficients: Coefficients) -> None:
+    """Take the non-linearity out of the signal S_ii B(a) of each channel, in place: S_ii a is left.
 
     Parameters
     ----------
+    signal : ndarray, shape (channels, n)
+        Unit.
     coefficients : Coefficients
-        With a non-linearity.
     """
-
-    STEPS = 4
-    """Newton's steps: a bend of 5 % needs three to reach double precision."""
-
-    def __init__(self, coefficients: Coefficients) -> None:
-        axes = coefficients.axes
-        self._own = [
-            float(row[axes.index(c)]) for c, row in zip(coefficients.channels, coefficients.sensitivity, strict=True)
-        ]
-        table = coefficients.nonlinearity if coefficients.nonlinearity is not None else np.zeros((len(self._own), 0))
-        self._terms = [tuple(float(share) for share in np.pad(row, (0, 2 - len(row)))) for row in table]
-
-    def linearise(self, signal: Array) -> None:
-        """Turn S_ii (a + n2 a² + n3 a³) into S_ii a, in place; ``signal`` has a row per channel."""
-        for row, own, (square, cube) in zip(signal, self._own, self._terms, strict=True):
-            if square == 0.0 and cube == 0.0:
-                continue
-            bent = row / own
-            a = bent.copy()
-            for _ in range(self.STEPS):
-                a -= (a * (1.0 + a * (square + a * cube)) - bent) / (1.0 + a * (2.0 * square + 3.0 * a * cube))
+    if coefficients.nonlinearity is None:
+        return
+    for i, (row, channel, shares) in enumerate(
+        zip(signal, coefficients.channels, coefficients.nonlinearity, strict=True)
+    ):
+        if shares.any():
+            own = coefficients.sensitivity[i, coefficients.axes.index(channel)]
+            target = row / own
+            a = target.copy()
+            for _ in range(NEWTON_STEPS):
+                a -= (a * (1.0 + polynomial(shares, a)) - target) / nonlinearity_slope(shares, a)
             np.multiply(a, own, out=row)
 
 
-def _arcsine(argument: Array, tilt: Array, out: Compensated) -> None:
-    """asin in degrees, trapped: ±90° a little beyond ±1, NaN further out, and the row says so."""
-    np.clip(argument, -1.0, 1.0, out=tilt)
-    np.arcsin(tilt, out=tilt)
-    tilt *= 180.0 / pi
+def _arcsine(argument: Array, angle: Array, out: Compensated) -> None:
+    """Compute a tilt, trapped: ±90° a little beyond ±1, NaN further out, and the row's flag shows it."""
+    tilt(argument, out=angle)
     size = np.abs(argument)
     inside = size <= 1.0 + _ROUNDING
     if inside.all():
@@ -429,20 +421,7 @@ def _arcsine(argument: Array, tilt: Array, out: Compensated) -> None:
     _mark(out, ~inside, SUSPECT, CLIPPED)
     lost = ~(size <= CLIP_LIMIT + _ROUNDING)
     _mark(out, lost, FAIL, CLIPPED)
-    tilt[lost] = np.nan
-
-
-def _directions(gravity: Array, out: Compensated) -> None:
-    """Pitch, roll and inclination in degrees, over the full circle."""
-    g_x, g_y, g_z = gravity
-    for angle, up, across in (
-        (out.pitch, g_x, np.hypot(g_y, g_z)),
-        (out.roll, g_y, g_z),
-        (out.inclination, np.hypot(g_x, g_y), g_z),
-    ):
-        if angle is not None:
-            np.arctan2(up, across, out=angle)
-            angle *= 180.0 / pi
+    angle[lost] = np.nan
 
 
 def _mark(out: Compensated, rows: Bits, flag: int, reason: int) -> None:
@@ -450,15 +429,6 @@ def _mark(out: Compensated, rows: Bits, flag: int, reason: int) -> None:
     if rows.any():
         out.reason[rows] |= np.uint8(reason)
         out.flag[rows] = np.maximum(out.flag[rows], np.uint8(flag))
-
-
-def _polynomial(coefficients: Array, dt: Array) -> Array:
-    """One channel's polynomial without a constant term, by Horner's rule in place."""
-    value = np.zeros_like(dt)
-    for coefficient in coefficients[::-1]:
-        value += coefficient
-        value *= dt
-    return value
 
 
 def _inverse(sensitivity: Array) -> Array:

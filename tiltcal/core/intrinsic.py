@@ -19,9 +19,9 @@ from math import degrees
 
 import numpy as np
 
-from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.budget import propagated
+from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.mounting import mounting_angles
-from tiltcal.core.propagation import propagated, vector_of, with_vector
 from tiltcal.errors import EstimateError
 
 

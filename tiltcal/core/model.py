@@ -1,22 +1,25 @@
-"""The one measurement model, and the coefficients that fill it.
+"""The one measurement model: what a sensor reads, and the derivatives of its reading.
 
 For channel i at temperature T, with dT = T - T_ref::
 
-    u_i = offset_i + drift_i(dT) + (1 + gain_i(dT)) * bent_i(sum_j S_ij g_j) + noise
-    bent_i(s) = s + S_ii * (n_i2 (s / S_ii)² + n_i3 (s / S_ii)³)
+    u_i = offset_i + drift_i(dT) + (1 + gain_i(dT)) * S_ii B_i(a_i) + noise
+    S_ii a_i = sum_j S_ij g_j,    B_i(a) = a (1 + n_i2 a + n_i3 a²)
 
-``g`` is the unit vector that points UP in the sensor frame: what an ideal sensor at rest reads. Level is (0, 0, 1); an
-axis that points up reads +1 g. ``drift_i`` and ``gain_i`` are polynomials without a constant term. ``bent_i`` is the
-straight line ``s`` unless a procedure determined the non-linearity: ``S_ii`` is the channel's sensitivity to its own
-axis, so that the n are pure numbers.
+``g`` is the unit vector that points UP in the sensor frame: the reading of an ideal sensor at rest. Level is (0, 0, 1);
+an axis that points up reads +1 g. ``drift_i``, the temperature drift of the offset, and ``gain_i``, the temperature
+coefficient of the sensitivity, are polynomials without a constant term. ``B_i`` is the non-linearity: the identity
+unless a procedure determined it. ``S_ii`` is the channel's sensitivity to its own axis, so the n are pure numbers.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tiltcal.errors import EstimateError
 
 Array = NDArray[np.float64]
 
@@ -87,8 +90,22 @@ class Coefficients:
     mounting: Mounting | None = None
     nonlinearity: Array | None = None
 
+    @property
+    def models(self) -> tuple[ChannelModel, ...]:
+        """The model of each channel."""
+        drift, gain = (0, 0) if self.thermal is None else (self.thermal.drift.shape[1], self.thermal.gain.shape[1])
+        shares = 0 if self.nonlinearity is None else self.nonlinearity.shape[1]
+        return tuple(ChannelModel(name, self.axes, drift, gain, shares) for name in self.channels)
+
+    @property
+    def vectors(self) -> Array:
+        """The coefficients of each channel in the order of :attr:`ChannelModel.coefficients`, a row per channel."""
+        thermal = [] if self.thermal is None else [self.thermal.drift, self.thermal.gain]
+        shares = [] if self.nonlinearity is None else [self.nonlinearity]
+        return np.hstack([self.offset[:, None], self.sensitivity, *thermal, *shares])
+
     def predict(self, gravity: Array, temperature: Array | None = None) -> Array:
-        """Readings that the model expects.
+        """Compute the readings that the model expects.
 
         Parameters
         ----------
@@ -103,24 +120,16 @@ class Coefficients:
             In the unit of the offset.
         """
         columns = [AXES.index(axis) for axis in self.axes]
-        signal = self._bent(np.asarray(gravity, dtype=float)[:, columns] @ self.sensitivity.T)
-        if self.thermal is None or temperature is None:
-            return self.offset + signal
-        dt = np.asarray(temperature, dtype=float) - self.thermal.reference
-        drift = polynomial(self.thermal.drift, dt)
-        gain = polynomial(self.thermal.gain, dt)
-        return self.offset + drift + (1.0 + gain) * signal
-
-    def _bent(self, signal: Array) -> Array:
-        """The signal of each channel, shape (n, channels), with its non-linearity."""
-        if self.nonlinearity is None:
-            return signal
-        bent = signal.copy()
-        for i, channel in enumerate(self.channels):
-            own = self.sensitivity[i, self.axes.index(channel)]
-            for power, share in enumerate(self.nonlinearity[i], start=2):
-                bent[:, i] += own * share * (signal[:, i] / own) ** power
-        return bent
+        readings = np.asarray(gravity, dtype=float)[:, columns] @ self.sensitivity.T
+        if self.nonlinearity is not None:
+            for i, (channel, shares) in enumerate(zip(self.channels, self.nonlinearity, strict=True)):
+                own = self.sensitivity[i, self.axes.index(channel)]
+                readings[:, i] *= 1.0 + polynomial(shares, readings[:, i] / own)
+        if self.thermal is not None and temperature is not None:
+            dt = np.asarray(temperature, dtype=float) - self.thermal.reference
+            for i, (drift, gain) in enumerate(zip(self.thermal.drift, self.thermal.gain, strict=True)):
+                readings[:, i] = polynomial(drift, dt) + (1.0 + polynomial(gain, dt)) * readings[:, i]
+        return self.offset + readings
 
 
 @dataclass(frozen=True)
@@ -142,20 +151,207 @@ class Limits:
     reading: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
-def polynomial(coefficients: Array, dt: Array) -> Array:
-    """Evaluate one polynomial without a constant term per channel, by Horner's rule.
+def polynomial(coefficients: Array, variable: Array) -> Array:
+    """Evaluate a polynomial without a constant term, by Horner's rule in place.
 
     Parameters
     ----------
-    coefficients : ndarray, shape (channels, order)
-        Column k multiplies dt**(k+1).
-    dt : ndarray, shape (n,)
+    coefficients : ndarray, shape (order,)
+        Element k multiplies variable**(k+1).
+    variable : ndarray, any shape
 
     Returns
     -------
-    ndarray, shape (n, channels)
+    ndarray, the shape of ``variable``
     """
-    value = np.zeros((len(dt), len(coefficients)))
-    for column in coefficients.T[::-1]:
-        value = (value + column) * dt[:, None]
+    value = np.zeros_like(variable)
+    for coefficient in coefficients[::-1]:
+        value += coefficient
+        value *= variable
     return value
+
+
+def polynomial_slope(coefficients: Array, variable: Array) -> Array:
+    """Evaluate the derivative of :func:`polynomial` by its variable."""
+    value = np.zeros_like(variable)
+    for power in range(len(coefficients), 0, -1):
+        value *= variable
+        value += power * coefficients[power - 1]
+    return value
+
+
+def nonlinearity_slope(shares: Array, a: Array) -> Array:
+    """Evaluate B'(a), the derivative of a (1 + n2 a + n3 a² + ...); ``shares`` are the n."""
+    return 1.0 + polynomial(shares * np.arange(2, 2 + len(shares)), a)
+
+
+@dataclass(frozen=True)
+class ModelReading:
+    """What one channel reads in n positions.
+
+    Attributes
+    ----------
+    value : ndarray, shape (n,)
+        In the sensor's unit.
+    by_coefficient : ndarray, shape (n, coefficients)
+    by_signal : ndarray, shape (n,)
+        By the signal S g, a ratio.
+    by_temperature : ndarray, shape (n,)
+        unit/°C.
+    sensitivity : ndarray, shape (3,)
+        To x, y and z, 0 along an axis that was not determined, unit/g.
+    """
+
+    value: Array
+    by_coefficient: Array
+    by_signal: Array
+    by_temperature: Array
+    sensitivity: Array
+
+    @property
+    def by_gravity(self) -> Array:
+        """Derivatives by gravity, shape (n, 3), unit/g."""
+        return np.outer(self.by_signal, self.sensitivity)
+
+
+@dataclass(frozen=True)
+class ChannelModel:
+    """The coefficients of one channel, and its reading with the derivatives that the estimator needs.
+
+    Attributes
+    ----------
+    name : str
+    axes : tuple of str
+        Columns of the sensitivity.
+    drift, gain, nonlinearity : int
+        Orders: of the temperature polynomials, and how many powers from the square on the non-linearity has.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    drift: int = 0
+    gain: int = 0
+    nonlinearity: int = 0
+
+    @property
+    def coefficients(self) -> tuple[str, ...]:
+        """Dotted names of the coefficients, in the order of their vector."""
+        return (
+            f"offset.{self.name}",
+            *(f"sensitivity.{self.name}.{axis}" for axis in self.axes),
+            *(f"temperature.offset.{self.name}.{k + 1}" for k in range(self.drift)),
+            *(f"temperature.sensitivity.{self.name}.{k + 1}" for k in range(self.gain)),
+            *(f"nonlinearity.{self.name}.{k + 2}" for k in range(self.nonlinearity)),
+        )
+
+    def split(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """Return sensitivity, drift, gain and non-linearity of a vector of coefficients."""
+        ends = np.cumsum([1, len(self.axes), self.drift, self.gain])
+        sensitivity, drift, gain, shares = np.split(theta, ends)[1:]
+        return sensitivity, drift, gain, shares
+
+    def read(self, theta: Array, gravity: Array, dt: Array) -> ModelReading:
+        """Compute the reading and its derivatives.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (coefficients,)
+        gravity : ndarray, shape (n, 3)
+            Up in the sensor frame, g.
+        dt : ndarray, shape (n,)
+            Temperature from the reference, °C.
+        """
+        sensitivity, drift, gain, shares = self.split(theta)
+        columns = [AXES.index(axis) for axis in self.axes]
+        along = gravity.T[columns]
+        signal = sensitivity @ along
+        scale = 1.0 + polynomial(gain, dt)
+        by_signal = scale
+        table = np.empty((len(theta), len(dt)))
+        first = 1 + len(columns)
+        table[0] = 1.0
+        table[1:first] = along
+        if self.nonlinearity:
+            place = self.axes.index(self.name)
+            own = sensitivity[place]
+            a = signal / own if own else np.zeros_like(signal)
+            slope = nonlinearity_slope(shares, a)
+            by_signal = scale * slope
+            signal = signal * (1.0 + polynomial(shares, a))
+            table[1:first] *= slope
+            table[1 + place] += a * (1.0 + polynomial(shares, a) - slope)
+            table[-self.nonlinearity :] = own * scale
+            _multiply_by_powers(table[-self.nonlinearity :], a, a)
+        if self.gain or self.nonlinearity:
+            table[1:first] *= scale
+        table[first : first + self.drift] = 1.0
+        table[first + self.drift : first + self.drift + self.gain] = signal
+        _multiply_by_powers(table[first : first + self.drift], dt)
+        _multiply_by_powers(table[first + self.drift : first + self.drift + self.gain], dt)
+        to_axes = np.zeros(3)
+        to_axes[columns] = sensitivity
+        return ModelReading(
+            value=theta[0] + polynomial(drift, dt) + scale * signal,
+            by_coefficient=table.T,
+            by_signal=by_signal,
+            by_temperature=polynomial_slope(drift, dt) + polynomial_slope(gain, dt) * signal,
+            sensitivity=to_axes,
+        )
+
+
+def _multiply_by_powers(table: Array, variable: Array, power: Array | float = 1.0) -> None:
+    """Multiply row k by variable**(k+1), or by ``power`` times that."""
+    for row in table:
+        power = power * variable
+        row *= power
+
+
+def vector_of(coefficients: Coefficients, names: Sequence[str]) -> Array:
+    """Return the coefficients with these dotted names.
+
+    Raises
+    ------
+    EstimateError
+        The coefficients have none of that name.
+    """
+    return np.array([_value(coefficients, name) for name in names])
+
+
+def with_vector(coefficients: Coefficients, names: Sequence[str], vector: Array) -> Coefficients:
+    """Return coefficients with other values for these dotted names."""
+    offset, sensitivity = coefficients.offset.copy(), coefficients.sensitivity.copy()
+    thermal, shares = coefficients.thermal, coefficients.nonlinearity
+    if thermal is not None:
+        thermal = Thermal(thermal.reference, thermal.range, thermal.drift.copy(), thermal.gain.copy())
+    shares = None if shares is None else shares.copy()
+    changed = replace(coefficients, offset=offset, sensitivity=sensitivity, thermal=thermal, nonlinearity=shares)
+    for name, value in zip(names, vector, strict=True):
+        table, place = _place(changed, name)
+        table[place] = value
+    return changed
+
+
+def _value(coefficients: Coefficients, name: str) -> float:
+    table, place = _place(coefficients, name)
+    return float(table[place])
+
+
+def _place(coefficients: Coefficients, name: str) -> tuple[Array, tuple[int, ...]]:
+    """Return the array that holds a coefficient, and its place there."""
+    thermal = coefficients.thermal
+    try:
+        match name.split("."):
+            case ["offset", channel]:
+                return coefficients.offset, (coefficients.channels.index(channel),)
+            case ["sensitivity", channel, axis]:
+                place = coefficients.channels.index(channel), coefficients.axes.index(axis)
+                return coefficients.sensitivity, place
+            case ["temperature", "offset", channel, power] if thermal is not None:
+                return thermal.drift, (coefficients.channels.index(channel), int(power) - 1)
+            case ["temperature", "sensitivity", channel, power] if thermal is not None:
+                return thermal.gain, (coefficients.channels.index(channel), int(power) - 1)
+            case ["nonlinearity", channel, power] if coefficients.nonlinearity is not None:
+                return coefficients.nonlinearity, (coefficients.channels.index(channel), int(power) - 2)
+    except ValueError:
+        pass
+    raise EstimateError(f"the calibration has no coefficient {name!r}")

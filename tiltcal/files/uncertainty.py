@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.angle_terms import TURN
-from tiltcal.core.angle_uncertainty import UncertaintyInputs
+from tiltcal.core.angle_uncertainty import TURN, UncertaintyInputs
 from tiltcal.core.budget import coverage_factor
 from tiltcal.core.comparison import KnownCoefficient, known, values
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting

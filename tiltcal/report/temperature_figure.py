@@ -48,14 +48,14 @@ def _plot(figure: Figure, calibration: CalibrationRecord, thermal: Thermal) -> N
     panels = figure.subplots(1 + gains, len(coefficients.channels), sharex=True, squeeze=False)
     t = np.linspace(*_range(calibration, thermal), POINTS)
     for column, channel in enumerate(coefficients.channels):
-        curve = coefficients.offset[column] + polynomial(thermal.drift, t - thermal.reference)[:, column]
+        curve = coefficients.offset[column] + polynomial(thermal.drift[column], t - thermal.reference)
         names = [f"offset.{channel}", *(f"temperature.offset.{channel}.{k + 1}" for k in range(thermal.drift.shape[1]))]
         powers = np.vander(t - thermal.reference, len(names), increasing=True)
         _curve(panels[0, column], t, curve, _half_width(calibration, names, powers), channel)
         _positions(panels[0, column], calibration, thermal, column)
         panels[0, column].set_ylabel(f"offset of {channel} [{calibration.sensor.unit}]")
         if gains:
-            gain = polynomial(thermal.gain, t - thermal.reference)[:, column]
+            gain = polynomial(thermal.gain[column], t - thermal.reference)
             names = [f"temperature.sensitivity.{channel}.{k + 1}" for k in range(thermal.gain.shape[1])]
             powers = np.vander(t - thermal.reference, len(names) + 1, increasing=True)[:, 1:]
             half = _half_width(calibration, names, powers)
@@ -87,9 +87,7 @@ def _positions(panel: Axes, calibration: CalibrationRecord, thermal: Thermal, co
     if not fitted:
         return
     t, residual = np.array(list(fitted.values())).T
-    at = (
-        calibration.coefficients.offset[column] + polynomial(thermal.drift, t - thermal.reference)[:, column] + residual
-    )
+    at = calibration.coefficients.offset[column] + polynomial(thermal.drift[column], t - thermal.reference) + residual
     panel.plot(t, at, color=GREY, linewidth=0.4)
     panel.plot(t, at, CHANNELS[channel][1], color=CHANNELS[channel][0], markersize=3.2)
 

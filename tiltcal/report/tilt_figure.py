@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiltcal.core.angle_terms import TURN
-from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, UncertaintyInputs
+from tiltcal.core.angle_uncertainty import TURN, CompensationWithUncertainty, UncertaintyInputs
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Limits
 from tiltcal.errors import EstimateError, UsageError

@@ -17,12 +17,10 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from tiltcal.core.angle_uncertainty import AngleUncertainty, CompensationWithUncertainty, UncertaintyInputs
+from tiltcal.core.budget import CoverageFactors
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.expanded_uncertainty import ExpandedUncertainty
-from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal
+from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
 from tiltcal.core.mounting import mounting_angles, mounting_matrix
-from tiltcal.core.propagation import vector_of, with_vector
-from tiltcal.core.quadratic_forms import QuadraticForms
 from tiltcal.errors import EstimateError
 
 Array = NDArray[np.float64]
@@ -177,23 +175,23 @@ def test_it_is_what_differences_give(name: str) -> None:
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_it_is_what_random_errors_scatter_by(name: str) -> None:
-    """4,000 draws of everything that is uncertain: the scatter of 4,000 is known to 1.1 %."""
+    """400 draws of everything that is uncertain: the scatter of 400 is known to 3.5 %, a share of 95 % to 1.1 %."""
     known = SENSORS[name]
     doubt = doubt_of(known)
     readings, temperature = rows(known, 12)
     found = result_of(known, doubt, readings, temperature)
     rng = np.random.default_rng(11)
     draws = []
-    for error in rng.multivariate_normal(np.zeros(len(doubt.names)), doubt.covariance, 4000):
+    for error in rng.multivariate_normal(np.zeros(len(doubt.names)), doubt.covariance, 400):
         off = angles(
             moved(known, doubt.names, error),
             readings + rng.normal(0.0, NOISE, readings.shape),
             temperature + rng.normal(0.0, doubt.temperature, len(temperature)),
         )
         draws.append((off - angles(known, readings, temperature) + 180.0) % 360.0 - 180.0)
-    np.testing.assert_allclose(found.standard, np.std(draws, axis=0), rtol=0.05)
+    np.testing.assert_allclose(found.standard, np.std(draws, axis=0), rtol=0.17)
     inside = np.mean(np.abs(draws) <= found.expanded, axis=0)
-    assert np.all(np.abs(inside - 0.95) < 0.015), inside
+    assert np.all(np.abs(inside - 0.95) < 0.05), inside
 
 
 class TestByHand:
@@ -332,24 +330,9 @@ class TestExpansion:
     def test_welch_and_satterthwaite(self, dof: float, known: float) -> None:
         """GUM, eq. G.2b, with scipy's quantiles."""
         stretched = (stats.t.ppf(0.975, dof) / NORMAL) ** 2
-        found = ExpandedUncertainty().factor(np.array([1.0]), np.array([stretched]), np.array([known]))
+        found = CoverageFactors().factor(np.array([1.0]), np.array([stretched]), np.array([known]))
         assert found[0] == pytest.approx(stats.t.ppf(0.975, dof * (1.0 + known) ** 2), rel=1e-3)
 
     def test_what_is_narrowed_is_narrowed_alone(self) -> None:
-        found = ExpandedUncertainty().factor(np.array([1.0, 0.0]), np.array([0.64, 0.0]), np.array([1.0, 1.0]))
+        found = CoverageFactors().factor(np.array([1.0, 0.0]), np.array([0.64, 0.0]), np.array([1.0, 1.0]))
         np.testing.assert_allclose(found, [NORMAL * sqrt(1.64 / 2.0), NORMAL], rtol=1e-9)
-
-
-@pytest.mark.parametrize("shared", [True, False])
-def test_forms_are_the_covariances_of_what_moves(shared: bool) -> None:
-    """Once with features that all outputs have, once with their own."""
-    rng = np.random.default_rng(2)
-    moves = rng.normal(size=(3, 5, 9))
-    if not shared:
-        moves *= np.kron(np.eye(3), np.ones(3))[:, None, :]
-    mixed = rng.normal(size=(5, 5))
-    covariance, lift, features = mixed @ mixed.T, rng.normal(size=(2, 3)), rng.normal(size=(9, 1000))
-    found = QuadraticForms([(moves, covariance)], lift)(features)[0]
-    jacobian = np.einsum("or,rkf,fn->okn", lift, moves, features)
-    expected = np.einsum("okn,kl,pln->opn", jacobian, covariance, jacobian)
-    np.testing.assert_allclose(found, expected[np.triu_indices(2)], rtol=1e-9, atol=1e-9)

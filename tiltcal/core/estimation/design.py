@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 
-from tiltcal.core.estimation.channel_model import ChannelModel
-from tiltcal.core.model import Array
+from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
 
 

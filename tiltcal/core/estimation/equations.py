@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.estimation.attitude import table_lever, tangent_basis, turned
-from tiltcal.core.estimation.channel_model import ChannelModel
 from tiltcal.core.estimation.design import SensorObservations
-from tiltcal.core.model import Array
+from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
 
 Indices = NDArray[np.intp]

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.linalg import svd
 from numpy.typing import NDArray
 
-from tiltcal.core.estimation.channel_model import ChannelModel
 from tiltcal.core.estimation.equations import EquationBlock, System
 from tiltcal.core.frames import gravity_from_tilt
-from tiltcal.core.model import Array
+from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
 
 UNDETERMINED = 1e-9

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from support import ROOT
 from support.simulated_bench import FACES, XYZ, design, fixture, measured, part, plan_of
 
-from tiltcal.core.budget import coverage_factor, welch_satterthwaite
+from tiltcal.core.budget import coverage_factor, propagated, welch_satterthwaite
 from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
 from tiltcal.core.estimation.design import Design, Observation
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
@@ -24,7 +24,6 @@ from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.core.intrinsic import intrinsic, separated
 from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
-from tiltcal.core.propagation import propagated
 from tiltcal.errors import EstimateError
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
