@@ -2,66 +2,43 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.command import TILTCAL, measure
+from support.command import measure
+from support.json_program import GONE, Event, Session, lead
 
 from tiltcal.bench.operators.json_lines import understood
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import read_calibration
 
 
-class Table:
-    """A tilt table's program: answers every ask by a function, and keeps what it was told."""
+def table(folder: Path, procedure: str, answer: Callable[[Event, int], object]) -> Session:
+    """Be a tilt table's program: answer every ask by a function of it and of its number, counted from 1."""
+    asks: list[Event] = []
 
-    def __init__(self, folder: Path, answer: Callable[[dict[str, Any], int], Any], *options: str) -> None:
-        command = [
-            *(*TILTCAL, "measure", *options, "--sensor", "sca100t-d02", "--address", "sim:?seed=1"),
-            *("--serial", "S-1", "-o", "S-1.yaml", "--operator", "json", "--samples", "20"),
-        ]
-        self.told: list[dict[str, Any]] = []
-        with subprocess.Popen(
-            command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        ) as process:
-            if process.stdin is None or process.stdout is None or process.stderr is None:
-                raise RuntimeError("no pipes")
-            for line in process.stdout:
-                message = json.loads(line)
-                self.told.append(message)
-                if "ask" in message:
-                    said = answer(message, len(self.asks))
-                    if said is None:
-                        process.stdin.close()
-                        break
-                    process.stdin.write((said if isinstance(said, str) else json.dumps(said)) + "\n")
-                    process.stdin.flush()
-            self.errors = process.stderr.read()
-        self.exit_code = process.returncode
+    def answered(message: Event) -> object:
+        if "ask" not in message:
+            return None
+        asks.append(message)
+        return answer(message, len(asks))
 
-    @property
-    def asks(self) -> list[dict[str, Any]]:
-        return [message for message in self.told if "ask" in message]
-
-    def events(self, kind: str) -> list[dict[str, Any]]:
-        return [message for message in self.told if message.get("event") == kind]
+    options = ("--sensor", "sca100t-d02", "--address", "sim:?seed=1", "--serial", "S-1", "-o", "S-1.yaml")
+    return lead("measure", procedure, *options, "--samples", "20", cwd=folder, answer=answered)
 
 
-def ready(ask: dict[str, Any], number: int) -> dict[str, Any]:
+def ready(ask: Event, number: int) -> Event:
     return {"answer": "ready"}
 
 
 def test_the_dialogue_is_the_contract(tmp_path: Path) -> None:
-    table = Table(tmp_path, ready, "plane")
-    assert table.exit_code == 0, table.errors
-    ask = table.asks[2]
+    led = table(tmp_path, "plane", ready)
+    assert led.exit_code == 0, led.errors
+    ask = led.asks[2]
     assert ask["prompt"].count("30°") == 1
     assert ask == {
         "ask": "position",
@@ -73,30 +50,28 @@ def test_the_dialogue_is_the_contract(tmp_path: Path) -> None:
         "prompt": ask["prompt"],
     }
     assert "30°" in ask["prompt"]
-    accepted = table.events("accepted")
+    accepted = led.events("accepted")
     assert [event["position"] for event in accepted] == ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"]
     assert set(accepted[0]) >= {"event", "position", "mean", "std", "n"}
     assert set(accepted[0]["mean"]) == {"x", "y"}
     assert accepted[0]["n"] == 20
-    assert table.told[-1] == {"event": "done", "calibrations": ["S-1.yaml"], "journal": "S-1.journal.jsonl"}
+    assert led.told[-1] == {"event": "done", "calibrations": ["S-1.yaml"], "journal": "S-1.journal.jsonl"}
 
 
 def test_the_angle_actually_set_counts(tmp_path: Path) -> None:
-    def answer(ask: dict[str, Any], number: int) -> dict[str, Any]:
+    def answer(ask: Event, number: int) -> Event:
         axis, angle = next(iter(ask["tilt"].items()))
         return {"answer": "ready", "tilt": {axis: angle + 0.5}}
 
-    table = Table(tmp_path, answer, "plane")
-    assert table.exit_code == 0, table.errors
+    led = table(tmp_path, "plane", answer)
+    assert led.exit_code == 0, led.errors
     written = read_calibration(tmp_path / "S-1.yaml")
     assert written.procedure["set"]["y-tilt1"] == {"tilt": {"y": 30.5}}
 
 
 def test_a_typed_temperature_counts(tmp_path: Path) -> None:
-    table = Table(
-        tmp_path, lambda ask, n: {"answer": "ready", "temperature": (ask["temperature"] or 20) + 0.25}, "mavs"
-    )
-    assert table.exit_code == 0, table.errors
+    led = table(tmp_path, "mavs", lambda ask, n: {"answer": "ready", "temperature": (ask["temperature"] or 20) + 0.25})
+    assert led.exit_code == 0, led.errors
     thermal = read_calibration(tmp_path / "S-1.yaml").coefficients.thermal
     assert thermal is not None
     assert thermal.range == (5.75, 24.25)
@@ -104,18 +79,18 @@ def test_a_typed_temperature_counts(tmp_path: Path) -> None:
 
 def test_redo_asks_again_and_back_goes_back(tmp_path: Path) -> None:
     words = iter(["redo", "ready", "ready", "back", "ready", "ready", "ready", "ready"])
-    table = Table(tmp_path, lambda ask, n: {"answer": next(words)}, "plane")
-    assert table.exit_code == 0, table.errors
-    assert [ask["position"] for ask in table.asks] == [
+    led = table(tmp_path, "plane", lambda ask, n: {"answer": next(words)})
+    assert led.exit_code == 0, led.errors
+    assert [ask["position"] for ask in led.asks] == [
         *("x-tilt1", "x-tilt1", "x-tilt2", "y-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"),
     ]
     assert next(words) == "ready"
 
 
 def test_quit_keeps_what_was_measured(tmp_path: Path) -> None:
-    table = Table(tmp_path, lambda ask, n: {"answer": "ready" if n < 3 else "quit"}, "plane")
-    assert table.exit_code == 130
-    assert "--resume S-1.journal.jsonl" in table.errors
+    led = table(tmp_path, "plane", lambda ask, n: {"answer": "ready" if n < 3 else "quit"})
+    assert led.exit_code == 130
+    assert "--resume S-1.journal.jsonl" in led.errors
     assert not (tmp_path / "S-1.yaml").exists()
     resumed = measure("--resume", "S-1.journal.jsonl", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
@@ -123,8 +98,8 @@ def test_quit_keeps_what_was_measured(tmp_path: Path) -> None:
 
 
 def test_a_program_that_goes_away_is_a_quit(tmp_path: Path) -> None:
-    table = Table(tmp_path, lambda ask, n: {"answer": "ready"} if n < 2 else None, "plane")
-    assert table.exit_code == 130
+    led = table(tmp_path, "plane", lambda ask, n: {"answer": "ready"} if n < 2 else GONE)
+    assert led.exit_code == 130
     assert not (tmp_path / "S-1.yaml").exists()
 
 
@@ -143,12 +118,12 @@ def test_a_program_that_goes_away_is_a_quit(tmp_path: Path) -> None:
     ],
 )
 def test_an_answer_that_will_not_do_is_refused_with_the_reason(rubbish: str, tmp_path: Path) -> None:
-    table = Table(tmp_path, lambda ask, n: rubbish if n == 1 else {"answer": "ready"}, "plane")
-    assert table.exit_code == 0, table.errors
-    refused = table.events("refused")
+    led = table(tmp_path, "plane", lambda ask, n: rubbish if n == 1 else {"answer": "ready"})
+    assert led.exit_code == 0, led.errors
+    refused = led.events("refused")
     assert [event["position"] for event in refused] == ["x-tilt1"]
     assert refused[0]["why"]
-    assert [ask["position"] for ask in table.asks[:2]] == ["x-tilt1", "x-tilt1"]
+    assert [ask["position"] for ask in led.asks[:2]] == ["x-tilt1", "x-tilt1"]
 
 
 @given(st.text() | st.binary().map(lambda data: data.decode(errors="replace")))

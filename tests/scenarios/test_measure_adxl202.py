@@ -2,46 +2,29 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
 from support.adxl202_part import Adxl202Part, on_a_pty
+from support.command import Completed, tiltcal
+from support.json_program import Event, Session, lead
 
 pytest.importorskip("serial", reason="the pyserial package is not installed")
 
 
-Event = dict[str, Any]
-
-
-def lead(address: str, folder: Path, take: Callable[[Event], Event]) -> tuple[list[Event], str]:
-    """Be the program of ``--operator json``: every line the session said, and what it wrote on standard error."""
-    program = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "tiltcal", "measure", "mavs", "--sensor", "adxl202", "--serial", "A-1005"),
-            *("--address", address, "--operator", "json", "--settle", "0.2", "--samples", "200", "-o", "A-1005.yaml"),
-        ],
+def led(address: str, folder: Path, take: Callable[[Event], Event]) -> Session:
+    """Lead ``mavs`` with a part at an address."""
+    session = lead(
+        *("measure", "mavs", "--sensor", "adxl202", "--serial", "A-1005", "--address", address),
+        *("--settle", "0.2", "--samples", "200", "-o", "A-1005.yaml"),
         cwd=folder,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        answer=lambda message: take(message) if "ask" in message else None,
     )
-    events = []
-    for line in program.stdout:
-        events.append(json.loads(line))
-        if "ask" in events[-1]:
-            program.stdin.write(json.dumps(take(events[-1])) + "\n")
-            program.stdin.flush()
-    _, errors = program.communicate()
-    assert program.returncode == 0, errors
-    return events, errors
+    assert session.exit_code == 0, session.errors
+    return session
 
 
 def posed(part: Adxl202Part, ask: Event) -> Event:
@@ -53,7 +36,7 @@ def posed(part: Adxl202Part, ask: Event) -> Event:
 def lead_through_mavs(part: Adxl202Part, folder: Path) -> tuple[dict, str]:
     """Be the tilt table and the chamber; the calibration file and what was said on standard error."""
     with on_a_pty(part) as path:
-        _, errors = lead(f"serial://{path}?baudrate=115200", folder, lambda ask: posed(part, ask))
+        errors = led(f"serial://{path}?baudrate=115200", folder, lambda ask: posed(part, ask)).errors
     return yaml.safe_load((folder / "A-1005.yaml").read_text()), errors
 
 
@@ -92,12 +75,7 @@ def test_one_damaged_sentence_in_seven_is_counted_never_used_and_replays_to_the_
         for channel in "xy":
             assert position["std"][channel] < 1.5 * part.noise
 
-    replayed = subprocess.run(
-        [sys.executable, "-m", "tiltcal", "replay", "A-1005.journal.jsonl", "--golden", "A-1005.yaml"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
+    replayed = tiltcal("replay", "A-1005.journal.jsonl", "--golden", "A-1005.yaml", cwd=tmp_path)
     assert replayed.returncode == 0, replayed.stderr
 
 
@@ -119,44 +97,37 @@ def test_the_session_goes_on_once_the_sensor_is_plugged_in_again(tmp_path: Path)
     asked: list[str] = []
     plug()
     with plugged:
-        events, _ = lead(f"serial://{name}", tmp_path, take)
+        session = led(f"serial://{name}", tmp_path, take)
 
     assert asked == ["x-45", "y-45", "y-45", "level-warm", "level-cold"]
-    (refused,) = [event for event in events if event.get("event") == "refused"]
+    (refused,) = session.events("refused")
     assert "plug" in refused["why"]
     require_near(part, yaml.safe_load((tmp_path / "A-1005.yaml").read_text()))
 
 
 @pytest.mark.parametrize("address", ["sim:seed=4", "sim:seed=4&wiring=edges"])
 def test_a_virtual_session_that_was_cut_anywhere_resumes_to_the_same_file(tmp_path: Path, address: str) -> None:
-    def tiltcal(*arguments: str) -> None:
-        done = subprocess.run(
-            [sys.executable, "-m", "tiltcal", "measure", *arguments], cwd=tmp_path, capture_output=True, text=True
-        )
+    def measured(*arguments: str) -> None:
+        done = tiltcal("measure", *arguments, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
 
     sensor = ["--sensor", "adxl202", "--address", address, "--serial", "V-1", "--operator", "sim"]
-    tiltcal("mavs", *sensor, "--samples", "20", "-o", "V-1.yaml")
+    measured("mavs", *sensor, "--samples", "20", "-o", "V-1.yaml")
     journal, file = tmp_path / "V-1.journal.jsonl", tmp_path / "V-1.yaml"
     lines, whole = journal.read_bytes().splitlines(keepends=True), file.read_bytes()
     for share in (0.02, 0.35, 0.351, 0.7, 0.98):
         journal.write_bytes(b"".join(lines[: max(int(share * len(lines)), 1)]))
         file.unlink()
-        tiltcal("--resume", journal.name)
+        measured("--resume", journal.name)
         assert file.read_bytes() == whole
         assert journal.read_bytes() == b"".join(lines)
 
 
 def test_a_device_of_unknown_scale_is_calibrated_where_the_procedure_finds_the_scale(tmp_path: Path) -> None:
-    def measure(procedure: str) -> subprocess.CompletedProcess[str]:
+    def measure(procedure: str) -> Completed:
         address = "sim:unit=V&columns=x,y"
         sensor = ["--sensor", "serial-columns", "--address", address, "--serial", "C-1", "--operator", "sim"]
-        return subprocess.run(
-            [sys.executable, "-m", "tiltcal", "measure", procedure, *sensor, "-o", f"{procedure}.yaml"],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-        )
+        return tiltcal("measure", procedure, *sensor, "-o", f"{procedure}.yaml", cwd=tmp_path)
 
     assert measure("zero-45").returncode == 0
     refused = measure("two-temperature")

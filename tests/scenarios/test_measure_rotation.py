@@ -8,13 +8,13 @@ import signal
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pexpect
 import pytest
 from support import FIXTURES
 from support import accelerometer_disk as disk
 from support.command import TILTCAL, tiltcal
+from support.json_program import Event, Session, lead
 from support.stage_part import on_a_pty, printed
 
 from tiltcal.files.pair import read_pair
@@ -40,10 +40,10 @@ rotation:
 """
 
 
-def options(address: str, lead: str, *more: str) -> list[str]:
+def options(address: str) -> list[str]:
     return [
         *("measure", "./own.yaml", "--sensor", "serial-columns", "--address", address, "--serial", "G-1"),
-        *("-o", "pair.yaml", "--operator", lead, *more),
+        *("-o", "pair.yaml"),
     ]
 
 
@@ -51,39 +51,15 @@ def serial(path: str) -> str:
     return f"serial://{path}?columns=time,theta,a1,a2,a3,a4&timeout=1"
 
 
-class Program:
-    """Leads a session: answers every ask, hears every event, and says what ``hear`` returns."""
+def led(folder: Path, address: str, hear: Callable[[Event], str | None] = lambda said: None) -> Session:
+    """Lead a session: take what is asked for, hear every event, and say what ``hear`` returns."""
 
-    def __init__(
-        self,
-        folder: Path,
-        address: str,
-        *more: str,
-        hear: Callable[[dict[str, Any]], str | None] = lambda said: None,
-        interrupt_at: int = 0,
-    ) -> None:
-        (folder / "own.yaml").write_text(OWN)
-        self.told: list[dict[str, Any]] = []
-        with subprocess.Popen(
-            [*TILTCAL, *options(address, "json", *more)],
-            cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        ) as self.process:  # fmt: skip
-            if self.process.stdin is None or self.process.stdout is None or self.process.stderr is None:
-                raise RuntimeError("no pipes")
-            for line in self.process.stdout:
-                message = json.loads(line)
-                self.told.append(message)
-                if interrupt_at and message.get("turn") == interrupt_at:
-                    self.process.send_signal(signal.SIGINT)
-                word = hear(message) or ("ready" if "ask" in message else None)
-                if word:
-                    self.process.stdin.write(json.dumps({"answer": word}) + "\n")
-                    self.process.stdin.flush()
-            self.errors = self.process.stderr.read()
-        self.exit_code = self.process.returncode
+    def answer(message: Event) -> object:
+        word = hear(message) or ("ready" if "ask" in message else None)
+        return {"answer": word} if word else None
 
-    def events(self, kind: str) -> list[dict[str, Any]]:
-        return [message for message in self.told if message.get("event") == kind]
+    (folder / "own.yaml").write_text(OWN)
+    return lead(*options(address), cwd=folder, answer=answer)
 
 
 def require_truth(path: Path, sigmas: float = 4.0) -> None:
@@ -112,7 +88,7 @@ def log_of(journal: Path) -> str:
 
 def test_a_real_line_led_by_a_program(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
-        program = Program(tmp_path, serial(path))
+        program = led(tmp_path, serial(path))
     assert program.exit_code == 0, program.errors
     assert program.told[0] == {
         "ask": "rotation",
@@ -140,7 +116,7 @@ def test_a_real_line_led_by_a_program(tmp_path: Path) -> None:
 
 def test_match_finds_the_same_in_the_same_lines(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
-        program = Program(tmp_path, serial(path))
+        program = led(tmp_path, serial(path))
     assert program.exit_code == 0, program.errors
     (tmp_path / "heard.csv").write_text(log_of(tmp_path / JOURNAL))
     matched = tiltcal(
@@ -157,7 +133,7 @@ def test_match_finds_the_same_in_the_same_lines(tmp_path: Path) -> None:
 
 def test_apply_uses_the_file(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
-        assert Program(tmp_path, serial(path)).exit_code == 0
+        assert led(tmp_path, serial(path)).exit_code == 0
     RECORD.write(tmp_path / "disk.csv")
     applied = tiltcal("apply", "pair.yaml", "disk.csv", "-o", "matched.csv", cwd=tmp_path)
     assert applied.returncode == 0, applied.stderr
@@ -166,11 +142,11 @@ def test_apply_uses_the_file(tmp_path: Path) -> None:
 
 
 def test_the_program_says_stop_without_being_asked(tmp_path: Path) -> None:
-    def hear(said: dict[str, Any]) -> str | None:
+    def hear(said: Event) -> str | None:
         return "stop" if said.get("turn") in (1, 4) else None
 
     with on_a_pty(LINES) as path:
-        program = Program(tmp_path, serial(path), hear=hear)
+        program = led(tmp_path, serial(path), hear=hear)
     assert program.exit_code == 0, program.errors
     (refused,) = program.events("refused")
     assert "at least 2 are needed before it can stop" in refused["why"]
@@ -183,7 +159,7 @@ def test_the_program_says_stop_without_being_asked(tmp_path: Path) -> None:
 
 def test_quit_keeps_the_journal_and_the_session_goes_on(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
-        program = Program(tmp_path, serial(path), hear=lambda said: "quit" if said.get("turn") == 3 else None)
+        program = led(tmp_path, serial(path), hear=lambda said: "quit" if said.get("turn") == 3 else None)
         assert program.exit_code == 130
         assert f"--resume {JOURNAL}" in program.errors
         assert not (tmp_path / "pair.yaml").exists()
@@ -196,7 +172,7 @@ def test_quit_keeps_the_journal_and_the_session_goes_on(tmp_path: Path) -> None:
 
 def test_what_is_no_answer_is_refused_and_it_goes_on(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
-        program = Program(tmp_path, serial(path), hear=lambda said: "accept" if said.get("turn") == 1 else None)
+        program = led(tmp_path, serial(path), hear=lambda said: "accept" if said.get("turn") == 1 else None)
     assert program.exit_code == 0, program.errors
     assert [said["why"] for said in program.events("refused")] == ["answer 'accept' is none of stop, quit"]
 
@@ -207,7 +183,7 @@ def test_killed_at_a_random_moment_on_a_real_line(number: int, tmp_path: Path) -
     (tmp_path / "own.yaml").write_text(OWN)
     with on_a_pty(LINES) as path:
         with subprocess.Popen(
-            [*TILTCAL, *options(serial(path), "json")],
+            [*TILTCAL, *options(serial(path)), "--operator", "json"],
             cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         ) as process:  # fmt: skip
             if process.stdin is None:
@@ -225,8 +201,12 @@ def test_killed_at_a_random_moment_on_a_real_line(number: int, tmp_path: Path) -
 
 
 def test_interrupted_by_the_keyboard(tmp_path: Path) -> None:
+    def interrupt(said: Event) -> None:
+        if said.get("turn") == 3:
+            signal.raise_signal(signal.SIGINT)
+
     with on_a_pty(LINES) as path:
-        program = Program(tmp_path, serial(path), interrupt_at=3)
+        program = led(tmp_path, serial(path), hear=interrupt)
         assert program.exit_code == 130
         assert f"tiltcal: interrupted; what was measured is kept; go on with: tiltcal measure --resume {JOURNAL}" in (
             program.errors
@@ -247,7 +227,7 @@ def test_noise_on_the_line_is_counted_and_never_read(tmp_path: Path) -> None:
         place = draw.randrange(3, len(noisy[number]) - 3)
         noisy[number] = noisy[number][:place] + b"\xff\x00\x81" + noisy[number][place + 1 :]
     with on_a_pty(noisy) as path:
-        program = Program(tmp_path, serial(path))
+        program = led(tmp_path, serial(path))
     assert program.exit_code == 0, program.errors
     require_truth(tmp_path / "pair.yaml")
     link_statistics = read_pair(tmp_path / "pair.yaml").provenance["link_statistics"]["G-1"]
@@ -257,22 +237,22 @@ def test_noise_on_the_line_is_counted_and_never_read(tmp_path: Path) -> None:
 
 def test_a_stage_that_stands_is_refused_and_asked_for_again(tmp_path: Path) -> None:
     with on_a_pty([LINES[0]]) as path:
-        asks: list[dict[str, Any]] = []
+        asks: list[Event] = []
 
-        def hear(said: dict[str, Any]) -> str | None:
+        def hear(said: Event) -> str | None:
             asks.extend([said] if "ask" in said else [])
             return "quit" if len(asks) == 2 else None
 
-        program = Program(tmp_path, serial(path), hear=hear)
+        program = led(tmp_path, serial(path), hear=hear)
     assert program.exit_code == 130
     (refused,) = program.events("refused")
     assert "the stage does not turn" in refused["why"]
 
 
 def test_a_stage_that_stops_on_its_way(tmp_path: Path) -> None:
-    stopping = [*LINES[:700], *[LINES[699]] * 800, *LINES[700:]]
+    stopping = [*LINES[:400], *[LINES[399]] * 800, *LINES[400:]]
     with on_a_pty(stopping) as path:
-        program = Program(tmp_path, serial(path))
+        program = led(tmp_path, serial(path))
     assert program.exit_code == 0, program.errors
     assert [said["why"] for said in program.events("held")] == ["the stage stands still"]
     assert len(program.events("resumed")) == 1
@@ -282,7 +262,7 @@ def test_a_stage_that_stops_on_its_way(tmp_path: Path) -> None:
 
 def test_a_device_that_lacks_a_channel_matches_the_pair_that_is_there(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
-        program = Program(tmp_path, serial(path).replace("a3,", "-,"))
+        program = led(tmp_path, serial(path).replace("a3,", "-,"))
     assert program.exit_code == 0, program.errors
     assert "a3 and a4 are not matched: there is no a3" in program.errors
     written = read_pair(tmp_path / "pair.yaml")
@@ -424,7 +404,7 @@ def test_in_plain_lines_what_waits_for_the_last_question_is_left_for_it(tmp_path
 def test_a_person_stops_it_with_a_key(key: str, tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text(OWN.replace("turns: 12", "turns: 100000"))
     with on_a_pty(printed(disk.record(seconds=4000.0, rate=25.0, spin=0.5))) as path:
-        command, *arguments = [*TILTCAL, *options(serial(path), "terminal")]
+        command, *arguments = [*TILTCAL, *options(serial(path))]
         person = pexpect.spawn(
             command, arguments, cwd=str(tmp_path), encoding="utf-8", timeout=60, dimensions=(24, 200)
         )

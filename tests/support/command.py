@@ -6,8 +6,8 @@ import io
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, chdir, contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Iterator, Sequence
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from threading import Thread
 from typing import TextIO
@@ -17,10 +17,10 @@ from tiltcal.cli.main import run
 
 TILTCAL = [sys.executable, "-m", "tiltcal"]
 
-Completed = subprocess.CompletedProcess[str]
+Completed = subprocess.CompletedProcess
 
 
-def tiltcal(*args: str | Path, cwd: Path | None = None, said: str | None = None, merged: bool = False) -> Completed:
+def tiltcal(*args: str | Path, cwd: Path | None = None, said: str = "", merged: bool = False) -> Completed:
     """Call the command line in this process, and return its exit code and what it printed.
 
     A process of its own takes a second to start, and tells no more unless the test is about the process: a signal, a
@@ -33,25 +33,26 @@ def tiltcal(*args: str | Path, cwd: Path | None = None, said: str | None = None,
     merged
         Standard error goes where standard output goes.
     """
-    with ExitStack() as stack:
-        stdout = stack.enter_context(_printed())
-        stderr = stdout if merged else stack.enter_context(_printed())
-        if cwd is not None:
-            stack.enter_context(chdir(cwd))
-        stack.enter_context(patch.object(sys, "stdin", stack.enter_context(_pipe(said or ""))))
-        stack.enter_context(redirect_stdout(stdout))
-        stack.enter_context(redirect_stderr(stderr))
-        arguments = [str(arg) for arg in args]
-        code = run(arguments)
-        return subprocess.CompletedProcess(
-            ["tiltcal", *arguments], code, _text(stdout), "" if merged else _text(stderr)
-        )
+    with _printed() as stdout, _printed() as stderr, _pipe(said) as stdin:
+        code = called(args, cwd, stdin, stdout, stdout if merged else stderr)
+        return Completed(["tiltcal", *map(str, args)], code, _text(stdout), _text(stderr))
 
 
-def tiltcal_process(*args: str | Path, cwd: Path | None = None, said: str | None = None) -> Completed:
+def called(args: Sequence[str | Path], cwd: Path | None, stdin: TextIO, stdout: TextIO, stderr: TextIO) -> int:
+    """Call the command line with these standard streams in a folder, and return its exit code."""
+    with (
+        chdir(cwd or "."),
+        patch.object(sys, "stdin", stdin),
+        redirect_stdout(stdout),
+        redirect_stderr(stderr),
+    ):
+        return run([str(arg) for arg in args])
+
+
+def tiltcal_process(*args: str | Path, cwd: Path | None = None, said: str = "") -> Completed:
     """Run the command in a process of its own, to its end."""
     command = [*TILTCAL, *map(str, args)]
-    return subprocess.run(command, cwd=cwd, input=said or "", text=True, capture_output=True, timeout=120, check=False)
+    return subprocess.run(command, cwd=cwd, input=said, text=True, capture_output=True, timeout=120, check=False)
 
 
 def loaded_by(statement: str) -> set[str]:
