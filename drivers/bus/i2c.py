@@ -104,7 +104,7 @@ def _smbus2() -> Any:
         import smbus2
     except ImportError as cause:
         raise HardwareError(
-            "I2C needs the Python package smbus2, for Linux only: install it with  pip install 'tiltcal[i2c]'"
+            "I2C needs the Python package smbus2, for Linux only: install it with  pip install smbus2"
         ) from cause
     return smbus2
 

@@ -159,7 +159,7 @@ def _pyserial() -> Any:
         import serial
     except ImportError as cause:
         raise HardwareError(
-            "a serial line needs the Python package pyserial: install it with  pip install 'tiltcal[serial]'"
+            "a serial line needs the Python package pyserial: install it with  pip install pyserial"
         ) from cause
     return serial
 

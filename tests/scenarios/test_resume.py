@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import random
-import signal
-import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.command import TILTCAL, measure, tiltcal
+from support.command import measure, tiltcal
+from support.warm_start import Start, warm_start
 
 OPTIONS = [
     *("measure", "complete", "--sensor", "sca100t-d02", "--address", "sim:?seed=1", "--serial", "S-1"),
@@ -24,21 +24,16 @@ def never_stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def killed_when(folder: Path, size: int) -> None:
-    """Start the session and kill it, without a word, when its journal has grown to ``size``."""
-    process = subprocess.Popen([*TILTCAL, *OPTIONS], cwd=folder, stderr=subprocess.DEVNULL)
-    journal = folder / JOURNAL
-    while process.poll() is None:
-        if journal.exists() and journal.stat().st_size >= size:
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-            return
+@pytest.fixture(scope="module")
+def start() -> Iterator[Start]:
+    with warm_start() as start:
+        yield start
 
 
-@pytest.mark.parametrize("number", range(50))
-def test_killed_at_a_random_moment(number: int, never_stopped: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", range(20))
+def test_killed_at_a_random_moment(number: int, never_stopped: Path, start: Start, tmp_path: Path) -> None:
     whole = (never_stopped / JOURNAL).read_bytes()
-    killed_when(tmp_path, random.Random(number).randrange(1, len(whole)))
+    start(OPTIONS, tmp_path).kill_at(tmp_path / JOURNAL, random.Random(number).randrange(1, len(whole)))
     resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
     assert (tmp_path / "S-1.yaml").read_bytes() == (never_stopped / "S-1.yaml").read_bytes()
