@@ -98,4 +98,4 @@ def test_with_a_stated_placement_error_imucals_offsets_are_inside_our_intervals(
     found = read_calibration(tmp_path / "imu1.yaml")
     for axis, published in {"x": 0.5371, "y": -0.6162, "z": 0.3989}.items():
         offset = found.coefficients.offset["xyz".index(axis)]
-        assert abs(offset - published) < 1.96 * found.uncertainty["offset"][axis]
+        assert abs(offset - published) < 1.96 * found.uncertainty[f"offset.{axis}"]

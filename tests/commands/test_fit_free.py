@@ -15,6 +15,7 @@ from support import DATA
 from support.command import tiltcal
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.records import PositionRecord
 
 XSENS, MPU = DATA / "xsens_acc.txt", DATA / "mpu9150_imu0.txt"
 
@@ -56,7 +57,7 @@ class TestXsens:
     """The Xsens MTi: blanks between columns, no header, counts; g there is 9.81744 m/s²."""
 
     def test_the_published_scales_within_0_02_percent(self, xsens: Fit) -> None:
-        scales = xsens.calibration.derived["sensitivity_per_m_s2"]
+        scales = xsens.calibration.derived.sensitivity_per_m_s2
         assert [scales[axis] for axis in "xyz"] == pytest.approx([414.41, 412.05, 414.61], rel=2e-4)
 
     def test_sensitivity_is_per_g(self, xsens: Fit) -> None:
@@ -69,7 +70,7 @@ class TestXsens:
             assert abs(found - value) < 2 * uncertainty
 
     def test_the_still_means_miss_by_0_10_mg(self, xsens: Fit) -> None:
-        assert xsens.calibration.fit["misfit_rms_mg"] == pytest.approx(0.10, abs=0.01)
+        assert xsens.calibration.fit.misfit_rms_mg == pytest.approx(0.10, abs=0.01)
 
     def test_about_40_attitudes_are_found_and_shown(self, xsens: Fit) -> None:
         calibration, said = xsens.calibration, xsens.said
@@ -77,12 +78,12 @@ class TestXsens:
         assert f"{len(calibration.positions)} positions" in xsens.printed
         assert "times the noise of the stillest part" in said
         assert said.count("\n  still-") == len(calibration.positions)
-        assert calibration.provenance["segments"]["threshold"] > 0
+        assert calibration.provenance.segments.threshold > 0
 
     def test_the_mounting_is_said_to_be_undetermined(self, xsens: Fit) -> None:
         calibration, said = xsens.calibration, xsens.said
         assert calibration.coefficients.mounting is None
-        assert calibration.derived["mounting"].startswith("undetermined")
+        assert calibration.derived.mounting.startswith("undetermined")
         assert "mounting undetermined" in said
         below = [calibration.coefficients.sensitivity[place] for place in ((1, 0), (2, 0), (2, 1))]
         assert below == [0.0, 0.0, 0.0]
@@ -112,19 +113,19 @@ class TestMpu9150:
     """The MPU-9150: readings in m/s², g = 9.81; the record in which a strict threshold leaves nine attitudes."""
 
     def test_the_published_scale_errors_within_0_02_percent(self, mpu: Fit) -> None:
-        errors = mpu.calibration.derived["scale_error_percent"]
+        errors = mpu.calibration.derived.scale_error_percent
         assert [errors[axis] for axis in "xyz"] == pytest.approx([0.363, 0.315, 0.647], abs=0.02)
 
     def test_the_published_offsets_within_twice_the_uncertainty(self, mpu: Fit) -> None:
         for axis, published in {"x": 0.103, "y": 0.097, "z": 0.344}.items():
             found = mpu.calibration.coefficients.offset["xyz".index(axis)]
             assert (
-                abs(found - published) < 2 * mpu.calibration.uncertainty["offset"][axis] + 0.0005
+                abs(found - published) < 2 * mpu.calibration.uncertainty[f"offset.{axis}"] + 0.0005
             )  # half its last digit
 
     def test_far_more_than_nine_attitudes(self, mpu: Fit) -> None:
-        assert mpu.calibration.fit["distinct_attitudes"] >= 20
-        assert mpu.calibration.fit["degrees_of_freedom"] == len(mpu.calibration.positions) - 9
+        assert mpu.calibration.fit.distinct_attitudes >= 20
+        assert mpu.calibration.fit.degrees_of_freedom == len(mpu.calibration.positions) - 9
 
 
 # ------------------------------------------------------------------------------------------- without recorded data
@@ -162,26 +163,26 @@ class TestTable:
         assert found.coefficients.offset == pytest.approx(OFFSET, abs=1e-6)
         assert found.coefficients.sensitivity.ravel() == pytest.approx([s for row in ROWS for s in row], abs=1e-6)
         assert "14 positions, 14 different attitudes" in fit.printed
-        own = found.derived["intrinsic"]
+        own = found.derived.intrinsic
         lengths = [hypot(*row) for row in ROWS]
-        assert [own["sensitivity"][axis] for axis in "xyz"] == pytest.approx(lengths, abs=1e-6)
+        assert [own.sensitivity[axis] for axis in "xyz"] == pytest.approx(lengths, abs=1e-6)
         # Between channels x and y: the product of their rows by hand, 0.05 * 9.7 - 0.08 * 0.12.
         cosine = (0.485 - 0.0096) / (lengths[0] * lengths[1])
-        assert own["angle_degrees"]["xy"] == pytest.approx(degrees(acos(cosine)), abs=1e-4)
-        assert found.provenance["table"]["name"] == "means.csv"
-        assert found.positions[0] == {
-            "position": "p0",
-            "mean": dict(zip("xyz", (10.2, -0.2, 0.1), strict=True)),
-            "u": dict.fromkeys("xyz", 0.001),
-            "n": 1,
-            "line": 2,
-        }
+        assert own.angle_degrees["xy"] == pytest.approx(degrees(acos(cosine)), abs=1e-4)
+        assert found.provenance.table.name == "means.csv"
+        assert found.positions[0] == PositionRecord(
+            position="p0",
+            mean=dict(zip("xyz", (10.2, -0.2, 0.1), strict=True)),
+            u=dict.fromkeys("xyz", 0.001),
+            n=1,
+            line=2,
+        )
 
     def test_nine_positions_for_nine_unknowns_are_warned_of(self, tmp_path: Path) -> None:
         (tmp_path / "means.csv").write_text(table(9))
         fit = fitted(tmp_path, tmp_path / "means.csv", *self.OPTIONS)
-        assert fit.calibration.fit["degrees_of_freedom"] == 0
-        assert "zero degrees of freedom" in fit.calibration.fit["warning"]
+        assert fit.calibration.fit.degrees_of_freedom == 0
+        assert "zero degrees of freedom" in fit.calibration.fit.warning
         assert "warning: 9 different attitudes for 9 unknowns" in fit.said
 
     def test_nothing_says_how_good_it_is(self, tmp_path: Path) -> None:
@@ -198,7 +199,7 @@ class TestTable:
         found = read_calibration(tmp_path / "cal.yaml")
         assert found.coefficients.offset == pytest.approx(OFFSET, abs=1e-9)
         assert found.coefficients.sensitivity.ravel() == pytest.approx([s for row in ROWS for s in row], abs=1e-9)
-        assert "u" not in found.positions[0]
+        assert found.positions[0].u is None
 
 
 def refused(folder: Path, procedure: str, log: str, *options: str) -> str:
@@ -243,8 +244,8 @@ def test_consecutive_segments_of_one_name_are_one_placement(tmp_path: Path) -> N
     (tmp_path / "seg.csv").write_text("\n".join([*segments, ""]))
     found = fitted(tmp_path, tmp_path / "log.csv", "--segments", "seg.csv", "--unit", "m/s2").calibration
     assert len(found.positions) == 15
-    assert found.positions[0]["rows"] == [[0, 4], [4, 10]]
-    assert [one["position"] for one in (found.positions[0], found.positions[-1])] == ["p0", "p0 (2)"]
+    assert found.positions[0].rows == ((0, 4), (4, 10))
+    assert [one.position for one in (found.positions[0], found.positions[-1])] == ["p0", "p0 (2)"]
 
 
 def test_temperatures_in_the_log_give_the_temperature_terms(tmp_path: Path) -> None:

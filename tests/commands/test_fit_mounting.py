@@ -60,7 +60,7 @@ def test_the_rotation_that_the_log_was_made_with(angles: tuple[float, float, flo
     assert mounting is not None
     assert np.degrees([mounting.roll, mounting.pitch, mounting.yaw]) == pytest.approx(angles, abs=0.02)
     assert found.coefficients.offset == pytest.approx([2.5, 2.4, 2.6], abs=0.0)
-    assert found.provenance["made_by"] == "fit of a recorded log"
+    assert found.provenance.made_by == "fit of a recorded log"
     assert "  roll " in result.stdout
 
 

@@ -54,12 +54,12 @@ class TestQuantisation:
         coarse = readings(noise=1.0)
         coarse[:, :, 1] = 100.0 * np.array([[0], [0], [1], [-1], [0], [0]]) - 4.0
         found = calibrated(tmp_path, np.round(coarse))
-        assert found.uncertainty["offset"]["y"] == pytest.approx(1.0 / sqrt(12) / sqrt(6), rel=0.01)
+        assert found.uncertainty["offset.y"] == pytest.approx(1.0 / sqrt(12) / sqrt(6), rel=0.01)
 
     def test_noise_of_a_step_averages_it_out(self, tmp_path: Path) -> None:
         """What is left is noise and rounding of single samples over the root of all of them."""
         found = calibrated(tmp_path, np.round(readings(noise=1.0)))
-        assert found.uncertainty["offset"]["y"] == pytest.approx(sqrt((1.0 + 1 / 12) / 6 / SAMPLES), rel=0.15)
+        assert found.uncertainty["offset.y"] == pytest.approx(sqrt((1.0 + 1 / 12) / 6 / SAMPLES), rel=0.15)
 
 
 class TestStuck:

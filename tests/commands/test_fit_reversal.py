@@ -44,7 +44,7 @@ def test_the_lean_turns_with_the_heading_and_the_offset_does_not(readings: np.nd
     u = sqrt((NOISE / 10.0) ** 2 + (COUNT_PER_G * radians(0.02)) ** 2) / sqrt(4.0)
     for channel, offset, by_hand in zip("xy", found.coefficients.offset, readings.mean(axis=(0, 1)), strict=True):
         assert offset == pytest.approx(by_hand, abs=0.001)
-        assert found.uncertainty["offset"][channel] == pytest.approx(u, rel=0.05)
+        assert found.uncertainty[f"offset.{channel}"] == pytest.approx(u, rel=0.05)
     # Without the headings half a degree of lean would be the jig's fault, and chi-square would be tens of thousands.
-    assert found.fit["p_value"] > 0.01
-    assert found.fit["degrees_of_freedom"] == 4
+    assert found.fit.p_value > 0.01
+    assert found.fit.degrees_of_freedom == 4

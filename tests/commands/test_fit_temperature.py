@@ -45,7 +45,7 @@ class TestTemperaturePoint:
         for told in ("0", "0.4"):
             assert self.fitted(tmp_path, 0.0, "--thermometer", told, "--jig", "0").returncode == 0
             found = read_calibration(tmp_path / "S-1.yaml")
-            u.append(found.uncertainty["temperature"]["offset"]["x"][0])
+            u.append(found.uncertainty["temperature.offset.x.1"])
             drift = found.coefficients.thermal.drift[0][0]  # type: ignore[union-attr]
         assert sqrt(u[1] ** 2 - u[0] ** 2) == pytest.approx(drift * 0.4 * sqrt(2) / 19.0, rel=0.02)
 
@@ -85,12 +85,12 @@ class TestSweep:
         thermal = found.coefficients.thermal
         assert thermal is not None
         assert thermal.drift.shape == (2, 1)
-        assert found.fit["cross_validation"]["order"] == 1
+        assert found.fit.cross_validation.order == 1
 
     def test_the_hysteresis_is_told_with_its_sign(self, found: CalibrationRecord) -> None:
-        loop = found.fit["hysteresis"]["x"]
-        assert loop["between"] == ["down-15", "up-15"]
-        assert loop["difference"] == pytest.approx(0.8, abs=3 * 0.05 * sqrt(2))
+        loop = found.fit.hysteresis["x"]
+        assert loop.between == ("down-15", "up-15")
+        assert loop.difference == pytest.approx(0.8, abs=3 * 0.05 * sqrt(2))
 
 
 def test_a_segment_without_a_temperature_does_not_take_the_procedures(tmp_path: Path) -> None:

@@ -262,7 +262,7 @@ class TestLiveStream:
         assert process.stdout is not None
         assert json.loads(process.stdout.read())["p"] == pytest.approx(disk.truth()[0], abs=2e-4)
         process.communicate()
-        assert read_pair(tmp_path / "p.yaml").provenance["log"]["rows"] == 1399
+        assert read_pair(tmp_path / "p.yaml").provenance.log.rows == 1399
 
     def test_ctrl_c_before_two_turns_says_what_to_do(self, tmp_path: Path) -> None:
         lines = small(tmp_path).read_text().splitlines(keepends=True)
@@ -367,9 +367,9 @@ class TestPairFile:
         path = small(tmp_path)
         wanted = hashlib.sha256(path.read_bytes()).hexdigest()
         match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml")
-        assert read_pair(tmp_path / "p.yaml").provenance["log"]["sha256"] == wanted
+        assert read_pair(tmp_path / "p.yaml").provenance.log.sha256 == wanted
         match("-", *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml", stdin=path.read_bytes())
-        assert read_pair(tmp_path / "p.yaml").provenance["log"]["sha256"] == wanted
+        assert read_pair(tmp_path / "p.yaml").provenance.log.sha256 == wanted
 
     def test_a_log_without_time_has_turns_and_no_frequency(self, tmp_path: Path) -> None:
         path = small(tmp_path)

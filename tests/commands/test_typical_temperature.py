@@ -41,12 +41,10 @@ def test_it_is_the_data_sheets_curve(t: float, calibration) -> None:
 
 
 def test_the_file_says_so_and_how_far_a_part_may_differ(calibration) -> None:
-    assert any("not this unit's own" in line for line in calibration.derived["assumed"])
+    assert any("not this unit's own" in line for line in calibration.derived.assumed)
     # ±0.008 °/°C and ±0.014 %/°C over the parts.
-    assert calibration.uncertainty["temperature"]["offset"]["x"][0] == pytest.approx(
-        819 * 0.017453293 * 0.008, rel=1e-3
-    )
-    assert calibration.uncertainty["temperature"]["sensitivity"]["y"][0] == pytest.approx(1.4e-4)
+    assert calibration.uncertainty["temperature.offset.x.1"] == pytest.approx(819 * 0.017453293 * 0.008, rel=1e-3)
+    assert calibration.uncertainty["temperature.sensitivity.y.1"] == pytest.approx(1.4e-4)
 
 
 def test_a_units_own_run_wins(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from support.json_program import GONE, Event, Session, lead
 from tiltcal.bench.operators.json_lines import understood
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import read_calibration
+from tiltcal.files.records import PositionSet
 
 
 def table(folder: Path, procedure: str, answer: Callable[[Event, int], object]) -> Session:
@@ -66,7 +67,7 @@ def test_the_angle_actually_set_counts(tmp_path: Path) -> None:
     led = table(tmp_path, "plane", answer)
     assert led.exit_code == 0, led.errors
     written = read_calibration(tmp_path / "S-1.yaml")
-    assert written.procedure["set"]["y-tilt1"] == {"tilt": {"y": 30.5}}
+    assert written.procedure.set["y-tilt1"] == PositionSet(tilt={"y": 30.5})
 
 
 def test_a_typed_temperature_counts(tmp_path: Path) -> None:

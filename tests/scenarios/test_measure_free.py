@@ -55,9 +55,9 @@ def test_a_part_that_was_laid_down_anyhow(tmp_path: Path) -> None:
         np.linalg.norm(coefficients.sensitivity, axis=1), np.linalg.norm(truth, axis=1), atol=0.8
     )
     np.testing.assert_allclose(angles(coefficients.sensitivity), angles(truth), atol=0.05)
-    assert found.derived["mounting"].startswith("undetermined")
-    assert found.fit["distinct_attitudes"] == 18
-    assert found.fit["degrees_of_freedom"] == 18 - 9
+    assert found.derived.mounting.startswith("undetermined")
+    assert found.fit.distinct_attitudes == 18
+    assert found.fit.degrees_of_freedom == 18 - 9
     again = tiltcal("replay", tmp_path / "A-3000.journal.jsonl")
     assert again.stdout.encode() == (tmp_path / "A-3000.yaml").read_bytes()
 

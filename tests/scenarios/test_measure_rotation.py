@@ -108,9 +108,9 @@ def test_a_real_line_led_by_a_program(tmp_path: Path) -> None:
     require_replay(tmp_path)
     written = read_pair(tmp_path / "pair.yaml")
     assert written.phase == "theta"
-    assert written.provenance["made_by"] == "measurement"
-    assert written.provenance["bench"]["sensors"][0]["serial"] == "G-1"
-    assert written.provenance["journal"]["name"] == JOURNAL
+    assert written.provenance.made_by == "measurement"
+    assert written.provenance.bench.sensors[0].serial == "G-1"
+    assert written.provenance.journal.name == JOURNAL
     checked = tiltcal("check", "pair.yaml", cwd=tmp_path)
     assert checked.stdout == "pair.yaml: pair calibration, good\n"
 
@@ -153,7 +153,7 @@ def test_the_program_says_stop_without_being_asked(tmp_path: Path) -> None:
     assert "at least 2 are needed before it can stop" in refused["why"]
     # The word is heard at the end of a block, and the line is much faster than a stage.
     assert 4 <= program.events("turn")[-1]["turn"] < 12
-    assert read_pair(tmp_path / "pair.yaml").provenance["stopped"] == "the operator stopped"
+    assert read_pair(tmp_path / "pair.yaml").provenance.stopped == "the operator stopped"
     require_truth(tmp_path / "pair.yaml")
     require_replay(tmp_path)
 
@@ -231,7 +231,7 @@ def test_noise_on_the_line_is_counted_and_never_read(tmp_path: Path) -> None:
         program = led(tmp_path, serial(path))
     assert program.exit_code == 0, program.errors
     require_truth(tmp_path / "pair.yaml")
-    link_statistics = read_pair(tmp_path / "pair.yaml").provenance["link_statistics"]["G-1"]
+    link_statistics = read_pair(tmp_path / "pair.yaml").provenance.link_statistics["G-1"]
     assert 5 < link_statistics["damaged"] < 0.05 * link_statistics["lines"]
     assert any("damaged or lost on the line" in said["why"] for said in program.events("held"))
 
@@ -268,7 +268,7 @@ def test_a_device_that_lacks_a_channel_matches_the_pair_that_is_there(tmp_path: 
     assert "a3 and a4 are not matched: there is no a3" in program.errors
     written = read_pair(tmp_path / "pair.yaml")
     assert [matching.pair.name for matching in written.matchings] == ["a1_a2"]
-    assert written.provenance["not_matched"] == ["a3 and a4 are not matched: there is no a3"]
+    assert written.provenance.not_matched == ("a3 and a4 are not matched: there is no a3",)
 
 
 # On the virtual stage
@@ -339,7 +339,7 @@ def test_several_devices_of_a_bench_are_named_as_record_names_them(tmp_path: Pat
     written = read_pair(tmp_path / "pair.yaml")
     assert [matching.pair.channels for matching in written.matchings] == [("S1_a1", "S2_a2", "S4_a4")]
     assert written.phase == "table_theta"
-    assert written.provenance["operator"] == "A. Person"
+    assert written.provenance.operator == "A. Person"
     recorded = tiltcal("record", "--bench", "bench.yaml", "--rows", "9", "-o", "log.csv", cwd=tmp_path)
     assert recorded.returncode == 0, recorded.stderr
     assert tiltcal("apply", "pair.yaml", "log.csv", "-o", "out.csv", cwd=tmp_path).returncode == 0

@@ -65,8 +65,8 @@ def test_cross_axis(tmp_path: Path) -> None:
     np.testing.assert_allclose(calibration.coefficients.offset, part.offset, atol=0.5)
     np.testing.assert_allclose(calibration.coefficients.sensitivity, part.sensitivity, atol=0.9)
     # Eq. 1 on the part's truth: sqrt(11.2² + 3.5²) / 817.4 and sqrt(7.9² + 5.1²) / 821.6.
-    assert calibration.derived["cross_axis_percent"]["x"] == pytest.approx(1.4356, abs=0.15)
-    assert calibration.derived["cross_axis_percent"]["y"] == pytest.approx(1.1445, abs=0.15)
+    assert calibration.derived.cross_axis_percent["x"] == pytest.approx(1.4356, abs=0.15)
+    assert calibration.derived.cross_axis_percent["y"] == pytest.approx(1.1445, abs=0.15)
 
 
 def answer(bench: Bench, line: str, wrong: tuple[float, float, float] | None = None) -> dict[str, object]:

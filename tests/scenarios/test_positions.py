@@ -15,6 +15,7 @@ from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Position, find_procedure
+from tiltcal.files.records import PositionSet
 
 TWIN = """\
 tiltcal: 1
@@ -74,7 +75,7 @@ def test_two_temperatures_find_the_drift_and_take_the_nominal_sensitivity(bench:
     assert thermal is not None
     assert thermal.drift.ravel() == pytest.approx([0.4, -0.1], abs=0.05)
     assert calibration.coefficients.sensitivity.tolist() == [[819.0, 0.0], [0.0, 819.0]]
-    assert calibration.derived["assumed"] == ["sensitivity: nominal of the model"]
+    assert calibration.derived.assumed == ("sensitivity: nominal of the model",)
 
 
 class Clumsy(SimOperator):
@@ -95,7 +96,7 @@ def test_what_was_typed_is_what_is_judged(bench: Path) -> None:
     """Level typed for a position, and level taken: odd, but consistent, so it counts as typed."""
     said: list[str] = []
     calibration, _ = run("plane", Clumsy(said))
-    assert calibration.procedure["set"]["x-tilt2"] == {"gravity": [0.0, 0.0, 1.0]}
+    assert calibration.procedure.set["x-tilt2"] == PositionSet(gravity=(0.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -148,8 +149,8 @@ def test_a_slow_chamber_is_waited_for(bench: Path) -> None:
     twin_with("time_constant: 600.0")
     calibration, _ = run("two-temperature")
     warm, cold = calibration.positions
-    assert _seconds(cold["time"]) - _seconds(warm["time"]) > 1335.0 - 154.0
-    assert cold["temperature"] == pytest.approx(5.5, abs=2.0 + 0.92)
+    assert _seconds(str(cold.time)) - _seconds(str(warm.time)) > 1335.0 - 154.0
+    assert cold.temperature == pytest.approx(5.5, abs=2.0 + 0.92)
 
 
 def test_a_thermometer_that_is_far_off_is_believed_once_it_holds(bench: Path) -> None:
@@ -157,8 +158,8 @@ def test_a_thermometer_that_is_far_off_is_believed_once_it_holds(bench: Path) ->
     twin_with("thermometer_error: 6.0")
     calibration, _ = run("two-temperature")
     warm, cold = calibration.positions
-    assert _seconds(cold["time"]) - _seconds(warm["time"]) > 200.0
-    assert cold["temperature"] == pytest.approx(11.5, abs=0.6)
+    assert _seconds(str(cold.time)) - _seconds(str(warm.time)) > 200.0
+    assert cold.temperature == pytest.approx(11.5, abs=0.6)
 
 
 def _seconds(stamp: str) -> float:

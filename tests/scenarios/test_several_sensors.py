@@ -56,9 +56,9 @@ def test_six_sensors_twelve_axes_one_thermometer(tmp_path: Path) -> None:
     files = sorted(path.name for path in tmp_path.glob("A-*.yaml"))
     assert files == [f"A-{n}.yaml" for n in range(6)]
     calibration = read_calibration(tmp_path / "A-0.yaml")
-    assert calibration.provenance["operator"] == "A. Technician"
-    assert calibration.provenance["bench"]["thermometer"] == "sim:"
-    temperatures = {path.name: read_calibration(path).positions[3]["temperature"] for path in tmp_path.glob("A-*.yaml")}
+    assert calibration.provenance.operator == "A. Technician"
+    assert calibration.provenance.bench.thermometer == "sim:"
+    temperatures = {path.name: read_calibration(path).positions[3].temperature for path in tmp_path.glob("A-*.yaml")}
     assert len(set(temperatures.values())) == 1, "one thermometer stands for all"
     journals = list(tmp_path.glob("*.journal.jsonl"))
     assert [path.name for path in journals] == ["bench.journal.jsonl"]
@@ -82,7 +82,7 @@ def test_a_sensor_that_sits_askew_is_calibrated_in_its_own_frame(tmp_path: Path)
     for one in (straight, turned):
         assert one.coefficients.offset == pytest.approx([1023.0, 1021.0], abs=0.5)
         assert one.coefficients.sensitivity.ravel() == pytest.approx([817.4, 11.2, -7.9, 821.6], abs=0.9)
-    assert turned.provenance["bench"]["axes"] == ["-y", "x", "z"]
+    assert turned.provenance.bench.axes == ("-y", "x", "z")
 
 
 def test_a_sensor_that_fails_is_reported_and_the_others_go_on(tmp_path: Path) -> None:

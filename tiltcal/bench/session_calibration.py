@@ -17,6 +17,15 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.files.calibration import CalibrationRecord, calibration_of
 from tiltcal.files.document import checked_kind, parse_document
 from tiltcal.files.pair import PairRecord
+from tiltcal.files.records import (
+    VIRTUAL,
+    BenchRecord,
+    BenchSensorRecord,
+    FileRecord,
+    PairProvenance,
+    Provenance,
+    SamplesRecord,
+)
 
 
 @dataclass(frozen=True)
@@ -79,31 +88,31 @@ def tilt_calibrations(plan: SessionPlan, walked: MeasuredPositions) -> dict[str,
 
 def pair_calibration(plan: SessionPlan, hookup: ChannelMap, turned: RotationResult, ending: SessionEnd) -> PairRecord:
     """What a rotation found, with its provenance."""
-    left_out = [*hookup.left_out, *turned.unmatched]
-    sensors = [{"serial": one.serial, "model": one.model, "address": one.address} for one in plan.places]
-    provenance = {
-        **_provenance(plan, {"sensors": sensors}, ending),
-        "link_statistics": {serial: dict(one) for serial, one in ending.link_statistics_by_serial.items()},
-        "procedure": plan.procedure.name,
-        "samples": {"used": turned.samples, "left_out": turned.left_out},
-        "stopped": turned.ended,
-        **({"not_matched": left_out} if left_out else {}),
-    }
+    sensors = tuple(BenchSensorRecord(serial=one.serial, model=one.model, address=one.address) for one in plan.places)
+    provenance = PairProvenance(
+        **_session(plan, ending),
+        bench=BenchRecord(sensors=sensors),
+        link_statistics={serial: dict(one) for serial, one in ending.link_statistics_by_serial.items()},
+        procedure=plan.procedure.name,
+        samples=SamplesRecord(used=turned.samples, left_out=turned.left_out),
+        stopped=turned.ended,
+        not_matched=(*hookup.left_out, *turned.unmatched),
+    )
     return PairRecord(turned.matchings, hookup.phase.column, turned.turns, turned.frequency, provenance=provenance)
 
 
-def tilt_provenance(plan: SessionPlan, place: DeviceSetup, ending: SessionEnd) -> dict[str, Any]:
+def tilt_provenance(plan: SessionPlan, place: DeviceSetup, ending: SessionEnd) -> Provenance:
     """What a sensor's calibration file tells of the session."""
-    axes = {} if place.orientation.straight else {"axes": list(place.orientation.names)}
-    thermometer = {} if plan.thermometer is None else {"thermometer": plan.thermometer.address}
-    return {
-        **_provenance(plan, {"address": place.address, **axes, **thermometer}, ending),
-        **(
-            {"link_statistics": dict(ending.link_statistics_by_serial[place.serial])}
-            if place.serial in ending.link_statistics_by_serial
-            else {}
+    statistics = ending.link_statistics_by_serial.get(place.serial)
+    return Provenance(
+        **_session(plan, ending),
+        bench=BenchRecord(
+            address=place.address,
+            axes=() if place.orientation.straight else tuple(place.orientation.names),
+            thermometer=None if plan.thermometer is None else plan.thermometer.address,
         ),
-    }
+        link_statistics=None if statistics is None else dict(statistics),
+    )
 
 
 def _base(plan: SessionPlan) -> CalibrationRecord | None:
@@ -132,14 +141,13 @@ def _measured(
     return MeasuredSensor(bay.identity, measurements, Nominal.of(bay.model), bay.orientation.matrix, thermometer)
 
 
-def _provenance(plan: SessionPlan, bench: Mapping[str, Any], ending: SessionEnd) -> dict[str, Any]:
+def _session(plan: SessionPlan, ending: SessionEnd) -> dict[str, Any]:
     """What every file tells of its session."""
     return {
-        "made_by": "the virtual bench: no real sensor was measured" if plan.virtual else "measurement",
+        "made_by": VIRTUAL if plan.virtual else "measurement",
         "operator": plan.person or plan.lead,
-        "bench": bench,
         "software": plan.software,
         "started": stamp(plan.started),
         "ended": stamp(ending.ended),
-        "journal": {"name": plan.journal, "sha256": ending.sha256},
+        "journal": FileRecord(name=plan.journal, sha256=ending.sha256),
     }

@@ -21,7 +21,6 @@ from tiltcal.core.rounding import round_to
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.uncertainty import named_uncertainties
 
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
@@ -145,30 +144,29 @@ def _fitted(
 def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:
     """Keep in the record of positions what the table states, and nothing else."""
     stated = any(summary.u > 0 for one in measurements for summary in one.summaries.values())
-    if not stated and not calibration.fit.get("degrees_of_freedom"):
+    if not stated and not calibration.fit.degrees_of_freedom:
         raise EstimateError(
             "the table states no uncertainties (ux, uy, uz) and has no position more than there are unknowns: nothing "
             "says how good the result is; add either"
         )
-    unsaid = {"std"} if stated else {"std", "u"}
-    kept = [{name: value for name, value in one.items() if name not in unsaid} for one in calibration.positions]
-    return replace(calibration, positions=kept)
+    kept = (replace(one, std=None, u=one.u if stated else None) for one in calibration.positions)
+    return replace(calibration, positions=tuple(kept))
 
 
 def _of_local_gravity(calibration: CalibrationRecord, gravity: float) -> CalibrationRecord:
     """Add the main sensitivities per m/s² and, for readings in m/s², by how much they are off."""
     coefficients = calibration.coefficients
-    known = dict(named_uncertainties(calibration.uncertainty))
     own = {
         channel: float(coefficients.sensitivity[row, coefficients.axes.index(channel)]) / gravity
         for row, channel in enumerate(coefficients.channels)
         if channel in coefficients.axes
     }
-    u = {channel: known[f"sensitivity.{channel}.{channel}"] / gravity for channel in own}
-    added: dict[str, Any] = {
-        "gravity_m_s2": gravity,
-        "sensitivity_per_m_s2": {c: round_to(value, u[c]) for c, value in own.items()},
-    }
-    if calibration.sensor.unit in ACCELERATION:
-        added["scale_error_percent"] = {c: round_to(100.0 * (value - 1.0), 100.0 * u[c]) for c, value in own.items()}
-    return replace(calibration, derived={**calibration.derived, **added})
+    u = {channel: calibration.uncertainty[f"sensitivity.{channel}.{channel}"] / gravity for channel in own}
+    off = {c: round_to(100.0 * (value - 1.0), 100.0 * u[c]) for c, value in own.items()}
+    derived = replace(
+        calibration.derived,
+        gravity_m_s2=gravity,
+        sensitivity_per_m_s2={c: round_to(value, u[c]) for c, value in own.items()},
+        scale_error_percent=off if calibration.sensor.unit in ACCELERATION else {},
+    )
+    return replace(calibration, derived=derived)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tiltcal.calibration.summary import mounting_lines, summary
 from tiltcal.core.compensation import Compensation
@@ -14,7 +13,8 @@ from tiltcal.core.model import Coefficients, Limits
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, calibration_of, write_calibration
 from tiltcal.files.document import checked_kind, read_document
-from tiltcal.files.uncertainty import named_uncertainties
+from tiltcal.files.records import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.uncertainty import Uncertainty
 
 if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration
@@ -64,10 +64,10 @@ class Calibration:
             for axis, value in zip(self.coefficients.axes, row, strict=True)
         }
 
-    @cached_property
-    def uncertainty(self) -> dict[str, float]:
+    @property
+    def uncertainty(self) -> Uncertainty:
         """Standard uncertainty (k = 1) of each coefficient by its dotted name, such as ``offset.x``, in its unit."""
-        return dict(named_uncertainties(self.record.uncertainty))
+        return self.record.uncertainty
 
     @cached_property
     def limits(self) -> Limits:
@@ -86,27 +86,27 @@ class Calibration:
         return replace(limits, reading=dict.fromkeys(sensor.channels, model.rails))
 
     @property
-    def derived(self) -> Any:
+    def derived(self) -> DerivedRecord:
         """What follows from the coefficients: cross-axis sensitivity in %, misalignment and intrinsic parameters."""
         return self.record.derived
 
     @property
-    def fit(self) -> Any:
+    def fit(self) -> FitRecord:
         """How well the positions agree: residuals, degrees of freedom, chi-square, where the uncertainty comes from."""
         return self.record.fit
 
     @property
-    def procedure(self) -> Any:
+    def procedure(self) -> ProcedureRecord:
         """The procedure as it was run, with the angles that were set."""
         return self.record.procedure
 
     @property
-    def positions(self) -> Sequence[Any]:
+    def positions(self) -> tuple[PositionRecord, ...]:
         """Mean, standard deviation, number of samples and temperature of each position."""
         return self.record.positions
 
     @property
-    def provenance(self) -> Any:
+    def provenance(self) -> Provenance:
         """Who made the calibration, when, and from which data."""
         return self.record.provenance
 

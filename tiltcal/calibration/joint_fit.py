@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
-from tiltcal.calibration.results import derived_record, fit_record, rounded, uncertainty_record
+from tiltcal.calibration.results import derived_record, fit_record, rounded, uncertainty_of
 from tiltcal.core.comparison import values
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.model import AXES, Array, Limits
-from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.rounding import significant
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.uncertainty import named_uncertainties
+from tiltcal.files.records import PositionSet, ProcedureRecord
 
 
 def fit_jointly(
@@ -41,7 +41,7 @@ def fit_jointly(
     base : CalibrationRecord, optional
         Its sensitivity stands in where the procedure determines none.
     settings : mapping, optional
-        How the procedure was run, for the files.
+        ``samples`` and ``settle_seconds`` of the procedure as run.
 
     Returns
     -------
@@ -62,12 +62,12 @@ def fit_jointly(
             CalibrationRecord(
                 sensor=replace(sensor.sensor, channels=design.channels),
                 coefficients=rounded(one),
-                uncertainty=uncertainty_record(one, _reading(sensor.measurements, design)),
+                uncertainty=uncertainty_of(one, _reading(sensor.measurements, design)),
                 limits=_limits(design, sensor, base, one.coefficients.thermal is not None),
                 derived=derived_record(one, design, assumed),
                 fit=fit_record(one, design, _largest_noise(sensor.measurements, design.channels)),
                 procedure=_procedure(procedure, sensor.measurements, settings or {}),
-                positions=[_position(measurement, design.channels) for measurement in sensor.measurements],
+                positions=tuple(measurement.record(design.channels) for measurement in sensor.measurements),
             )
         )
     return calibrations
@@ -141,7 +141,7 @@ def _with_base(design: Design, base: CalibrationRecord) -> Design:
 
     Their correlations are left out: a procedure that determines no sensitivity moves them little.
     """
-    known, u = base.coefficients, dict(named_uncertainties(base.uncertainty))
+    known, u = base.coefficients, base.uncertainty
     order = 0 if known.nonlinearity is None else known.nonlinearity.shape[1]
     priors = {
         name: Prior(value, u.get(name, 0.0))
@@ -234,31 +234,18 @@ def _limits(design: Design, sensor: MeasuredSensor, base: CalibrationRecord | No
 
 def _procedure(
     procedure: Procedure, measurements: Sequence[Measurement], settings: Mapping[str, Any]
-) -> dict[str, Any]:
-    return {
-        "name": procedure.name,
-        "title": procedure.title,
-        **({"source": procedure.source} if procedure.source else {}),
+) -> ProcedureRecord:
+    return ProcedureRecord(
+        name=procedure.name,
+        title=procedure.title,
+        source=procedure.source or None,
         **settings,
-        "set": {measurement.position: _set(measurement) for measurement in measurements},
-    }
+        set={measurement.position: _set(measurement) for measurement in measurements},
+    )
 
 
-def _set(measurement: Measurement) -> dict[str, Any]:
+def _set(measurement: Measurement) -> PositionSet:
     """What was actually set in a position."""
     if measurement.tilt is not None:
-        return {"tilt": {axis: float(angle) for axis, angle in measurement.tilt.items()}}
-    return {"gravity": [significant(component, 9) for component in measurement.gravity]}
-
-
-def _position(measurement: Measurement, channels: Sequence[str]) -> dict[str, Any]:
-    summaries = {channel: measurement.summaries[channel] for channel in channels}
-    return {
-        "position": measurement.position,
-        "mean": {c: round_to(summary.mean, summary.u) for c, summary in summaries.items()},
-        "std": {c: significant(summary.std, 4) for c, summary in summaries.items()},
-        "u": {c: significant(summary.u, 4) for c, summary in summaries.items()},
-        "n": next(iter(summaries.values())).n,
-        **({"temperature": round(measurement.temperature, 3)} if measurement.temperature is not None else {}),
-        **measurement.when,
-    }
+        return PositionSet(tilt={axis: float(angle) for axis, angle in measurement.tilt.items()})
+    return PositionSet(gravity=tuple(significant(component, 9) for component in measurement.gravity))

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tiltcal.core.estimation.design import STRAIGHT
+from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model, Population
 from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.records import PositionRecord
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,19 @@ class Measurement:
     summaries: Mapping[str, SampleSummary]
     when: Mapping[str, Any] = field(default_factory=dict)
     heading: float | None = None
+
+    def record(self, channels: Sequence[str]) -> PositionRecord:
+        """Return what was measured, for the calibration file, with the digits that its uncertainty warrants."""
+        summaries = {channel: self.summaries[channel] for channel in channels}
+        return PositionRecord(
+            position=self.position,
+            mean={c: round_to(summary.mean, summary.u) for c, summary in summaries.items()},
+            std={c: significant(summary.std, 4) for c, summary in summaries.items()},
+            u={c: significant(summary.u, 4) for c, summary in summaries.items()},
+            n=next(iter(summaries.values())).n,
+            temperature=None if self.temperature is None else round(self.temperature, 3),
+            **self.when,
+        )
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.calibration.results import covariance_record
+from tiltcal.calibration.results import rounded_covariance
 from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.budget import coverage_factor
 from tiltcal.core.compensation import Compensation
@@ -21,7 +21,8 @@ from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, rotation_vec
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.uncertainty import SHAPED, stated_uncertainty
+from tiltcal.files.records import MountingFit, MountingRun
+from tiltcal.files.uncertainty import Uncertainty, stated_uncertainty
 
 
 def mount(
@@ -61,10 +62,13 @@ def mount(
         base,
         coefficients=replace(base.coefficients, mounting=mounting),
         uncertainty=_uncertainty(base.uncertainty, joint, u),
-        derived={**base.derived, "gimbal_lock": True} if found.gimbal_lock else base.derived,
-        fit={**base.fit, "mounting": _record(found, measurements, jig)},
-        procedure={**base.procedure, "mounting": {**(settings or {}), "positions": [m.position for m in measurements]}},
-        positions=[*base.positions, *(_position(measurement) for measurement in measurements)],
+        derived=replace(base.derived, gimbal_lock=base.derived.gimbal_lock or found.gimbal_lock),
+        fit=replace(base.fit, mounting=_record(found, measurements, jig)),
+        procedure=replace(
+            base.procedure,
+            mounting=MountingRun(**(settings or {}), positions=tuple(m.position for m in measurements)),
+        ),
+        positions=(*base.positions, *(replace(m.record(list(m.summaries)), u=None) for m in measurements)),
     )
 
 
@@ -121,7 +125,7 @@ def _joined(
     )
 
 
-def _own(uncertainty: Mapping[str, Any], coefficients: Coefficients) -> tuple[tuple[str, ...], Array, Array]:
+def _own(uncertainty: Uncertainty, coefficients: Coefficients) -> tuple[tuple[str, ...], Array, Array]:
     """Names, covariance and coverage factors of the base's coefficients in the sensor's own frame."""
     try:
         doubt = stated_uncertainty(uncertainty, coefficients).doubt
@@ -131,17 +135,16 @@ def _own(uncertainty: Mapping[str, Any], coefficients: Coefficients) -> tuple[tu
     return tuple(doubt.names[k] for k in kept), doubt.covariance[np.ix_(kept, kept)], doubt.factors[kept]
 
 
-def _uncertainty(before: Mapping[str, Any], joint: _Joint, u: Mapping[str, float] | None) -> dict[str, Any]:
-    """The base's section with the mounting's in it, degrees."""
+def _uncertainty(before: Uncertainty, joint: _Joint, u: Mapping[str, float]) -> Uncertainty:
+    """The base's uncertainty with the mounting's in it, degrees."""
     scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in joint.names])
-    shaped = {key: before[key] for key in SHAPED if key in before and key != "mounting"}
-    return {
-        **shaped,
-        **({} if u is None else {"mounting": u}),
-        **({"single_reading": before["single_reading"]} if "single_reading" in before else {}),
-        "coverage_factor": {n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)},
-        "covariance": covariance_record(joint.names, joint.covariance * np.outer(scale, scale)),
-    }
+    own = {name: value for name, value in before.items() if not name.startswith("mounting.")}
+    return Uncertainty(
+        {**own, **{f"mounting.{angle}": value for angle, value in u.items()}},
+        before.single_reading,
+        {n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)},
+        rounded_covariance(joint.names, joint.covariance * np.outer(scale, scale)),
+    )
 
 
 def _directions(coefficients: Coefficients, measurements: Sequence[Measurement]) -> Array:
@@ -158,35 +161,23 @@ def _directions(coefficients: Coefficients, measurements: Sequence[Measurement])
     return np.column_stack([gravity, rest])
 
 
-def _rounded(found: MountingEstimate, joint: _Joint) -> tuple[Mounting, dict[str, float] | None]:
+def _rounded(found: MountingEstimate, joint: _Joint) -> tuple[Mounting, dict[str, float]]:
     """The angles with the digits that their uncertainty warrants, radians; and that, degrees."""
     if found.gimbal_lock:
-        return found.mounting, None
+        return found.mounting, {}
     doubt = angle_uncertainty(mounting_matrix(found.mounting), joint.covariance[-3:, -3:])
     u = {name: degrees(getattr(doubt, name)) for name in ANGLES}
     angles = {name: radians(round_to(degrees(getattr(found.mounting, name)), u[name])) for name in u}
     return Mounting(**angles), {name: significant(value, 4) for name, value in u.items()}
 
 
-def _record(found: MountingEstimate, measurements: Sequence[Measurement], jig: float | None) -> dict[str, Any]:
-    record: dict[str, Any] = {
-        "residuals_degrees": {
+def _record(found: MountingEstimate, measurements: Sequence[Measurement], jig: float | None) -> MountingFit:
+    squares = float(np.sum(found.residuals**2))
+    return MountingFit(
+        residuals_degrees={
             m.position: round(degrees(float(r)), 4) for m, r in zip(measurements, found.residuals, strict=True)
         },
-        "degrees_of_freedom": found.dof,
-        "uncertainty_from": "stated jig" if found.stated else "residuals",
-    }
-    if found.stated and jig:
-        record["chi_square"] = significant(float(np.sum(found.residuals**2)) / radians(jig) ** 2, 4)
-    return record
-
-
-def _position(measurement: Measurement) -> dict[str, Any]:
-    return {
-        "position": measurement.position,
-        "mean": {c: round_to(s.mean, s.u) for c, s in measurement.summaries.items()},
-        "std": {c: significant(s.std, 4) for c, s in measurement.summaries.items()},
-        "n": next(iter(measurement.summaries.values())).n,
-        **({"temperature": round(measurement.temperature, 3)} if measurement.temperature is not None else {}),
-        **measurement.when,
-    }
+        degrees_of_freedom=found.dof,
+        uncertainty_from="stated jig" if found.stated else "residuals",
+        chi_square=significant(squares / radians(jig) ** 2, 4) if found.stated and jig else None,
+    )

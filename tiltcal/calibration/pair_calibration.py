@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed
 from tiltcal.files.pair import PairRecord, write_pair
+from tiltcal.files.records import PairProvenance
 
 HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
 
@@ -43,7 +43,7 @@ class PairCalibration:
         return self.record.frequency
 
     @property
-    def provenance(self) -> Any:
+    def provenance(self) -> PairProvenance:
         """Who made the matching, when, and from which data."""
         return self.record.provenance
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,16 @@ from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.intrinsic import IntrinsicQuantity, intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients, Thermal
 from tiltcal.core.rounding import round_to, significant
+from tiltcal.files.records import (
+    DerivedRecord,
+    DerivedUncertainty,
+    FitRecord,
+    IntrinsicRecord,
+    IntrinsicUncertainty,
+    SuspectPosition,
+    WorstResidual,
+)
+from tiltcal.files.uncertainty import Covariance, Uncertainty
 
 DIGITS = 4
 """Of an uncertainty."""
@@ -53,8 +62,8 @@ def rounded(found: Estimate) -> Coefficients:
     )
 
 
-def uncertainty_record(found: Estimate, reading: Mapping[str, float]) -> dict[str, Any]:
-    """The ``uncertainty`` section: standard uncertainties in the shape of ``calibration``, and how they hang together.
+def uncertainty_of(found: Estimate, reading: Mapping[str, float]) -> Uncertainty:
+    """Return the standard uncertainties of an estimate with their covariance and coverage factors.
 
     Parameters
     ----------
@@ -62,71 +71,59 @@ def uncertainty_record(found: Estimate, reading: Mapping[str, float]) -> dict[st
     reading : mapping of str to float
         Standard uncertainty of a single reading by channel, unit, and of its temperature, °C; where they are known.
     """
-    coefficients, u = found.coefficients, found.uncertainty()
-    channels = coefficients.channels
-    shaped: dict[str, Any] = {
-        "offset": {c: significant(u[f"offset.{c}"], DIGITS) for c in channels},
-        "sensitivity": {
-            c: {a: significant(u[f"sensitivity.{c}.{a}"], DIGITS) for a in coefficients.axes} for c in channels
-        },
-    }
-    if coefficients.nonlinearity is not None:
-        powers = range(2, 2 + coefficients.nonlinearity.shape[1])
-        shaped["nonlinearity"] = {
-            c: [significant(u[f"nonlinearity.{c}.{k}"], DIGITS) for k in powers] for c in channels
-        }
-    if coefficients.thermal is not None:
-        orders = {"offset": coefficients.thermal.drift.shape[1], "sensitivity": coefficients.thermal.gain.shape[1]}
-        shaped["temperature"] = {
-            name: {
-                c: [significant(u[f"temperature.{name}.{c}.{k + 1}"], DIGITS) for k in range(order)] for c in channels
-            }
-            for name, order in orders.items()
-            if order
-        }
-    if reading:
-        shaped["single_reading"] = {name: significant(value, DIGITS) for name, value in reading.items()}
-    shaped["coverage_factor"] = {n: round(factor, 3) for n, factor in found.coverage_factors().items() if u[n] > 0.0}
-    shaped["covariance"] = covariance_record(found.names, found.covariance)
-    return shaped
+    u = found.uncertainty()
+    return Uncertainty(
+        {name: significant(value, DIGITS) for name, value in u.items()},
+        {name: significant(value, DIGITS) for name, value in reading.items()},
+        {name: round(factor, 3) for name, factor in found.coverage_factors().items() if u[name] > 0.0},
+        rounded_covariance(found.names, found.covariance),
+    )
 
 
-def covariance_record(names: Sequence[str], covariance: Array) -> dict[str, Any]:
-    """Of the coefficients that are uncertain at all, without the dust that stands for zero."""
+def rounded_covariance(names: Sequence[str], covariance: Array) -> Covariance:
+    """Return the covariance of the coefficients that are uncertain at all, without the dust that stands for zero."""
     u = np.sqrt(np.diag(covariance))
     some = np.flatnonzero(u > 0.0).tolist()
-    return {
-        "parameters": [names[i] for i in some],
-        "matrix": [[round_to(float(covariance[i, j]), float(u[i] * u[j]) / MATRIX_DIGITS) for j in some] for i in some],
-    }
+    return Covariance(
+        parameters=tuple(names[i] for i in some),
+        matrix=tuple(
+            tuple(round_to(float(covariance[i, j]), float(u[i] * u[j]) / MATRIX_DIGITS) for j in some) for i in some
+        ),
+    )
 
 
-def derived_record(found: Estimate, design: Design, assumed: str) -> dict[str, Any]:
-    """The ``derived`` section: cross-axis sensitivities, misalignments, and what does not change with the mounting.
+def derived_record(found: Estimate, design: Design, assumed: str) -> DerivedRecord:
+    """Return the cross-axis sensitivities, the misalignments, and what does not change with the mounting.
 
-    Where the sensitivity was ``assumed`` (from what, in words), it has nothing but that.
+    Where the sensitivity was ``assumed`` (from what, in words), the record holds nothing but that.
     """
     if design.priors:
-        return {"assumed": [f"sensitivity: {assumed}"]}
-    coefficients, names, covariance = found.coefficients, found.names, found.covariance
-    record: dict[str, Any] = {}
-    doubts: dict[str, Any] = {}
-    quantities: Mapping[str, Callable[[Coefficients], dict[str, float]]] = {
-        "cross_axis_percent": cross_axis,
-        "misalignment_degrees": misalignment,
-    }
-    for name, quantity in quantities.items():
-        u = derived_uncertainty(quantity, coefficients, names, covariance)
-        record[name] = {c: round_to(value, u[c]) for c, value in quantity(coefficients).items()}
-        doubts[name] = {c: significant(value, DIGITS) for c, value in u.items()}
-    record["uncertainty"] = doubts
-    if len(coefficients.channels) == 3 and set(coefficients.axes) == set(AXES):
-        record["intrinsic"] = _intrinsic_record(found, design)
-    return record
+        return DerivedRecord(assumed=(f"sensitivity: {assumed}",))
+    coefficients = found.coefficients
+    crossed, u_crossed = _derived(found, cross_axis)
+    turned, u_turned = _derived(found, misalignment)
+    whole = len(coefficients.channels) == 3 and set(coefficients.axes) == set(AXES)
+    return DerivedRecord(
+        cross_axis_percent=crossed,
+        misalignment_degrees=turned,
+        uncertainty=DerivedUncertainty(cross_axis_percent=u_crossed, misalignment_degrees=u_turned),
+        intrinsic=_intrinsic_record(found, design) if whole else None,
+    )
 
 
-def fit_record(found: Estimate, design: Design, noise: float) -> dict[str, Any]:
-    """The ``fit`` section: how well the positions agree, and where the uncertainty comes from.
+def _derived(
+    found: Estimate, quantity: Callable[[Coefficients], dict[str, float]]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """A derived quantity and its standard uncertainty by channel, rounded."""
+    u = derived_uncertainty(quantity, found.coefficients, found.names, found.covariance)
+    return (
+        {c: round_to(value, u[c]) for c, value in quantity(found.coefficients).items()},
+        {c: significant(value, DIGITS) for c, value in u.items()},
+    )
+
+
+def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
+    """Return how well the positions agree, and where the uncertainty comes from.
 
     Parameters
     ----------
@@ -135,39 +132,36 @@ def fit_record(found: Estimate, design: Design, noise: float) -> dict[str, Any]:
     noise : float
         The largest standard uncertainty of a reading, unit.
     """
-    channels = design.channels
     scale = max(noise, float(np.max(np.abs(found.residuals))))
     residuals = {
-        position: {c: round_to(float(r), scale) for c, r in zip(channels, row, strict=True)}
+        position: {c: round_to(float(r), scale) for c, r in zip(design.channels, row, strict=True)}
         for position, row in zip(found.positions, found.residuals, strict=True)
     }
-    record: dict[str, Any] = {"residuals": residuals}
-    if found.dof:
-        record["worst"] = _worst(residuals)
-    record["degrees_of_freedom"] = found.dof
-    if found.chi_square is not None and found.p is not None and found.stated:
-        record["chi_square"] = significant(found.chi_square, 4)
-        record["p_value"] = significant(found.p, SHARE_DIGITS)
-        suspects = found.suspects()
-        if suspects:
-            record["suspect_positions"] = {
-                one.position: {
-                    "off_degrees": significant(float(np.linalg.norm(one.turn)), SHARE_DIGITS),
-                    "chi_square": significant(one.chi_square, SHARE_DIGITS),
-                }
-                for one in suspects
-            }
-    record["uncertainty_from"] = _source_of_uncertainty(found, design)
-    if design.jig is not None and not design.free:
-        record["jig_degrees"] = design.jig
-    if found.scatter_jig is not None:
-        record["jig_estimated_degrees"] = significant(found.scatter_jig, SHARE_DIGITS)
-    if design.thermometer:
-        record["thermometer_celsius"] = design.thermometer
-    record["budget"] = _budget(found)
-    if found.notes:
-        record["notes"] = list(found.notes)
-    return record
+    record = FitRecord(
+        residuals=residuals,
+        worst=_worst(residuals) if found.dof else None,
+        degrees_of_freedom=found.dof,
+        uncertainty_from=_source_of_uncertainty(found, design),
+        jig_degrees=None if design.free else design.jig,
+        jig_estimated_degrees=None if found.scatter_jig is None else significant(found.scatter_jig, SHARE_DIGITS),
+        thermometer_celsius=design.thermometer or None,
+        budget=_budget(found),
+        notes=tuple(found.notes),
+    )
+    if found.chi_square is None or found.p is None or not found.stated:
+        return record
+    return replace(
+        record,
+        chi_square=significant(found.chi_square, 4),
+        p_value=significant(found.p, SHARE_DIGITS),
+        suspect_positions={
+            one.position: SuspectPosition(
+                off_degrees=significant(float(np.linalg.norm(one.turn)), SHARE_DIGITS),
+                chi_square=significant(one.chi_square, SHARE_DIGITS),
+            )
+            for one in found.suspects()
+        },
+    )
 
 
 def _rounded_rows(table: Array, channels: Sequence[str], name: str, u: Mapping[str, float], first: int = 1) -> Array:
@@ -178,22 +172,19 @@ def _rounded_rows(table: Array, channels: Sequence[str], name: str, u: Mapping[s
     return np.array(rows).reshape(table.shape)
 
 
-def _intrinsic_record(found: Estimate, design: Design) -> dict[str, Any]:
+def _intrinsic_record(found: Estimate, design: Design) -> IntrinsicRecord:
     """The nine intrinsic parameters and, where positions were set, the rotation that is left."""
     own = intrinsic(found.coefficients, found.names, found.covariance, mounted=not design.free)
-    record: dict[str, Any] = {}
-    doubts: dict[str, Any] = {}
     parts = {"offset": own.offset, "sensitivity": own.sensitivity, "angle_degrees": own.angle}
     if own.mounting:
         parts["rotation_degrees"] = own.mounting
-    for name, quantities in parts.items():
-        record[name], doubts[name] = _told(quantities)
-    record["uncertainty"] = doubts
-    if own.gimbal_lock:
-        record["gimbal_lock"] = True
-    if own.left_handed:
-        record["left_handed"] = own.left_handed
-    return record
+    told = {name: _told(quantities) for name, quantities in parts.items()}
+    return IntrinsicRecord(
+        **{name: values for name, (values, _) in told.items()},
+        uncertainty=IntrinsicUncertainty(**{name: u for name, (_, u) in told.items()}),
+        gimbal_lock=own.gimbal_lock,
+        left_handed=own.left_handed or None,
+    )
 
 
 def _told(quantities: Mapping[str, IntrinsicQuantity]) -> tuple[dict[str, float], dict[str, float]]:
@@ -226,10 +217,10 @@ def _source_of_uncertainty(found: Estimate, design: Design) -> str:
     return "stated noise and jig"
 
 
-def _worst(residuals: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+def _worst(residuals: Mapping[str, Mapping[str, float]]) -> WorstResidual:
     """The largest residual; the rounded ones are compared, so that a tie falls alike on every processor."""
     position, channel = max(
         ((position, channel) for position, row in residuals.items() for channel in row),
         key=lambda place: abs(residuals[place[0]][place[1]]),
     )
-    return {"position": position, "channel": channel, "residual": residuals[position][channel]}
+    return WorstResidual(position=position, channel=channel, residual=residuals[position][channel])

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from math import asin, degrees
-from typing import Any
 
 import numpy as np
 
 from tiltcal.core.comparison import values
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.uncertainty import named_uncertainties
+from tiltcal.files.records import FitRecord
 
 INCREDIBLE = 1e-3
 """A chi-square of which so little is the probability is no chance."""
@@ -35,15 +34,14 @@ def mounting_lines(calibration: CalibrationRecord) -> Iterator[str]:
     """The angles of the mounting, degrees; none where the sensor's frame is the application's."""
     mounting = calibration.coefficients.mounting
     for angle in ANGLES if mounting is not None else ():
-        value, u = degrees(getattr(mounting, angle)), calibration.uncertainty.get("mounting", {}).get(angle)
+        value, u = degrees(getattr(mounting, angle)), calibration.uncertainty.get(f"mounting.{angle}")
         yield f"  {angle:<6}{value:>12.6g}°" if u is None else f"  {angle:<6}{_pair(value, u)}°"
-    if calibration.derived.get("gimbal_lock"):
+    if calibration.derived.gimbal_lock:
         yield "  gimbal lock: at a pitch of ±90° only roll and yaw together are determined"
 
 
 def _lines(calibration: CalibrationRecord) -> Iterator[str]:
-    sensor, coefficients = calibration.sensor, calibration.coefficients
-    u = dict(named_uncertainties(calibration.uncertainty))
+    sensor, coefficients, u = calibration.sensor, calibration.coefficients, calibration.uncertainty
     yield f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)"
     for name, value in values(coefficients).items():
         match name.split("."):
@@ -62,34 +60,49 @@ def _lines(calibration: CalibrationRecord) -> Iterator[str]:
 
 def _fit_lines(calibration: CalibrationRecord) -> Iterator[str]:
     """How well the positions agree."""
-    fit, sensor = calibration.fit, calibration.sensor
-    if "worst" in fit:
-        worst = fit["worst"]
+    fit, sensor, worst = calibration.fit, calibration.sensor, calibration.fit.worst
+    if worst is not None:
         own = float(np.max(np.abs(calibration.coefficients.sensitivity)))
-        angle = degrees(asin(min(abs(worst["residual"]) / own, 1.0)))
+        angle = degrees(asin(min(abs(worst.residual) / own, 1.0)))
         yield (
-            f"  worst residual  {worst['position']}, channel {worst['channel']}: {worst['residual']:g} {sensor.unit} "
+            f"  worst residual  {worst.position}, channel {worst.channel}: {worst.residual:g} {sensor.unit} "
             f"({angle:.3f}° near level)"
         )
-    if "degrees_of_freedom" in fit:
-        yield f"  degrees of freedom {fit['degrees_of_freedom']}, uncertainty from {fit['uncertainty_from']}" + (
-            f", chi-square {fit['chi_square']:g}" if "chi_square" in fit else ""
+    if fit.degrees_of_freedom is not None:
+        origin = f", uncertainty from {fit.uncertainty_from}" if fit.uncertainty_from else ""
+        chi_square = "" if fit.chi_square is None else f", chi-square {fit.chi_square:g}"
+        yield f"  degrees of freedom {fit.degrees_of_freedom}{origin}{chi_square}"
+    yield from (f"  {objection}" for objection in objections(fit))
+    if fit.jig_estimated_degrees is not None:
+        yield f"  the positions scatter as with a jig of {fit.jig_estimated_degrees:g}°"
+    yield from (f"  {note}" for note in fit.notes)
+
+
+def objections(fit: FitRecord) -> list[str]:
+    """Return what speaks against a fit, or against what was stated of its bench; empty where nothing does."""
+    found = []
+    p = _probability(fit)
+    if p is not None and p < INCREDIBLE:
+        found.append(
+            f"chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom (probability {p:.1g}) is "
+            "not credible: noise, jig or thermometer are worse than stated, and so is the uncertainty"
         )
-    yield from _doubts(fit)
-
-
-def _doubts(fit: Mapping[str, Any]) -> Iterator[str]:
-    """What speaks against the fit, or against what was stated of the bench."""
-    if fit.get("p_value", 1.0) < INCREDIBLE:
-        yield "  that much is not credible: noise, jig or thermometer are worse than stated, and so is the uncertainty"
-    suspects = fit.get("suspect_positions", {})
-    if suspects:
-        told = [f"{position} ({one['off_degrees']:g}°)" for position, one in suspects.items()]
+    if fit.suspect_positions:
+        told = [f"{position} ({one.off_degrees:g}°)" for position, one in fit.suspect_positions.items()]
         more = f" and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
-        yield f"  further off than the jig should be, the worst first: {', '.join(told[:SHOWN])}{more}"
-    if "jig_estimated_degrees" in fit:
-        yield f"  the positions scatter as with a jig of {fit['jig_estimated_degrees']:g}°"
-    yield from (f"  {note}" for note in fit.get("notes", ()))
+        found.append(f"further off than the jig should be, the worst first: {', '.join(told[:SHOWN])}{more}")
+    return found
+
+
+def _probability(fit: FitRecord) -> float | None:
+    """Probability of so large a chi-square or a larger one; None where the file has none."""
+    if fit.chi_square is None or not fit.degrees_of_freedom:
+        return None
+    if fit.p_value is not None:
+        return fit.p_value
+    from scipy.stats import chi2
+
+    return float(chi2.sf(fit.chi_square, fit.degrees_of_freedom))
 
 
 def _pair(value: float, u: float) -> str:

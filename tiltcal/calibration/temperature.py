@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -25,6 +24,7 @@ from tiltcal.core.rounding import round_to, significant
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.records import CrossValidation, Hysteresis
 
 ROOM = 25.0
 """Reference temperature where none was measured, °C."""
@@ -99,16 +99,12 @@ def swept(
     calibration: CalibrationRecord, measurements: Sequence[Measurement], choice: OrderChoice
 ) -> CalibrationRecord:
     """Add to a calibration how its order was chosen, and how far the way up differs from the way down."""
-    record: dict[str, Any] = {
-        "cross_validation": {
-            "order": choice.order,
-            "error_by_order": {str(order): significant(error, 4) for order, error in choice.errors.items()},
-        }
-    }
+    validation = CrossValidation(
+        order=choice.order,
+        error_by_order={str(order): significant(error, 4) for order, error in choice.errors.items()},
+    )
     loops = _hysteresis(calibration, measurements)
-    if loops:
-        record["hysteresis"] = loops
-    return replace(calibration, fit={**calibration.fit, **record})
+    return replace(calibration, fit=replace(calibration.fit, cross_validation=validation, hysteresis=loops))
 
 
 def _left_out(
@@ -138,9 +134,9 @@ def _uncertainties(sensor: MeasuredSensor, channels: Sequence[str]) -> Array:
     return np.where(u > 0.0, u, 1.0)
 
 
-def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Any]:
+def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Hysteresis]:
     """The largest difference of residuals at one temperature that was met twice, per channel, unit."""
-    residuals: Mapping[str, Mapping[str, float]] = calibration.fit["residuals"]
+    residuals = calibration.fit.residuals
     met_twice = [
         (one.position, other.position)
         for one, other in combinations(measurements, 2)
@@ -149,12 +145,12 @@ def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measureme
         and other.temperature is not None
         and abs(one.temperature - other.temperature) <= ALIKE
     ]
-    loops: dict[str, Any] = {}
+    loops = {}
     for channel in calibration.coefficients.channels:
         differences = {pair: residuals[pair[1]][channel] - residuals[pair[0]][channel] for pair in met_twice}
         if differences:
             pair = max(differences, key=lambda pair: abs(differences[pair]))
-            loops[channel] = {"difference": significant(differences[pair], 4), "between": list(pair)}
+            loops[channel] = Hysteresis(difference=significant(differences[pair], 4), between=pair)
     return loops
 
 
@@ -191,16 +187,20 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
         drift=np.tile([round_to(k, population.drift_spread / 1000) for k in drift], (len(channels), 1)),
         gain=np.tile([significant(k, 8) for k in relative], (len(channels), 1)),
     )
-    uncertainty = {
-        "offset": {c: [significant(population.drift_spread, 4), *(len(drift) - 1) * [0.0]] for c in channels},
-        "sensitivity": {c: [significant(population.gain_spread, 4), *(len(relative) - 1) * [0.0]] for c in channels},
+    spreads = (("offset", population.drift_spread, drift), ("sensitivity", population.gain_spread, relative))
+    typical = {
+        f"temperature.{name}.{channel}.{power}": significant(spread, 4) if power == 1 else 0.0
+        for name, spread, curve in spreads
+        for channel in channels
+        for power in range(1, len(curve) + 1)
     }
-    assumed = [*calibration.derived.get("assumed", []), f"temperature: {population.source}, not this unit's own"]
+    derived, u = calibration.derived, calibration.uncertainty
+    assumed = (*derived.assumed, f"temperature: {population.source}, not this unit's own")
     return replace(
         calibration,
         coefficients=replace(coefficients, thermal=thermal),
-        uncertainty={**calibration.uncertainty, "temperature": uncertainty},
-        derived={**calibration.derived, "assumed": assumed},
+        uncertainty=replace(u, standard={**u.standard, **typical}),
+        derived=replace(derived, assumed=assumed),
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -88,17 +87,18 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
     """
     coefficients = calibration.coefficients
     distinct = count_distinct(np.array([one.gravity for one in measurements]))
-    fit: dict[str, Any] = {**calibration.fit, "distinct_attitudes": distinct}
+    fit = replace(calibration.fit, distinct_attitudes=distinct)
     if len(coefficients.channels) == len(coefficients.axes) == len(AXES):
         mean = np.array([[one.summaries[channel].mean for channel in coefficients.channels] for one in measurements])
         misfit = misfits(mean, coefficients.offset, coefficients.sensitivity)
-        fit["misfit_rms_mg"] = significant(1e3 * float(np.sqrt(np.mean(misfit**2))), 3)
+        fit = replace(fit, misfit_rms_mg=significant(1e3 * float(np.sqrt(np.mean(misfit**2))), 3))
     if distinct <= UNKNOWNS:
-        fit["warning"] = (
+        warning = (
             f"{distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to tell whether "
             "the result is right; add attitudes, 12 to 18 or more"
         )
-    return replace(calibration, derived={**calibration.derived, "mounting": UNDETERMINED}, fit=fit)
+        fit = replace(fit, warning=warning)
+    return replace(calibration, derived=replace(calibration.derived, mounting=UNDETERMINED), fit=fit)
 
 
 def _turned(sensor: MeasuredSensor, directions: Array) -> list[Measurement]:

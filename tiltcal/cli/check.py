@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -17,6 +15,7 @@ from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.pair import read_pair
 from tiltcal.files.procedure import read_procedure
+from tiltcal.files.records import FileRecord
 from tiltcal.files.twin import read_twin
 
 JUDGED_FAILING = 1
@@ -61,7 +60,7 @@ def _checked(path: Path) -> tuple[str, list[str]]:
         raise document.error("the key 'kind' is missing: this is no tiltcal file")
     kind = named.choice(KINDS)
     if kind == "pair":
-        return "pair calibration", _of_journal_beside(path, read_pair(path).provenance)
+        return "pair calibration", _of_journal_beside(path, read_pair(path).provenance.journal)
     if kind == "procedure":
         read_procedure(path)
         return "procedure", []
@@ -93,26 +92,14 @@ def _of_journal(path: Path) -> list[str]:
 
 
 def _of_calibration(path: Path) -> list[str]:
+    from tiltcal.calibration.summary import objections
+
     calibration = read_calibration(path)
-    findings = []
-    fit = calibration.fit
-    if "chi_square" in fit:
-        from scipy.stats import chi2
-
-        from tiltcal.calibration.summary import INCREDIBLE
-
-        p = float(chi2.sf(fit["chi_square"], fit["degrees_of_freedom"]))
-        if p < INCREDIBLE:
-            findings.append(
-                f"chi-square {fit['chi_square']:g} with {fit['degrees_of_freedom']} degrees of freedom: the positions "
-                "scatter more than the stated noise and jig allow"
-            )
-    return findings + _of_journal_beside(path, calibration.provenance)
+    return objections(calibration.fit) + _of_journal_beside(path, calibration.provenance.journal)
 
 
-def _of_journal_beside(path: Path, provenance: Mapping[str, Any]) -> list[str]:
-    captured = provenance.get("journal", {})
-    journal = path.parent / str(captured.get("name", ""))
+def _of_journal_beside(path: Path, captured: FileRecord | None) -> list[str]:
+    journal = path.parent / (captured.name if captured else "")
     return _against_journal(path, journal) if captured and journal.is_file() else []
 
 

@@ -141,12 +141,12 @@ def _tell_free(calibration: CalibrationRecord) -> None:
     """What a person should know of a calibration from unit gravity."""
     fit = calibration.fit
     click.echo(
-        f"  misfit of gravity's length {fit['misfit_rms_mg']:g} mg rms over {len(calibration.positions)} positions, "
-        f"{fit['distinct_attitudes']} different attitudes"
+        f"  misfit of gravity's length {fit.misfit_rms_mg:g} mg rms over {len(calibration.positions)} positions, "
+        f"{fit.distinct_attitudes} different attitudes"
     )
-    click.echo(f"mounting {calibration.derived['mounting']}", err=True)
-    if "warning" in fit:
-        click.echo(f"warning: {fit['warning']}", err=True)
+    click.echo(f"mounting {calibration.derived.mounting}", err=True)
+    if fit.warning:
+        click.echo(f"warning: {fit.warning}", err=True)
 
 
 def _write_segments(path: Path, calibration: Calibration) -> None:
@@ -154,8 +154,6 @@ def _write_segments(path: Path, calibration: Calibration) -> None:
     from tiltcal.files.whole import write_whole
 
     lines = ["position,start,end"]
-    for position in calibration.positions:
-        rows = position["rows"]
-        parts = rows if isinstance(rows[0], list) else [rows]
-        lines += [f"{position['position']},{start},{end}" for start, end in parts]
+    for one in calibration.positions:
+        lines += [f"{one.position},{start},{end}" for start, end in one.rows or ()]
     write_whole(path, "\n".join(lines) + "\n")

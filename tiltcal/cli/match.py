@@ -153,14 +153,14 @@ def _calibration(
     matchings: Sequence[Matching], found: Demodulated, phase: str | None, online: bool, log: Mapping[str, str]
 ) -> PairRecord:
     from tiltcal.files.pair import PairRecord
+    from tiltcal.files.records import LogRecord, PairProvenance
 
-    provenance: dict[str, Any] = {
-        "made_by": "match of a recorded log",
-        "software": f"tiltcal {tiltcal.__version__}",
-        "log": {**log, "rows": found.rows + found.missing, "missing": found.missing},
-    }
-    if found.spin is not None:
-        provenance["stage_angle"] = "estimated from the readings"
+    provenance = PairProvenance(
+        made_by="match of a recorded log",
+        software=f"tiltcal {tiltcal.__version__}",
+        log=LogRecord(**log, rows=found.rows + found.missing, missing=found.missing),
+        stage_angle=None if found.spin is None else "estimated from the readings",
+    )
     return PairRecord(tuple(matchings), phase, found.turns, found.frequency, online, provenance)
 
 

@@ -1,8 +1,7 @@
 """The calibration file of one sensor, ``kind: tilt``.
 
-The sections that a program computes with (sensor, calibration, uncertainty, limits) are strict in every key and value.
-The others (derived, fit, procedure, positions, provenance) are records for people and later questions: they are kept as
-they are.
+Angles are computed with the sections sensor, calibration, uncertainty and limits. The others (derived, fit, procedure,
+positions, provenance) are records for people and later questions. Every key and value of them all is checked.
 """
 
 from __future__ import annotations
@@ -21,13 +20,21 @@ from tiltcal.files.coefficients import (
     read_coefficients,
     write_coefficients,
 )
+from tiltcal.files.declaration import Format, ListOf, Section
 from tiltcal.files.document import FORMAT_VERSION, read_tiltcal_file
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
-from tiltcal.files.uncertainty import known_coefficients, read_uncertainty
+from tiltcal.files.records import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.uncertainty import Uncertainty, known_coefficients, read_uncertainty, write_uncertainty
 from tiltcal.files.whole import write_whole
 
-RECORDS = ("derived", "fit", "procedure", "positions", "provenance")
+RECORDS: Mapping[str, Format[Any]] = {
+    "derived": Section(DerivedRecord),
+    "fit": Section(FitRecord),
+    "procedure": Section(ProcedureRecord),
+    "positions": ListOf(Section(PositionRecord)),
+    "provenance": Section(Provenance),
+}
 
 
 @dataclass(frozen=True)
@@ -60,26 +67,27 @@ class CalibrationRecord:
     sensor : SensorIdentity
     coefficients : Coefficients
         Angles in radians.
-    uncertainty : mapping
-        Standard uncertainties (k = 1) as plain data in the shape and units of the file's ``calibration`` section, and
-        what else :mod:`tiltcal.files.uncertainty` reads.
+    uncertainty : Uncertainty
+        Standard uncertainties (k = 1) by dotted name, such as ``uncertainty["sensitivity.x.y"]``.
     limits : Limits
         Where the calibration holds; angles in radians.
-    derived, fit, procedure, provenance : mapping
-        Records, plain data.
-    positions : sequence of mapping
-        A record, plain data.
+    derived : DerivedRecord
+    fit : FitRecord
+    procedure : ProcedureRecord
+        As run.
+    positions : tuple of PositionRecord
+    provenance : Provenance
     """
 
     sensor: SensorIdentity
     coefficients: Coefficients
-    uncertainty: Mapping[str, Any] = field(default_factory=dict)
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
     limits: Limits = field(default_factory=Limits)
-    derived: Mapping[str, Any] = field(default_factory=dict)
-    fit: Mapping[str, Any] = field(default_factory=dict)
-    procedure: Mapping[str, Any] = field(default_factory=dict)
-    positions: Sequence[Mapping[str, Any]] = ()
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    derived: DerivedRecord = field(default_factory=DerivedRecord)
+    fit: FitRecord = field(default_factory=FitRecord)
+    procedure: ProcedureRecord = field(default_factory=ProcedureRecord)
+    positions: tuple[PositionRecord, ...] = ()
+    provenance: Provenance = field(default_factory=Provenance)
 
 
 def read_calibration(path: str | Path) -> CalibrationRecord:
@@ -133,10 +141,10 @@ def dump_calibration(calibration: CalibrationRecord) -> str:
             "channels": list(sensor.channels),
         },
         "calibration": write_coefficients(coefficients),
-        "uncertainty": calibration.uncertainty,
+        "uncertainty": write_uncertainty(calibration.uncertainty),
         "limits": _write_limits(calibration.limits),
     }
-    data.update((name, getattr(calibration, name)) for name in RECORDS)
+    data.update((name, form.write(getattr(calibration, name))) for name, form in RECORDS.items())
     return yaml_text(data, _comments(sensor.unit))
 
 
@@ -153,11 +161,11 @@ def calibration_of(document: Node) -> CalibrationRecord:
     )
     sensor = _read_sensor(top["sensor"])
     coefficients = read_coefficients(top["calibration"], sensor.channels)
-    records: dict[str, Any] = {name: _read_record(top[name], name) for name in RECORDS if name in top}
+    records: dict[str, Any] = {name: form.read(top[name]) for name, form in RECORDS.items() if name in top}
     return CalibrationRecord(
         sensor=sensor,
         coefficients=coefficients,
-        uncertainty=read_uncertainty(top["uncertainty"], coefficients) if "uncertainty" in top else {},
+        uncertainty=read_uncertainty(top["uncertainty"], coefficients) if "uncertainty" in top else Uncertainty(),
         limits=_read_limits(top["limits"], coefficients) if "limits" in top else Limits(),
         **records,
     )
@@ -183,16 +191,6 @@ def _read_sensor(node: Node) -> SensorIdentity:
     if not channels or len(set(channels)) < len(channels):
         raise section["channels"].error("channels are one to three different ones of x, y, z")
     return SensorIdentity(section["model"].text(), section["serial"].text(), section["unit"].text(), channels)
-
-
-def _read_record(node: Node, name: str) -> Any:
-    """A section of free form: a list of mappings for positions, a mapping for the others."""
-    if name == "positions":
-        for item in node.items():
-            item.entries()
-    else:
-        node.entries()
-    return node.plain()
 
 
 def _read_limits(node: Node, coefficients: Coefficients) -> Limits:

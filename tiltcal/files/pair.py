@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,12 +10,15 @@ from typing import Any
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.rounding import round_to, significant
+from tiltcal.files.declaration import Section
 from tiltcal.files.document import FORMAT_VERSION, read_tiltcal_file
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
+from tiltcal.files.records import PairProvenance
 from tiltcal.files.whole import write_whole
 
 _DIGITS = 4
+_PROVENANCE = Section(PairProvenance)
 
 
 @dataclass(frozen=True)
@@ -34,8 +37,7 @@ class PairRecord:
         Of the spin, Hz; None where the record has no time.
     online : bool
         Whether p and q are what the online estimator ended with.
-    provenance : mapping
-        A record, plain data.
+    provenance : PairProvenance
     """
 
     matchings: tuple[Matching, ...]
@@ -43,7 +45,7 @@ class PairRecord:
     turns: float
     frequency: float | None = None
     online: bool = False
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    provenance: PairProvenance = field(default_factory=PairProvenance)
 
 
 def read_pair(path: str | Path) -> PairRecord:
@@ -90,7 +92,7 @@ def dump_pair(calibration: PairRecord) -> str:
         "spin": spin,
         "online": calibration.online,
         "pairs": [_write_matching(_rounded(matching)) for matching in calibration.matchings],
-        "provenance": calibration.provenance,
+        "provenance": _PROVENANCE.write(calibration.provenance),
     }
     return yaml_text(data, {"spin.frequency": "Hz", "pairs": "the sum is first + (second + q orthogonal) / (1 - p)"})
 
@@ -110,15 +112,13 @@ def pair_of(document: Node) -> PairRecord:
         raise top["pairs"].error(f"one or two pairs are needed here, found {len(matchings)}")
     if len({matching.pair.name for matching in matchings}) < len(matchings):
         raise top["pairs"].error("the same pair is there twice")
-    if "provenance" in top:
-        top["provenance"].entries()
     return PairRecord(
         matchings,
         spin["phase"].text() if "phase" in spin else None,
         spin["turns"].number(above=0.0),
         spin["frequency"].number(above=0.0) if "frequency" in spin else None,
         top["online"].flag() if "online" in top else False,
-        top["provenance"].plain() if "provenance" in top else {},
+        _PROVENANCE.read(top["provenance"]) if "provenance" in top else PairProvenance(),
     )
 
 

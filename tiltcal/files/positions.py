@@ -8,10 +8,10 @@ from pathlib import Path
 
 from tiltcal.core.frames import Vector
 from tiltcal.errors import InputError
+from tiltcal.files.csv_tables import csv_records
 from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.node import Node
 from tiltcal.files.procedure import ABSOLUTE_ZERO
-from tiltcal.files.records import csv_records
 from tiltcal.files.segments import DIRECTION, direction_of
 
 

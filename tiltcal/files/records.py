@@ -1,69 +1,409 @@
-"""Small tables in CSV, read as strictly as our YAML: every cell knows its file, line and column."""
+"""The records of a calibration file: how well the positions agree, what follows, how it was made.
+
+No angle is computed with them. A report shows them, ``check`` judges them and a later fit builds on them.
+"""
 
 from __future__ import annotations
 
-import csv
-import re
-from collections.abc import Iterator, Sequence
-from io import StringIO
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
-from tiltcal.errors import InputError
-from tiltcal.files.node import Node, Scalar
+from tiltcal.files.declaration import (
+    ANY,
+    ByChannel,
+    ByName,
+    Flag,
+    Format,
+    Integer,
+    ListOf,
+    Number,
+    Section,
+    SensorNames,
+    Text,
+    entry,
+)
+from tiltcal.files.node import Node
 
-_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+CHANNELS = ByChannel(Number())
+"""A number for some channels of the sensor."""
 
+SHARE = Number(minimum=0.0)
 
-def csv_records(text: str, file: str, *, required: Sequence[str], optional: Sequence[str] = ()) -> Iterator[Node]:
-    """The rows as mappings, as a JSON list of objects would give them; a blank field is an absent one.
-
-    Parameters
-    ----------
-    text : str
-    file : str
-        As the user named it.
-    required, optional : sequence of str
-        The columns that the header must and may have.
-
-    Yields
-    ------
-    Node
-
-    Raises
-    ------
-    InputError
-        The header has an unknown column, one twice, or lacks one; a row has another number of fields; or the text is
-        no CSV.
-    """
-    rows = csv.reader(StringIO(text, newline=""), strict=True)
-    try:
-        header = [name.strip() for name in next(rows, [])]
-        _check_header(header, file, required, optional)
-        line = rows.line_num + 1
-        for row in rows:
-            if row:
-                yield _record(header, row, file, line)
-            line = rows.line_num + 1
-    except csv.Error as failure:
-        raise InputError(f"not CSV: {failure}", file=file, line=rows.line_num) from None
+VIRTUAL = "the virtual bench: no real sensor was measured"
+"""``made_by`` of a file that no real sensor made."""
 
 
-def _check_header(header: list[str], file: str, required: Sequence[str], optional: Sequence[str]) -> None:
-    if not header:
-        raise InputError("the file is empty", file=file)
-    twice = [name for name in header if header.count(name) > 1]
-    if twice:
-        raise InputError(f"the column {twice[0]!r} is there twice", file=file, line=1)
-    Node({name: Node(Scalar("", True), file, 1, name) for name in header}, file, 1, None).mapping(
-        required=required, optional=optional
+@dataclass(frozen=True, kw_only=True)
+class WorstResidual:
+    """The largest residual of a fit."""
+
+    position: str = entry(Text(), "its position")
+    channel: str = entry(Text(), "its channel")
+    residual: float = entry(Number(), "measured − modelled, unit")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuspectPosition:
+    """A position that is further off than the stated jig allows."""
+
+    off_degrees: float = entry(SHARE, "how far it is off, degrees")
+    chi_square: float | None = entry(SHARE, "its share of chi-square", default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrossValidation:
+    """How the order of the drift was chosen."""
+
+    order: int = entry(Integer(minimum=1), "the order that was chosen")
+    error_by_order: Mapping[str, float] = entry(
+        ByName(SHARE),
+        "per order the mean square error of predicting a left-out position, over its variance",
+        default={},
     )
 
 
-def _record(header: list[str], row: list[str], file: str, line: int) -> Node:
-    if len(row) != len(header):
-        raise InputError(f"the row has {len(row)} fields, the header {len(header)}", file=file, line=line)
-    fields = {
-        name: Node(Scalar(field.strip(), plain=_NUMBER.fullmatch(field.strip()) is not None), file, line, name)
-        for name, field in zip(header, row, strict=True)
-        if field.strip()
-    }
-    return Node(fields, file, line, None)
+@dataclass(frozen=True, kw_only=True)
+class Hysteresis:
+    """The largest difference between two visits to one temperature."""
+
+    difference: float = entry(Number(), "the later visit less the earlier one, unit")
+    between: tuple[str, ...] = entry(ListOf(Text(), 2, 2), "the two positions")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MountingFit:
+    """How well the positions of a mounting agree."""
+
+    residuals_degrees: Mapping[str, float] = entry(ByName(Number()), "per position, degrees", default={})
+    degrees_of_freedom: int | None = entry(Integer(minimum=0), "readings left over", default=None)
+    uncertainty_from: str | None = entry(Text(), "`stated jig` or `residuals`", default=None)
+    chi_square: float | None = entry(SHARE, "where the jig was stated", default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitRecord:
+    """How well the positions of a calibration agree, and where its uncertainty comes from."""
+
+    residuals: Mapping[str, Mapping[str, float]] = entry(
+        ByName(CHANNELS),
+        "per position and channel, measured − modelled with the position as it was set, unit",
+        default={},
+    )
+    worst: WorstResidual | None = entry(
+        Section(WorstResidual), "the largest of them, where any position is left over", default=None
+    )
+    degrees_of_freedom: int | None = entry(
+        Integer(minimum=0), "readings left over, of all sensors of the bench together", default=None
+    )
+    chi_square: float | None = entry(
+        SHARE, "where the jig was stated: the sum of squares of everything over its stated uncertainty", default=None
+    )
+    p_value: float | None = entry(SHARE, "the probability of so large a chi-square or a larger one", default=None)
+    suspect_positions: Mapping[str, SuspectPosition] = entry(
+        ByName(Section(SuspectPosition)),
+        "positions that are further off than the stated jig allows: `off_degrees` and their `chi_square`",
+        default={},
+        formerly="worse_than_stated",
+    )
+    uncertainty_from: str | None = entry(
+        Text(), "`stated noise and jig`, `residuals`, or `noise alone` and why", default=None
+    )
+    jig_degrees: float | None = entry(SHARE, "the stated standard uncertainty of a set angle, degrees", default=None)
+    jig_estimated_degrees: float | None = entry(
+        SHARE,
+        "where the jig was not stated: the standard deviation of a set angle that the residuals show, degrees",
+        default=None,
+        formerly="jig_that_shows_degrees",
+    )
+    thermometer_celsius: float | None = entry(SHARE, "the standard uncertainty of a temperature, °C", default=None)
+    budget: Mapping[str, Mapping[str, float]] = entry(
+        ByName(ByName(Number())),
+        "per coefficient, which share of its variance comes from `noise`, `adc`, `jig`, `table`, `thermometer`, "
+        "`assumed`",
+        default={},
+    )
+    notes: tuple[str, ...] = entry(ListOf(Text()), "what a reader of the numbers should know", default=())
+    cross_validation: CrossValidation | None = entry(
+        Section(CrossValidation), "after a sweep: how the order of the drift was chosen", default=None
+    )
+    hysteresis: Mapping[str, Hysteresis] = entry(
+        ByChannel(Section(Hysteresis)),
+        "after a sweep: per channel the largest difference between two visits to one temperature",
+        default={},
+    )
+    distinct_attitudes: int | None = entry(
+        Integer(minimum=0), "from free positions: how many attitudes differ", default=None
+    )
+    misfit_rms_mg: float | None = entry(
+        SHARE, "from free positions: how well the length of gravity is met, mg rms", default=None
+    )
+    warning: str | None = entry(Text(), "what speaks against the result", default=None)
+    mounting: MountingFit | None = entry(
+        Section(MountingFit), "after the mounting procedure: how well its positions agree", default=None
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DerivedUncertainty:
+    """Standard uncertainties of derived quantities."""
+
+    cross_axis_percent: Mapping[str, float] = entry(ByChannel(SHARE), "per channel, %", default={})
+    misalignment_degrees: Mapping[str, float] = entry(ByChannel(SHARE), "per channel, degrees", default={})
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntrinsicUncertainty:
+    """Standard uncertainties of the intrinsic parameters."""
+
+    offset: Mapping[str, float] = entry(ByChannel(SHARE), "per channel, unit", default={})
+    sensitivity: Mapping[str, float] = entry(ByChannel(SHARE), "per channel, unit/g", default={})
+    angle_degrees: Mapping[str, float] = entry(ByName(SHARE), "per pair of channels, degrees", default={})
+    rotation_degrees: Mapping[str, float] = entry(ByName(SHARE), "roll, pitch, yaw, degrees", default={})
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntrinsicRecord:
+    """What does not change with the mounting of a sensor of three channels."""
+
+    offset: Mapping[str, float] = entry(CHANNELS, "per channel, unit", default={})
+    sensitivity: Mapping[str, float] = entry(CHANNELS, "per channel along its own direction, unit/g", default={})
+    angle_degrees: Mapping[str, float] = entry(
+        ByName(Number()), "between the directions of two channels, `xy`, `xz`, `yz`, degrees", default={}
+    )
+    rotation_degrees: Mapping[str, float] = entry(
+        ByName(Number()), "where positions were set: roll, pitch, yaw of the sensor in their frame, degrees", default={}
+    )
+    uncertainty: IntrinsicUncertainty | None = entry(
+        Section(IntrinsicUncertainty), "standard uncertainties (k = 1) of the above", default=None
+    )
+    gimbal_lock: bool = entry(Flag(), "`true` where roll and yaw cannot be told apart", default=False)
+    left_handed: str | None = entry(
+        Text(),
+        "why there is no rotation: the channels form a left-handed frame",
+        default=None,
+        formerly="not_separated",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DerivedRecord:
+    """What follows from the coefficients."""
+
+    cross_axis_percent: Mapping[str, float] = entry(
+        CHANNELS, "per channel, % (Cross-axis Compensation, eq. 1)", default={}
+    )
+    misalignment_degrees: Mapping[str, float] = entry(
+        CHANNELS, "per channel, between its direction and its axis, degrees", default={}
+    )
+    uncertainty: DerivedUncertainty | None = entry(
+        Section(DerivedUncertainty), "standard uncertainties (k = 1) of the above", default=None
+    )
+    intrinsic: IntrinsicRecord | None = entry(
+        Section(IntrinsicRecord), "of three channels, what does not change with the mounting", default=None
+    )
+    assumed: tuple[str, ...] = entry(ListOf(Text()), "which coefficients were not measured", default=())
+    mounting: str | None = entry(Text(), "from free positions: what can be said of the mounting", default=None)
+    gimbal_lock: bool = entry(Flag(), "`true` where roll and yaw of the mounting cannot be told apart", default=False)
+    gravity_m_s2: float | None = entry(
+        Number(above=0.0), "with `fit --gravity`: gravity where the calibration was made, m/s²", default=None
+    )
+    sensitivity_per_m_s2: Mapping[str, float] = entry(
+        CHANNELS, "with `fit --gravity`: per channel, unit/(m/s²)", default={}
+    )
+    scale_error_percent: Mapping[str, float] = entry(
+        CHANNELS, "with `fit --gravity`, of readings in m/s²: per channel, %", default={}
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionSet:
+    """The attitude of a position as it was set."""
+
+    tilt: Mapping[str, float] | None = entry(ByChannel(Number()), "angles, degrees", default=None)
+    gravity: tuple[float, ...] | None = entry(
+        ListOf(Number(), 3, 3), "the direction that points up, in the sensor frame", default=None
+    )
+    heading: float | None = entry(Number(), "how far the fixture was turned about the vertical, degrees", default=None)
+    stage: float | None = entry(Number(), "angle of the rotary stage, degrees", default=None)
+    temperature: float | None = entry(Number(), "°C", default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MountingRun:
+    """The mounting procedure as run."""
+
+    samples: int | None = entry(Integer(minimum=1), "per position", default=None)
+    settle_seconds: float | None = entry(SHARE, "over which the reading held still", default=None)
+    positions: tuple[str, ...] = entry(ListOf(Text()), "their names", default=())
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcedureRecord:
+    """The procedure as run."""
+
+    name: str | None = entry(Text(), "its name", default=None)
+    title: str | None = entry(Text(), "its title", default=None)
+    source: str | None = entry(Text(), "the document it comes from", default=None)
+    samples: int | None = entry(Integer(minimum=1), "samples per position", default=None)
+    settle_seconds: float | None = entry(SHARE, "seconds over which the reading held still", default=None)
+    set: Mapping[str, PositionSet] = entry(
+        ByName(Section(PositionSet)), "per position `tilt` or `gravity` as it was set", default={}
+    )
+    mounting: MountingRun | None = entry(
+        Section(MountingRun), "`samples`, `settle_seconds` and `positions` of the mounting procedure", default=None
+    )
+
+
+@dataclass(frozen=True)
+class RowRanges(Format[tuple[tuple[int, int], ...]]):
+    """Rows of a log: ``[first, end]``, or a list of such where the position was interrupted."""
+
+    def read(self, node: Node, names: SensorNames = ANY) -> tuple[tuple[int, int], ...]:
+        items = node.items()
+        parts = items if any(isinstance(item.content, list) for item in items) else [node]
+        return tuple(self._part(part) for part in parts)
+
+    def write(self, value: tuple[tuple[int, int], ...]) -> list[Any]:
+        parts = [list(part) for part in value]
+        return parts[0] if len(parts) == 1 else parts
+
+    def schema(self) -> dict[str, Any]:
+        part = {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2, "maxItems": 2}
+        return {"anyOf": [part, {"type": "array", "items": part}]}
+
+    @staticmethod
+    def _part(node: Node) -> tuple[int, int]:
+        rows = [item.integer(minimum=0) for item in node.items()]
+        if len(rows) != 2:
+            raise node.error(f"rows are two numbers [first, end], found {len(rows)}")
+        return rows[0], rows[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionRecord:
+    """What was measured in one position."""
+
+    position: str = entry(Text(), "its name")
+    mean: Mapping[str, float] = entry(CHANNELS, "mean readings, unit", default={})
+    std: Mapping[str, float] | None = entry(ByChannel(SHARE), "standard deviations of the samples, unit", default=None)
+    u: Mapping[str, float] | None = entry(ByChannel(SHARE), "standard uncertainties of the means, unit", default=None)
+    n: int | None = entry(Integer(minimum=0), "number of samples", default=None)
+    temperature: float | None = entry(Number(), "°C", default=None)
+    time: str | None = entry(Text(), "when it was measured, UTC", default=None)
+    rows: tuple[tuple[int, int], ...] | None = entry(
+        RowRanges(), "its rows `[first, end]` of the log, the end exclusive", default=None
+    )
+    line: int | None = entry(Integer(minimum=1), "its line of the table", default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileRecord:
+    """A file that was read."""
+
+    name: str = entry(Text(), "its name")
+    sha256: str | None = entry(Text(), "the SHA-256 of its bytes", default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogRecord:
+    """A log that was read."""
+
+    name: str = entry(Text(), "its name")
+    sha256: str | None = entry(Text(), "the SHA-256 of its bytes", default=None)
+    rows: int | None = entry(Integer(minimum=0), "how many rows it has", default=None)
+    missing: int | None = entry(Integer(minimum=0), "how many of them were left out", default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentsRecord:
+    """Where the still segments of a log come from: a file, or how they were found."""
+
+    name: str | None = entry(Text(), "of their file", default=None)
+    sha256: str | None = entry(Text(), "the SHA-256 of their file", default=None)
+    found: str | None = entry(Text(), "by what they were found", default=None)
+    window_rows: int | None = entry(Integer(minimum=1), "rows in which the sensor held still", default=None)
+    threshold: float | None = entry(SHARE, "the largest standard deviation, unit", default=None)
+    times_noise: float | None = entry(SHARE, "the threshold over the noise", default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchSensorRecord:
+    """One sensor of the bench of a pair."""
+
+    serial: str = entry(Text(), "its serial number")
+    model: str | None = entry(Text(), "its model", default=None)
+    address: str | None = entry(Text(), "its address", default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRecord:
+    """The bench that measured."""
+
+    address: str | None = entry(Text(), "of the sensor", default=None)
+    axes: tuple[str, ...] = entry(
+        ListOf(Text()), "of the fixture that the sensor's axes point along, where it does not sit straight", default=()
+    )
+    thermometer: str | None = entry(Text(), "address of the thermometer", default=None)
+    sensors: tuple[BenchSensorRecord, ...] = entry(
+        ListOf(Section(BenchSensorRecord)), "of a pair: the sensors on the stage", default=()
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """How a tilt calibration was made."""
+
+    made_by: str | None = entry(Text(), "`measurement`, `the virtual bench …`, `fit of …`", default=None)
+    operator: str | None = entry(Text(), "who led the session", default=None)
+    bench: BenchRecord | None = entry(Section(BenchRecord), "`address`, `axes` and `thermometer`", default=None)
+    log: LogRecord | None = entry(Section(LogRecord), "the log: `name`, `rows`, `missing`, `sha256`", default=None)
+    table: FileRecord | None = entry(Section(FileRecord), "the table of positions: `name`, `sha256`", default=None)
+    segments: SegmentsRecord | None = entry(
+        Section(SegmentsRecord), "the segments: `name` and `sha256`, or how they were `found`", default=None
+    )
+    software: str | None = entry(Text(), "program and version", default=None)
+    started: str | None = entry(Text(), "when the session began, UTC", default=None)
+    ended: str | None = entry(Text(), "when the session ended, UTC", default=None)
+    journal: FileRecord | None = entry(Section(FileRecord), "the journal: `name`, `sha256`", default=None)
+    link_statistics: Mapping[str, int] | None = entry(
+        ByName(Integer(minimum=0)),
+        "[what became of what a sensor said](../explanation.md#lost-and-damaged)",
+        default=None,
+        formerly="reception",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SamplesRecord:
+    """How many samples of a rotation were used."""
+
+    used: int = entry(Integer(minimum=0), "samples that were used")
+    left_out: int = entry(Integer(minimum=0), "samples that were left out")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairProvenance:
+    """How a pair calibration was made."""
+
+    made_by: str | None = entry(Text(), "`measurement`, `the virtual bench …`, `match of …`", default=None)
+    operator: str | None = entry(Text(), "who led the session", default=None)
+    bench: BenchRecord | None = entry(
+        Section(BenchRecord), "`sensors`: `serial`, `model` and `address` of each", default=None
+    )
+    software: str | None = entry(Text(), "program and version", default=None)
+    log: LogRecord | None = entry(Section(LogRecord), "the log: `name`, `rows`, `missing`, `sha256`", default=None)
+    stage_angle: str | None = entry(Text(), "how the stage angle was found, where it was estimated", default=None)
+    started: str | None = entry(Text(), "when the session began, UTC", default=None)
+    ended: str | None = entry(Text(), "when the session ended, UTC", default=None)
+    journal: FileRecord | None = entry(Section(FileRecord), "the journal: `name`, `sha256`", default=None)
+    link_statistics: Mapping[str, Mapping[str, int]] | None = entry(
+        ByName(ByName(Integer(minimum=0))),
+        "per serial number, [what became of what the sensors said](../explanation.md#lost-and-damaged)",
+        default=None,
+        formerly="reception",
+    )
+    procedure: str | None = entry(Text(), "the name of the rotation procedure", default=None)
+    samples: SamplesRecord | None = entry(Section(SamplesRecord), "`used` and `left_out`", default=None)
+    stopped: str | None = entry(Text(), "why the rotation ended", default=None)
+    not_matched: tuple[str, ...] = entry(ListOf(Text()), "pairs that could not be matched, and why", default=())

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from tiltcal.core.frames import Vector, normalised
 from tiltcal.errors import InputError
+from tiltcal.files.csv_tables import csv_records
 from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.node import Node
-from tiltcal.files.records import csv_records
 
 DIRECTION = ("gx", "gy", "gz")
 

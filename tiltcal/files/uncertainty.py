@@ -7,8 +7,8 @@ dotted names; and what a single ``reading`` of a log is uncertain by.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from math import inf, radians
 from typing import Any
 
@@ -20,7 +20,18 @@ from tiltcal.core.comparison import KnownCoefficient, known, values
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.errors import EstimateError
-from tiltcal.files.coefficients import ANGLES, read_polynomials
+from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
+from tiltcal.files.declaration import (
+    ByChannel,
+    ByKey,
+    ByName,
+    ListOf,
+    Number,
+    Section,
+    SensorNames,
+    Text,
+    entry,
+)
 from tiltcal.files.node import Node
 
 SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
@@ -29,7 +40,57 @@ SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
 TEMPERATURE = "temperature"
 
 _SYMMETRY = 1e-9
+_SHARE = Number(minimum=0.0)
+_POLYNOMIALS = ByChannel(
+    ListOf(_SHARE, most=ORDER_LIMIT, says=f"a polynomial has at most {ORDER_LIMIT} coefficients, found {{found}}"),
+    of="channels",
+)
 _ROUNDED = 0.01  # an eigenvalue of the correlations that is below zero by more is no matter of digits
+
+
+@dataclass(frozen=True, kw_only=True)
+class Covariance:
+    """How the uncertain coefficients hang together."""
+
+    parameters: tuple[str, ...] = entry(
+        ListOf(Text()),
+        "the coefficients by their dotted names; `mounting.turn.x` is a small turn of the mounting about the "
+        "application's x axis, degrees",
+    )
+    matrix: tuple[tuple[float, ...], ...] = entry(ListOf(ListOf(Number())), "their covariance matrix")
+
+
+@dataclass(frozen=True)
+class Uncertainty(Mapping[str, float]):
+    """The uncertainty of a calibration: standard uncertainties (k = 1) by the dotted names of the coefficients.
+
+    ``uncertainty["sensitivity.x.y"]`` is that of channel x along y, in unit/g; angles of the mounting are in degrees,
+    temperature coefficients per °C, °C², ... What the file does not state is no key.
+
+    Attributes
+    ----------
+    standard : mapping of str to float
+        What the mapping holds.
+    single_reading : mapping of str to float
+        Of one reading of a log by channel, in its unit, and of its temperature, °C.
+    coverage_factor : mapping of str to float
+        By coefficient, what its standard uncertainty is multiplied with for an interval of 95 %.
+    covariance : Covariance or None
+    """
+
+    standard: Mapping[str, float] = field(default_factory=dict)
+    single_reading: Mapping[str, float] = field(default_factory=dict)
+    coverage_factor: Mapping[str, float] = field(default_factory=dict)
+    covariance: Covariance | None = None
+
+    def __getitem__(self, name: str) -> float:
+        return self.standard[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.standard)
+
+    def __len__(self) -> int:
+        return len(self.standard)
 
 
 @dataclass(frozen=True)
@@ -47,42 +108,96 @@ class StatedUncertainty:
     remarks: tuple[str, ...]
 
 
-def read_uncertainty(node: Node, coefficients: Coefficients) -> dict[str, Any]:
-    """The section as plain data, checked; any part of it may be absent."""
-    channels, axes = coefficients.channels, coefficients.axes
-    section = node.mapping(optional=(*SHAPED, "single_reading", "coverage_factor", "covariance"))
-    uncertainty: dict[str, Any] = {}
-    for name, value in section.items():
-        match name:
-            case "offset":
-                uncertainty[name] = _not_negative(value, channels)
-            case "sensitivity":
-                rows = value.mapping(optional=channels)
-                uncertainty[name] = {channel: _not_negative(row, axes) for channel, row in rows.items()}
-            case "nonlinearity":
-                uncertainty[name] = read_polynomials(value, channels, minimum=0.0)
-            case "temperature":
-                uncertainty[name] = _read_thermal(value, channels)
-            case "mounting":
-                uncertainty[name] = _not_negative(value, ANGLES)
-            case "single_reading":
-                uncertainty[name] = _not_negative(value, (*channels, TEMPERATURE))
-            case "coverage_factor":
-                uncertainty[name] = {key: factor.number(above=0.0) for key, factor in value.entries().items()}
-            case _:
-                uncertainty[name] = _read_covariance(value)
-    return uncertainty
+@dataclass(frozen=True, kw_only=True)
+class ThermalUncertainty:
+    """Standard uncertainties in the shape of ``calibration.temperature``."""
+
+    reference: float | None = entry(_SHARE, "of the reference temperature, °C", default=None)
+    offset: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, unit/°C, unit/°C², …", default={})
+    sensitivity: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, 1/°C, 1/°C², …", default={})
+
+
+@dataclass(frozen=True, kw_only=True)
+class UncertaintySection:
+    """The section as it stands in a file."""
+
+    offset: Mapping[str, float] = entry(ByChannel(_SHARE, of="channels"), "per channel, unit", default={})
+    sensitivity: Mapping[str, Mapping[str, float]] = entry(
+        ByChannel(ByChannel(_SHARE, of="axes"), of="channels"), "row = channel, column = axis, unit/g", default={}
+    )
+    nonlinearity: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, pure numbers", default={})
+    temperature: ThermalUncertainty | None = entry(
+        Section(ThermalUncertainty), "in the shape of `calibration.temperature`", default=None
+    )
+    mounting: Mapping[str, float] = entry(ByKey(_SHARE, ANGLES), "`roll`, `pitch`, `yaw`, degrees", default={})
+    single_reading: Mapping[str, float] = entry(
+        ByChannel(_SHARE, keys=(*AXES, TEMPERATURE), of="channels"),
+        "of a single reading of a log, per channel, unit, and of its `temperature`, °C",
+        default={},
+        formerly="reading",
+    )
+    coverage_factor: Mapping[str, float] = entry(
+        ByName(Number(above=0.0)),
+        "per coefficient, by its dotted name such as `sensitivity.x.y`, what its standard uncertainty is multiplied "
+        "with for an interval of 95 %; 1.96 where it is not named",
+        default={},
+    )
+    covariance: Covariance | None = entry(
+        Section(Covariance, check=lambda found, node: _check_covariance(found, node)),
+        "how the coefficients hang together",
+        default=None,
+    )
+
+
+UNCERTAINTY = Section(UncertaintySection)
+
+
+def read_uncertainty(node: Node, coefficients: Coefficients) -> Uncertainty:
+    """Return the ``uncertainty`` section of a calibration file, checked; any part of it may be absent.
+
+    Raises
+    ------
+    InputError
+        A key or value is wrong, or the covariance is no symmetric matrix of its parameters.
+    """
+    found = UNCERTAINTY.read(node, SensorNames(coefficients.channels, coefficients.axes))
+    plain = UNCERTAINTY.write(found)
+    return Uncertainty(
+        dict(_named({key: plain[key] for key in SHAPED if key in plain})),
+        found.single_reading,
+        found.coverage_factor,
+        found.covariance,
+    )
+
+
+def write_uncertainty(uncertainty: Uncertainty) -> dict[str, Any]:
+    """Return the ``uncertainty`` section as plain data, in the order of the file."""
+    shaped: dict[str, Any] = {key: {} for key in SHAPED}
+    for name, u in uncertainty.items():
+        *path, last = name.split(".")
+        place = shaped
+        for key in path[:-1]:
+            place = place.setdefault(key, {})
+        if last.isdigit():
+            place.setdefault(path[-1], []).append(u)
+        else:
+            place.setdefault(path[-1], {})[last] = u
+    rest = {
+        "single_reading": dict(uncertainty.single_reading),
+        "coverage_factor": dict(uncertainty.coverage_factor),
+        "covariance": None if uncertainty.covariance is None else Section(Covariance).write(uncertainty.covariance),
+    }
+    return {key: section for key, section in (shaped | rest).items() if section}
 
 
 def stated_uncertainty(
-    uncertainty: Mapping[str, Any], coefficients: Coefficients, *, reading_noise: float | None = None
+    uncertainty: Uncertainty, coefficients: Coefficients, *, reading_noise: float | None = None
 ) -> StatedUncertainty:
     """What the angles of a calibration are uncertain by.
 
     Parameters
     ----------
-    uncertainty : mapping
-        As :func:`read_uncertainty` gives it.
+    uncertainty : Uncertainty
     coefficients : Coefficients
     reading_noise : float, optional
         Standard uncertainty of a reading, unit, in place of the one that the file states.
@@ -98,27 +213,26 @@ def stated_uncertainty(
     EstimateError
         No uncertainty of any coefficient is stated, or the covariance is none.
     """
-    alone = dict(named_uncertainties(uncertainty))
-    names, covariance = _joint(uncertainty, alone)
+    names, covariance = _joint(uncertainty)
     if not names:
         raise EstimateError(
             "the file states no uncertainty of any coefficient: calibrate with `tiltcal measure` or `tiltcal fit`, "
             "which write it, or write standard uncertainties (k = 1) under `uncertainty`, in the shape of `calibration`"
         )
     remarks = []
-    if "covariance" not in uncertainty:
+    if uncertainty.covariance is None:
         remarks.append("the file has no covariance: the coefficients count as uncorrelated")
-    silent = [name for name in values(coefficients) if name not in alone and name not in names]
+    silent = [name for name in values(coefficients) if name not in uncertainty and name not in names]
     if silent:
         remarks.append(f"no uncertainty is stated of {', '.join(silent)}: exact, so far as anyone says")
     turned = any(name.startswith(TURN) for name in names)
     if coefficients.mounting is not None and not turned:
-        angles = {angle: alone[f"mounting.{angle}"] for angle in ANGLES if f"mounting.{angle}" in alone}
+        angles = {a: u for a in ANGLES if (u := uncertainty.get(f"mounting.{a}")) is not None}
         if angles:
             names, covariance = _with_turn(names, covariance, coefficients.mounting, angles)
         else:
             remarks.append("no uncertainty is stated of the mounting: exact, so far as anyone says")
-    reading = dict(uncertainty.get("single_reading", {}))
+    reading = dict(uncertainty.single_reading)
     if reading_noise is not None:
         reading |= dict.fromkeys(coefficients.channels, reading_noise)
     elif not any(channel in reading for channel in coefficients.channels):
@@ -126,7 +240,7 @@ def stated_uncertainty(
             "the file does not say how uncertain a reading is: only the calibration counts (--reading-noise)"
         )
     _require_covariance(covariance)
-    told, usual = uncertainty.get("coverage_factor", {}), float(coverage_factor(np.array([inf]))[0])
+    told, usual = uncertainty.coverage_factor, float(coverage_factor(np.array([inf]))[0])
     scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
     return StatedUncertainty(
         UncertaintyInputs(
@@ -141,10 +255,10 @@ def stated_uncertainty(
 
 
 def known_coefficients(
-    uncertainty: Mapping[str, Any], coefficients: Coefficients, reference: float | None
+    uncertainty: Uncertainty, coefficients: Coefficients, reference: float | None
 ) -> dict[str, KnownCoefficient]:
     """How well the coefficients are known at a reference temperature, °C, or at their own; empty where nobody says."""
-    exact = {name: KnownCoefficient(0.0) for name, u in named_uncertainties(uncertainty) if u == 0.0}
+    exact = {name: KnownCoefficient(0.0) for name, u in uncertainty.items() if u == 0.0}
     try:
         doubt = stated_uncertainty(uncertainty, coefficients).doubt
     except EstimateError:
@@ -154,29 +268,27 @@ def known_coefficients(
     return exact | known(coefficients, names, doubt.covariance[np.ix_(own, own)], doubt.factors[own], reference)
 
 
-def named_uncertainties(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:
+def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:
     """Standard uncertainties by dotted name; a list counts from the power of its first number."""
     for key, value in section.items():
-        if lead == "" and key not in SHAPED:
-            continue
         name = f"{lead}{key}"
         if isinstance(value, Mapping):
-            yield from named_uncertainties(value, f"{name}.")
+            yield from _named(value, f"{name}.")
         elif isinstance(value, list):
             first = 2 if lead.startswith("nonlinearity") else 1
-            yield from ((f"{name}.{power}", float(u)) for power, u in enumerate(value, start=first))
+            yield from ((f"{name}.{power}", u) for power, u in enumerate(value, start=first))
         else:
-            yield name, float(value)
+            yield name, value
 
 
-def _joint(uncertainty: Mapping[str, Any], alone: Mapping[str, float]) -> tuple[tuple[str, ...], Array]:
+def _joint(uncertainty: Uncertainty) -> tuple[tuple[str, ...], Array]:
     """The uncertain coefficients and their covariance; without a stated one they are uncorrelated."""
-    if "covariance" in uncertainty:
-        stated = uncertainty["covariance"]
-        return tuple(stated["parameters"]), np.array(stated["matrix"], dtype=float)
+    stated = uncertainty.covariance
+    if stated is not None:
+        return stated.parameters, np.array(stated.matrix, dtype=float).reshape(2 * (len(stated.parameters),))
     own = {
         name: u
-        for name, u in alone.items()
+        for name, u in uncertainty.items()
         if u > 0.0 and not name.startswith("mounting.") and name != "temperature.reference"
     }
     return tuple(own), np.diag(np.array(list(own.values())) ** 2)
@@ -209,33 +321,17 @@ def _require_covariance(covariance: Array) -> None:
         )
 
 
-def _not_negative(node: Node, names: Sequence[str]) -> dict[str, float]:
-    return {name: value.number(minimum=0.0) for name, value in node.mapping(optional=names).items()}
-
-
-def _read_thermal(node: Node, channels: Sequence[str]) -> dict[str, Any]:
-    section = node.mapping(optional=("reference", "offset", "sensitivity"))
-    return {
-        name: value.number(minimum=0.0) if name == "reference" else read_polynomials(value, channels, minimum=0.0)
-        for name, value in section.items()
-    }
-
-
-def _read_covariance(node: Node) -> dict[str, Any]:
-    section = node.mapping(required=("parameters", "matrix"))
-    parameters = [item.text() for item in section["parameters"].items()]
-    if len(set(parameters)) < len(parameters):
+def _check_covariance(found: Covariance, node: Node) -> None:
+    section, names, matrix = node.entries(), found.parameters, found.matrix
+    if len(set(names)) < len(names):
         raise section["parameters"].error("a parameter is named twice")
-    rows = section["matrix"].items()
-    matrix = [row.numbers() for row in rows]
-    size = len(parameters)
+    size = len(names)
     if len(matrix) != size or any(len(row) != size for row in matrix):
         raise section["matrix"].error(f"{size} parameters need a matrix of {size} rows of {size} numbers")
-    for i, node_of_row in enumerate(rows):
+    for i, place in enumerate(section["matrix"].items()):
         if matrix[i][i] < 0.0:
-            raise node_of_row.error(f"the variance {matrix[i][i]:g} of {parameters[i]} is negative")
+            raise place.error(f"the variance {matrix[i][i]:g} of {names[i]} is negative")
         for j in range(i):
             scale = max(abs(matrix[i][j]), abs(matrix[j][i]))
             if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * scale:
-                raise node_of_row.error(f"the matrix is not symmetric in {parameters[i]} and {parameters[j]}")
-    return {"parameters": parameters, "matrix": matrix}
+                raise place.error(f"the matrix is not symmetric in {names[i]} and {names[j]}")

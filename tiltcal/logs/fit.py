@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import tiltcal
 from tiltcal.calibration.calibrate import base_of, calibrate
@@ -21,6 +21,7 @@ from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.files.records import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.segments import read_segments
 from tiltcal.logs.columns import parse_columns
 from tiltcal.logs.static_detection import WINDOWS, find_still, still_segments, told
@@ -36,6 +37,8 @@ from tiltcal.logs.static_intervals import (
 from tiltcal.logs.streams import sha256_of
 
 UNKNOWN_MODEL = "recorded"
+R = TypeVar("R", LogRecord, FileRecord, SegmentsRecord)
+
 FOUND_ONLY = "--window and --segments-out are for `tiltcal fit free` without --segments, which finds them"
 
 
@@ -137,12 +140,12 @@ class FitPositions:
     Attributes
     ----------
     measurements : sequence of Measurement
-    provenance : mapping of str to Any
+    provenance : Provenance
         Names and checksums of what was read.
     """
 
     measurements: Sequence[Measurement]
-    provenance: Mapping[str, Any]
+    provenance: Provenance
 
 
 @dataclass(frozen=True)
@@ -215,40 +218,40 @@ class FitSource:
             rows = [segment for segment in found if segment.name == hold.position]
             n = hold.summaries[channels[0]].n
             say(f"  {hold.name}: {n} of rows {rows[0].start} to {rows[-1].end - 1}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
-        how = {
-            "found": "standard deviation in a window below a threshold",
-            "window_rows": chosen.window,
-            "threshold": significant(chosen.threshold, 4),
-            "times_noise": chosen.multiple,
-        }
-        return FitPositions(oriented(holds, attitudes), self._provenance(record, {"segments": how}))
+        how = SegmentsRecord(
+            found="standard deviation in a window below a threshold",
+            window_rows=chosen.window,
+            threshold=significant(chosen.threshold, 4),
+            times_noise=chosen.multiple,
+        )
+        return FitPositions(oriented(holds, attitudes), self._provenance(record, how))
 
-    def _given(self, channels: Sequence[str]) -> tuple[list[StaticInterval], Mapping[str, Any]]:
+    def _given(self, channels: Sequence[str]) -> tuple[list[StaticInterval], Provenance]:
         """What the sensor read in the segments or the table that were given, and where these come from."""
         if self.segments is None:
             holds = holds_of_table(read_positions(self.data, channels))
-            return holds, self._provenance(None, {"table": _origin(self.data)})
+            return holds, self._provenance()
         segments = read_segments(self.segments)
         record = self._record(channels)
         holds = holds_of(record, segments, file=str(self.segments))
-        return holds, self._provenance(record, {"segments": _origin(self.segments)})
+        return holds, self._provenance(record, _origin(self.segments, SegmentsRecord))
 
     def _record(self, channels: Sequence[str]) -> RecordedReadings:
         return read_record(Path(self.data), channels, parse_columns(self.columns, channels))
 
-    def _provenance(self, record: RecordedReadings | None, positions: Mapping[str, Any]) -> dict[str, Any]:
-        log = {} if record is None else {"log": {"rows": record.rows, **_origin(self.data)}}
-        return {
-            "made_by": f"fit of a {'table of positions' if self.table else 'recorded log'}",
-            **log,
-            **positions,
-            "software": f"tiltcal {tiltcal.__version__}",
-        }
+    def _provenance(self, record: RecordedReadings | None = None, segments: SegmentsRecord | None = None) -> Provenance:
+        return Provenance(
+            made_by=f"fit of a {'table of positions' if self.table else 'recorded log'}",
+            log=None if record is None else replace(_origin(self.data, LogRecord), rows=record.rows),
+            table=_origin(self.data, FileRecord) if self.table else None,
+            segments=segments,
+            software=f"tiltcal {tiltcal.__version__}",
+        )
 
 
-def _origin(path: str | Path) -> dict[str, str]:
+def _origin(path: str | Path, record: type[R]) -> R:
     """Name and checksum of a file."""
-    return {"name": Path(path).name, "sha256": sha256_of(Path(path))}
+    return record(name=Path(path).name, sha256=sha256_of(Path(path)))
 
 
 def _identity(

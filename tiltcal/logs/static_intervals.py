@@ -280,7 +280,6 @@ def _hold(record: RecordedReadings, step: float, parts: Sequence[Segment], name:
     if all(np.ptp(values) == 0.0 for values in samples.values()):
         raise _refusal(parts[0], "all samples are identical: the sensor was stuck, not still; choose other rows", file)
     known = None if temperature is None else temperature[np.isfinite(temperature)]
-    rows = [[part.start, part.end] for part in parts]
     return StaticInterval(
         name,
         parts[0].name,
@@ -289,7 +288,7 @@ def _hold(record: RecordedReadings, step: float, parts: Sequence[Segment], name:
         None if known is None or not len(known) else summarise(known.tolist()).mean,
         parts[0].line,
         0.0 if known is None else _rise(known),
-        {"rows": rows[0] if len(rows) == 1 else rows},
+        {"rows": tuple((part.start, part.end) for part in parts)},
     )
 
 

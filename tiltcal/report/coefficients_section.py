@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees, sqrt
-from typing import Any
+from typing import NamedTuple
 
 from tiltcal.calibration.labels import symbol, unit_of, words
 from tiltcal.core.comparison import values
 from tiltcal.core.model import Coefficients
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.uncertainty import named_uncertainties
+from tiltcal.files.records import DerivedUncertainty, IntrinsicRecord, IntrinsicUncertainty
 from tiltcal.report.number_format import AlignedNumber, at_place, column, half_width, measured, plain
-from tiltcal.report.record import number, numbers, section, text
 
 SOURCES = {
     "noise": "noise",
@@ -27,8 +26,18 @@ SOURCES = {
 
 ANGLES = ("roll", "pitch", "yaw")
 
-Row = tuple[str, str, tuple[str, str], float, float | None, str, float | None]
-"""Of a table: name, words, symbol, value, standard uncertainty, unit, coverage factor."""
+
+class Row(NamedTuple):
+    """One row of a table before its numbers are aligned; the uncertainty is standard, the factor that of 95 %."""
+
+    name: str
+    words: str
+    symbol: tuple[str, str]
+    value: float
+    u: float | None
+    unit: str
+    factor: float | None = None
+
 
 _TOGETHER, _AGAINST = (31, 111, 139), (192, 80, 77)
 _DARK = 0.6
@@ -108,17 +117,11 @@ def named(coefficients: Coefficients) -> dict[str, float]:
     return found
 
 
-def coverage_factors(calibration: CalibrationRecord) -> dict[str, float]:
-    """Per coefficient, what its standard uncertainty is multiplied with for an interval of 95 %."""
-    return numbers(calibration.uncertainty, "coverage_factor")
-
-
 def coefficient_table(calibration: CalibrationRecord) -> list[CoefficientRow]:
     """Every coefficient with its uncertainty and its 95 % interval."""
-    factors, unit = coverage_factors(calibration), calibration.sensor.unit
-    u = dict(named_uncertainties(calibration.uncertainty))
+    u, unit = calibration.uncertainty, calibration.sensor.unit
     rows = [
-        (name, words(name), symbol(name), value, u.get(name), unit_of(name, unit), factors.get(name))
+        Row(name, words(name), symbol(name), value, u.get(name), unit_of(name, unit), u.coverage_factor.get(name))
         for name, value in named(calibration.coefficients).items()
     ]
     return _quantities(rows)
@@ -127,10 +130,10 @@ def coefficient_table(calibration: CalibrationRecord) -> list[CoefficientRow]:
 def budget(calibration: CalibrationRecord) -> list[Shares]:
     """Which share of each variance comes from what; empty where the file does not say."""
     found = []
-    stated_of = section(calibration.fit, "budget")
+    stated_of = calibration.fit.budget
     known = list(named(calibration.coefficients))
     for name in sorted(stated_of, key=lambda name: known.index(name) if name in known else len(known)):
-        stated = numbers(calibration.fit, "budget", name)
+        stated = stated_of[name]
         order = [*(source for source in SOURCES if source in stated), *(one for one in stated if one not in SOURCES)]
         before, total = {}, 0.0
         for source in order:
@@ -148,13 +151,13 @@ def sources_of(shares: Sequence[Shares]) -> list[str]:
 
 def correlations(calibration: CalibrationRecord) -> Correlations | None:
     """Of the coefficients; None where the file has no covariance of at least two."""
-    covariance = section(calibration.uncertainty, "covariance")
-    if not covariance or len(covariance["parameters"]) < 2:
+    covariance = calibration.uncertainty.covariance
+    if covariance is None or len(covariance.parameters) < 2:
         return None
-    matrix = covariance["matrix"]
+    matrix = covariance.matrix
     u = [sqrt(matrix[i][i]) for i in range(len(matrix))]
     rows = [[_cell(matrix[i][j] / (u[i] * u[j]) if u[i] and u[j] else 0.0) for j in range(i)] for i in range(len(u))]
-    return Correlations([symbol(name) for name in covariance["parameters"]], rows)
+    return Correlations([symbol(name) for name in covariance.parameters], rows)
 
 
 def _cell(correlation: float) -> TableCell:
@@ -173,84 +176,79 @@ def derived_groups(calibration: CalibrationRecord) -> list[CoefficientGroup]:
 
 def _derived(calibration: CalibrationRecord) -> Iterator[CoefficientGroup]:
     derived, unit = calibration.derived, calibration.sensor.unit
-    yield CoefficientGroup(
+    doubts = derived.uncertainty or DerivedUncertainty()
+    yield _group(
         "Cross-axis error",
-        _quantities(
-            [
-                *_of_channels(derived, "cross_axis_percent", "Cross-axis sensitivity of {}", "%"),
-                *_of_channels(derived, "misalignment_degrees", "Misalignment of {}", "°"),
-            ]
-        ),
+        _by_channel("Cross-axis sensitivity of {}", "%", derived.cross_axis_percent, doubts.cross_axis_percent),
+        _by_channel("Misalignment of {}", "°", derived.misalignment_degrees, doubts.misalignment_degrees),
     )
-    intrinsic = section(derived, "intrinsic")
-    told = _quantities(
-        [
-            *_of_channels(intrinsic, "offset", "Offset of {}", unit),
-            *_of_channels(intrinsic, "sensitivity", "Sensitivity of {} along its own direction", f"{unit}/g"),
-            *_of_channels(intrinsic, "angle_degrees", "Angle between {}", "°"),
-            *_of_channels(intrinsic, "rotation_degrees", "Rotation in the jig’s frame, {}", "°"),
-        ]
-    )
-    apart = text(intrinsic, "left_handed") or ("These do not change with the mounting." if told else "")
-    yield CoefficientGroup("Intrinsic parameters", told, apart)
+    if derived.intrinsic is not None:
+        yield _intrinsic(derived.intrinsic, unit)
     yield _mounting(calibration)
     yield _scale(calibration)
 
 
+def _intrinsic(own: IntrinsicRecord, unit: str) -> CoefficientGroup:
+    u = own.uncertainty or IntrinsicUncertainty()
+    return _group(
+        "Intrinsic parameters",
+        _by_channel("Offset of {}", unit, own.offset, u.offset),
+        _by_channel("Sensitivity of {} along its own direction", f"{unit}/g", own.sensitivity, u.sensitivity),
+        _by_channel("Angle between {}", "°", own.angle_degrees, u.angle_degrees),
+        _by_channel("Rotation in the jig’s frame, {}", "°", own.rotation_degrees, u.rotation_degrees),
+        remark=own.left_handed or "These do not change with the mounting.",
+    )
+
+
 def _scale(calibration: CalibrationRecord) -> CoefficientGroup:
     """The sensitivities per m/s², where the gravity of the place was stated."""
-    derived, unit = calibration.derived, calibration.sensor.unit
-    gravity = number(derived, "gravity_m_s2")
-    if not gravity:
+    derived, unit, gravity = calibration.derived, calibration.sensor.unit, calibration.derived.gravity_m_s2
+    if gravity is None:
         return CoefficientGroup("Scale", ())
-    per_g = {c: u for c in calibration.sensor.channels if (u := number(calibration.uncertainty, "sensitivity", c, c))}
-    doubts = {
-        "sensitivity_per_m_s2": {c: u / gravity for c, u in per_g.items()},
-        "scale_error_percent": {c: 100.0 * u / gravity for c, u in per_g.items()},
-    }
-    stated = {**derived, "uncertainty": doubts}
-    rows = [
-        *_of_channels(stated, "sensitivity_per_m_s2", "Sensitivity of {} per m/s²", f"{unit}/(m/s²)"),
-        *_of_channels(stated, "scale_error_percent", "Scale error of {}", "%"),
-    ]
-    return CoefficientGroup("Scale", _quantities(rows), f"At a gravity of {plain(gravity, 7)} m/s².")
+    u = {c: calibration.uncertainty.get(f"sensitivity.{c}.{c}", 0.0) / gravity for c in calibration.sensor.channels}
+    percent = {channel: 100.0 * value for channel, value in u.items()}
+    return _group(
+        "Scale",
+        _by_channel("Sensitivity of {} per m/s²", f"{unit}/(m/s²)", derived.sensitivity_per_m_s2, u),
+        _by_channel("Scale error of {}", "%", derived.scale_error_percent, percent),
+        remark=f"At a gravity of {plain(gravity, 7)} m/s².",
+    )
 
 
 def _mounting(calibration: CalibrationRecord) -> CoefficientGroup:
     mounting, derived = calibration.coefficients.mounting, calibration.derived
-    remark = text(derived, "mounting") or ""
-    if number(derived, "gimbal_lock") is None and derived.get("gimbal_lock"):
+    remark = derived.mounting or ""
+    if derived.gimbal_lock:
         remark = "Gimbal lock: roll and yaw cannot be told apart at this pitch, and yaw alone carries both. " + remark
     if mounting is None:
         return CoefficientGroup("Mounting", (), remark)
+    angles = {angle: degrees(getattr(mounting, angle)) for angle in ANGLES}
+    u = {angle: calibration.uncertainty.get(f"mounting.{angle}", 0.0) for angle in ANGLES}
     rows = [
-        (f"mounting.{a}", a.capitalize(), ("", ""), degrees(getattr(mounting, a)), u, "°", None)
-        for a in ANGLES
-        for u in [number(calibration.uncertainty, "mounting", a)]
+        Row(f"mounting.{angle}", angle.capitalize(), ("", ""), value, u[angle], "°", None)
+        for angle, value in angles.items()
     ]
-    return CoefficientGroup("Mounting", _quantities(rows), remark or "Roll first, then pitch, then yaw.")
+    return _group("Mounting", rows, remark=remark or "Roll first, then pitch, then yaw.")
 
 
-def _of_channels(record: Any, key: str, sentence: str, unit: str) -> list[Row]:
+def _group(heading: str, *rows: Sequence[Row], remark: str = "") -> CoefficientGroup:
+    return CoefficientGroup(heading, _quantities([row for some in rows for row in some]), remark)
+
+
+def _by_channel(sentence: str, unit: str, values: Mapping[str, float], u: Mapping[str, float]) -> list[Row]:
     """The rows of one derived quantity, one for each channel, or for each pair of them such as ``xy``."""
     return [
-        (
-            f"derived.{key}.{name}",
-            sentence.format(" and ".join(name) if len(name) == 2 else name),
-            ("", ""),
-            value,
-            number(record, "uncertainty", key, name),
-            unit,
-            None,
-        )
-        for name, value in numbers(record, key).items()
+        Row("", sentence.format(" and ".join(name) if len(name) == 2 else name), ("", ""), value, u.get(name), unit)
+        for name, value in values.items()
     ]
 
 
 def _quantities(rows: Sequence[Row]) -> list[CoefficientRow]:
-    told = column(measured(value, u) if u else plain(value, 6) for *_, value, u, _, _ in rows)
-    widths = column(half_width(factor * u) if u and factor else "" for *_, u, _, factor in rows)
+    told = column(measured(row.value, row.u) if row.u else plain(row.value, 6) for row in rows)
+    widths = column(half_width(row.factor * row.u) if row.u and row.factor else "" for row in rows)
     return [
-        CoefficientRow(name, said, sign, value, unit, width, f"{factor:.2f}" if factor and u else "")
-        for (name, said, sign, _, u, unit, factor), value, width in zip(rows, told, widths, strict=True)
+        CoefficientRow(
+            row.name, row.words, row.symbol, value, row.unit, width, f"{row.factor:.2f}" if row.factor and row.u else ""
+        )
+        for row, value, width in zip(rows, told, widths, strict=True)
     ]

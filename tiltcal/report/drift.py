@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from tiltcal.calibration.labels import symbol, unit_of, words
 from tiltcal.core.comparison import judge
 from tiltcal.files.calibration import CalibrationRecord, changes_between
-from tiltcal.files.uncertainty import named_uncertainties
 from tiltcal.report.number_format import AlignedNumber, column, measured, plain
 from tiltcal.report.provenance import period
 
@@ -46,11 +45,10 @@ class ChangeSection:
 
 def drift(before: CalibrationRecord, name: str, after: CalibrationRecord) -> ChangeSection:
     """Every coefficient that both files have, the earlier ones at the later one's reference temperature."""
-    earlier, later = (dict(named_uncertainties(one.uncertainty)) for one in (before, after))
     found = changes_between(before, after)
     verdict = judge(found)
-    old = column(_told(one.before, earlier.get(one.name)) for one in found)
-    new = column(_told(one.after, later.get(one.name)) for one in found)
+    old = column(_told(one.before, before.uncertainty.get(one.name)) for one in found)
+    new = column(_told(one.after, after.uncertainty.get(one.name)) for one in found)
     moved = column(_told(one.difference, one.u) for one in found)
     ratios = column("" if one.ratio is None else f"{one.ratio:.2f}" for one in found)
     unit = after.sensor.unit

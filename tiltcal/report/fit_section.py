@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from tiltcal.calibration.summary import INCREDIBLE
+from tiltcal.calibration.summary import INCREDIBLE, objections
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.records import FitRecord, MountingFit, PositionRecord, PositionSet
 from tiltcal.report.number_format import AlignedNumber, at_place, column, measured, plain, signed
-from tiltcal.report.record import in_words, items, number, numbers, section, text
 
 
 @dataclass(frozen=True)
@@ -39,20 +38,17 @@ class PositionRow:
 
 
 def position_table(calibration: CalibrationRecord) -> list[PositionRow]:
-    """Every position that was measured, in order."""
-    channels = calibration.coefficients.channels
-    residuals = section(calibration.fit, "residuals")
-    suspects = section(calibration.fit, "suspect_positions")
-    told = [record for record in calibration.positions if text(record, "position")]
-    names = [text(record, "position") or "" for record in told]
+    """Return every position that was measured, in order."""
+    channels, fit, told = calibration.coefficients.channels, calibration.fit, calibration.positions
+    names = [record.position for record in told]
     # Positions of a mounting come last and were not fitted; they may bear a name that was.
-    fitted = [name in residuals and name not in names[:k] for k, name in enumerate(names)]
-    temperatures = column(_told(number(record, "temperature"), 2) for record in told)
+    fitted = [name in fit.residuals and name not in names[:k] for k, name in enumerate(names)]
+    temperatures = column(_told(record.temperature, 2) for record in told)
     means = [column(_mean(record, channel) for record in told) for channel in channels]
-    decimals = _decimals(max((abs(v) for name in residuals for v in numbers(residuals, name).values()), default=0.0))
+    decimals = _decimals(max((abs(v) for row in fit.residuals.values() for v in row.values()), default=0.0))
     left = [
         column(
-            _told(number(residuals, name, channel), decimals) if known else ""
+            _told(fit.residuals[name].get(channel), decimals) if known else ""
             for name, known in zip(names, fitted, strict=True)
         )
         for channel in channels
@@ -60,139 +56,120 @@ def position_table(calibration: CalibrationRecord) -> list[PositionRow]:
     return [
         PositionRow(
             name,
-            as_set(section(calibration.procedure, "set", name)) if fitted[k] else "for the mounting",
+            as_set(calibration.procedure.set.get(name, PositionSet())) if fitted[k] else "for the mounting",
             temperatures[k],
-            text(told[k], "n") or "",
+            "" if told[k].n is None else str(told[k].n),
             [one[k] for one in means],
             [one[k] for one in left],
-            fitted[k] and name in suspects,
+            fitted[k] and name in fit.suspect_positions,
         )
         for k, name in enumerate(names)
     ]
 
 
-def as_set(position: Mapping[str, Any]) -> str:
-    """The attitude of a position in words: the angles that were set, or where up was."""
-    said = [f"{axis} {signed(f'{angle:g}')}°" for axis, angle in numbers(position, "tilt").items()]
-    gravity = items(position, "gravity")
-    if gravity:
-        said.append(f"up ({', '.join(_short(component) for component in gravity)})")
-    heading = number(position, "heading")
-    if heading is not None:
-        said.append(f"heading {signed(f'{heading:g}')}°")
-    known = ("tilt", "gravity", "heading")
-    said += [f"{key} {in_words(value)}" for key, value in position.items() if key not in known]
+def as_set(position: PositionSet) -> str:
+    """Return the attitude of a position in words: the angles that were set, or where up was."""
+    said = [f"{axis} {signed(f'{angle:g}')}°" for axis, angle in (position.tilt or {}).items()]
+    if position.gravity is not None:
+        said.append(f"up ({', '.join(_short(component) for component in position.gravity)})")
+    for label, angle in (("heading", position.heading), ("stage", position.stage)):
+        if angle is not None:
+            said.append(f"{label} {signed(f'{angle:g}')}°")
+    if position.temperature is not None:
+        said.append(f"{signed(f'{position.temperature:g}')} °C")
     return ", ".join(said)
 
 
 def verdict(calibration: CalibrationRecord) -> list[str]:
-    """What the fit says, in sentences."""
+    """Return what the fit says, in sentences."""
     return list(_sentences(calibration.fit, calibration.sensor.unit))
 
 
 def remarks(calibration: CalibrationRecord) -> list[str]:
-    """Notes and warnings of the file, word for word."""
+    """Return the notes and warnings of the file, word for word."""
     fit = calibration.fit
-    noted = [in_words(note) for note in items(fit, "notes")]
-    warned = [said for key in ("warning", "warnings", "note") if (said := text(fit, key))]
-    assumed = [f"assumed: {in_words(one)}" for one in items(calibration.derived, "assumed")]
-    return [*noted, *warned, *assumed]
+    warned = [fit.warning] if fit.warning else []
+    return [*fit.notes, *warned, *(f"assumed: {one}" for one in calibration.derived.assumed)]
 
 
-def _sentences(fit: Mapping[str, Any], unit: str) -> Iterator[str]:
-    dof, chi_square, p = (number(fit, key) for key in ("degrees_of_freedom", "chi_square", "p_value"))
-    if chi_square is not None and dof is not None:
-        yield _judged(chi_square, dof, p)
-    elif dof == 0:
-        yield "No degree of freedom is left: the positions fit whatever was read, and nothing checks them."
-    elif dof is not None:
+def _sentences(fit: FitRecord, unit: str) -> Iterator[str]:
+    yield from _judged(fit)
+    for objection in objections(fit):
+        yield f"{objection[:1].upper()}{objection[1:]}."
+    worst = fit.worst
+    if worst is not None:
         yield (
-            f"{dof:g} degrees of freedom are left. No jig was stated to judge them by: the uncertainties rest on the "
-            "scatter of the residuals themselves."
-        )
-    suspects = section(fit, "suspect_positions")
-    if suspects:
-        off = {name: number(suspects, name, "off_degrees") for name in suspects}
-        told = (name if angle is None else f"{name} (by {plain(angle, 3)}°)" for name, angle in off.items())
-        yield f"Further off than stated: {', '.join(told)}."
-    worst = section(fit, "worst")
-    residual = number(worst, "residual")
-    if residual is not None:
-        yield (
-            f"The largest residual is {plain(residual, 4)} {unit}, of channel {text(worst, 'channel')} in "
-            f"{text(worst, 'position')}."
+            f"The largest residual is {plain(worst.residual, 4)} {unit}, of channel {worst.channel} in "
+            f"{worst.position}."
         )
     yield from _benches(fit)
-    misfit = number(fit, "misfit_rms_mg")
-    if misfit is not None:
-        attitudes = text(fit, "distinct_attitudes")
-        yield f"Gravity is met to {plain(misfit, 3)} mg rms" + (f" in {attitudes} attitudes." if attitudes else ".")
+    if fit.misfit_rms_mg is not None:
+        where = "" if fit.distinct_attitudes is None else f" in {fit.distinct_attitudes} attitudes"
+        yield f"Gravity is met to {plain(fit.misfit_rms_mg, 3)} mg rms{where}."
     yield from _swept(fit, unit)
-    yield from _mounted(section(fit, "mounting"))
+    yield from _mounted(fit.mounting)
 
 
-def _judged(chi_square: float, dof: float, p: float | None) -> str:
-    found = f"χ² is {plain(chi_square, 4)} with {dof:g} degrees of freedom"
-    if p is None:
-        return f"{found}."
-    if p < INCREDIBLE:
-        return (
-            f"{found}; so much or more has a probability of {plain(p, 2)}. The positions do not agree with the noise "
-            "and the jig as they were stated: the bench was worse than that, or a position is wrong. The uncertainties "
-            "have not been widened."
+def _judged(fit: FitRecord) -> Iterator[str]:
+    """What chi-square says, or why there is none."""
+    dof = fit.degrees_of_freedom
+    if dof is None:
+        return
+    if fit.chi_square is not None:
+        found = f"χ² is {plain(fit.chi_square, 4)} with {dof} degrees of freedom"
+        if fit.p_value is not None:
+            found += f"; so much or more has a probability of {plain(fit.p_value, 2)}"
+        yield f"{found}."
+        if fit.p_value is not None and fit.p_value >= INCREDIBLE:
+            yield "The positions agree with the noise and the jig as they were stated."
+    elif dof == 0:
+        yield "No degree of freedom is left: the positions fit whatever was read, and nothing checks them."
+    else:
+        yield (
+            f"{dof} degrees of freedom are left. No jig was stated to judge them by: the uncertainties rest on the "
+            "scatter of the residuals themselves."
         )
-    return (
-        f"{found}; so much or more has a probability of {plain(p, 2)}. The positions agree with the noise and the jig "
-        "as they were stated."
-    )
 
 
-def _benches(fit: Mapping[str, Any]) -> Iterator[str]:
-    jig, shows = number(fit, "jig_degrees"), number(fit, "jig_estimated_degrees")
-    thermometer = number(fit, "thermometer_celsius")
-    if jig is not None:
-        yield f"Stated standard uncertainty of a set angle: {jig:g}°."
+def _benches(fit: FitRecord) -> Iterator[str]:
+    shows = fit.jig_estimated_degrees
+    if fit.jig_degrees is not None:
+        yield f"Stated standard uncertainty of a set angle: {fit.jig_degrees:g}°."
     if shows == 0.0:
         yield "The residuals show no error of the jig beyond their noise; none was stated."
     elif shows is not None:
         yield f"The residuals show a jig with a standard deviation of {plain(shows, 3)}°; none was stated."
-    if thermometer is not None:
-        yield f"Standard uncertainty of a temperature: {plain(thermometer, 2)} °C."
-    origin = text(fit, "uncertainty_from")
-    if origin:
-        yield f"The uncertainties come from: {origin}."
+    if fit.thermometer_celsius is not None:
+        yield f"Standard uncertainty of a temperature: {plain(fit.thermometer_celsius, 2)} °C."
+    if fit.uncertainty_from:
+        yield f"The uncertainties come from: {fit.uncertainty_from}."
 
 
-def _swept(fit: Mapping[str, Any], unit: str) -> Iterator[str]:
-    chosen, errors = number(fit, "cross_validation", "order"), numbers(fit, "cross_validation", "error_by_order")
+def _swept(fit: FitRecord, unit: str) -> Iterator[str]:
+    chosen = fit.cross_validation
     if chosen is not None:
-        listed = ", ".join(f"{plain(error, 3)} for order {order}" for order, error in errors.items())
+        listed = ", ".join(f"{plain(error, 3)} for order {order}" for order, error in chosen.error_by_order.items())
         yield (
-            f"Cross-validation chose a drift of order {chosen:g}; the mean square error of foretelling a left-out "
+            f"Cross-validation chose a drift of order {chosen.order}; the mean square error of predicting a left-out "
             f"position, over its variance, is {listed}."
         )
-    for channel in section(fit, "hysteresis"):
-        loop = section(fit, "hysteresis", channel)
-        difference = number(loop, "difference")
-        if difference is not None:
-            between = " and ".join(in_words(one) for one in items(loop, "between"))
-            yield f"Hysteresis of {channel}: {plain(difference, 2)} {unit} between {between}."
+    for channel, loop in fit.hysteresis.items():
+        yield f"Hysteresis of {channel}: {plain(loop.difference, 2)} {unit} between {' and '.join(loop.between)}."
 
 
-def _mounted(fit: Mapping[str, Any]) -> Iterator[str]:
-    residuals = numbers(fit, "residuals_degrees")
-    if residuals:
-        worst = max(residuals, key=lambda name: abs(residuals[name]))
-        chi_square = number(fit, "chi_square")
-        yield (
-            f"Mounting: {text(fit, 'degrees_of_freedom')} degrees of freedom, uncertainty from "
-            f"{text(fit, 'uncertainty_from')}, largest residual {plain(residuals[worst], 3)}° in {worst}"
-            + ("." if chi_square is None else f", χ² {plain(chi_square, 4)}.")
-        )
+def _mounted(fit: MountingFit | None) -> Iterator[str]:
+    if fit is None or not fit.residuals_degrees:
+        return
+    worst = max(fit.residuals_degrees, key=lambda name: abs(fit.residuals_degrees[name]))
+    yield (
+        f"Mounting: {fit.degrees_of_freedom} degrees of freedom, uncertainty from {fit.uncertainty_from}, largest "
+        f"residual {plain(fit.residuals_degrees[worst], 3)}° in {worst}"
+        + ("." if fit.chi_square is None else f", χ² {plain(fit.chi_square, 4)}.")
+    )
 
 
-def _mean(record: Mapping[str, Any], channel: str) -> str:
-    mean, u = number(record, "mean", channel), number(record, "u", channel)
+def _mean(record: PositionRecord, channel: str) -> str:
+    mean, u = record.mean.get(channel), (record.u or {}).get(channel)
     if mean is None:
         return ""
     return measured(mean, u) if u else plain(mean, 7)
@@ -209,7 +186,5 @@ def _told(value: float | None, decimals: int) -> str:
     return "" if value is None else at_place(value, decimals)
 
 
-def _short(component: Any) -> str:
-    if not isinstance(component, int | float):
-        return in_words(component)
+def _short(component: float) -> str:
     return at_place(component, 3).rstrip("0").rstrip(".")

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.report.record import leaves, section, text
+from tiltcal.files.declaration import Section
+from tiltcal.files.records import MountingRun, PairProvenance, Provenance
 
-VIRTUAL = "virtual"
+_VIRTUAL = "virtual"
 """What a file that no real sensor made says of itself."""
 
 _WORDS = {
@@ -63,22 +64,22 @@ def facts(calibration: CalibrationRecord, source: FileFacts) -> list[Fact]:
     ]
 
 
-def provenance_facts(provenance: Mapping[str, Any]) -> list[Fact]:
-    """All that a provenance says, times first."""
+def provenance_facts(provenance: Provenance | PairProvenance) -> list[Fact]:
+    """Return all that a provenance says, times first."""
     return [fact for fact in _facts(provenance) if fact.value]
 
 
-def _facts(provenance: Mapping[str, Any]) -> Iterator[Fact]:
+def _facts(provenance: Provenance | PairProvenance) -> Iterator[Fact]:
     yield Fact("Calibrated", period(provenance))
-    for name, value in leaves(provenance):
+    for name, value in _leaves(Section(type(provenance)).write(provenance)):
         if name not in ("started", "ended") and not (name == "made_by" and notice(provenance)):
             label = _WORDS.get(name, name[:1].upper() + name[1:].replace("_", " ").replace(".", ": "))
             yield Fact(label, value, code=name.endswith(("sha256", "address")))
 
 
-def period(provenance: Mapping[str, Any]) -> str:
-    """When the session began and ended, to the second, in UTC."""
-    started, ended = text(provenance, "started"), text(provenance, "ended")
+def period(provenance: Provenance | PairProvenance) -> str:
+    """Return when the session began and ended, to the second, in UTC."""
+    started, ended = provenance.started, provenance.ended
     if not started or not ended:
         return _moment(started or ended or "")
     first, last = _moment(started), _moment(ended)
@@ -86,31 +87,45 @@ def period(provenance: Mapping[str, Any]) -> str:
     return f"{first} to {last.removeprefix(day + ' ')}" if last != first else first
 
 
-def notice(provenance: Mapping[str, Any]) -> str:
-    """What has to be said above all: that no real sensor was measured; empty for a real one."""
-    made_by = text(provenance, "made_by") or ""
-    return f"Made by {made_by}." if VIRTUAL in made_by else ""
+def notice(provenance: Provenance | PairProvenance) -> str:
+    """Return what has to be said above all: that no real sensor was measured; empty for a real one."""
+    made_by = provenance.made_by or ""
+    return f"Made by {made_by}." if _VIRTUAL in made_by else ""
 
 
 def procedure_facts(calibration: CalibrationRecord) -> list[Fact]:
-    """Which procedure was run, and how."""
+    """Return which procedure was run, and how."""
     run = calibration.procedure
     said = [
-        ("Procedure", " – ".join(filter(None, (text(run, "name"), text(run, "title"))))),
-        ("Source", text(run, "source")),
-        ("Samples per position", text(run, "samples")),
-        ("Still before sampling", f"{text(run, 'settle_seconds')} s" if text(run, "settle_seconds") else None),
+        ("Procedure", " – ".join(filter(None, (run.name, run.title)))),
+        ("Source", run.source),
+        ("Samples per position", run.samples and str(run.samples)),
+        ("Still before sampling", run.settle_seconds is not None and f"{run.settle_seconds:g} s"),
     ]
-    left = {
-        key: value
-        for key, value in run.items()
-        if key not in ("name", "title", "source", "samples", "settle_seconds", "set", "mounting")
-    }
-    more = [(name.replace("_", " ").capitalize(), value) for name, value in leaves(left)]
-    mounting = section(run, "mounting")
-    if mounting:
-        more.append(("Mounting", "; ".join(f"{name.replace('_', ' ')} {value}" for name, value in leaves(mounting))))
-    return [Fact(label, value) for label, value in (*said, *more) if value]
+    if run.mounting is not None:
+        kept = _leaves(Section(MountingRun).write(run.mounting))
+        said.append(("Mounting", "; ".join(f"{name.replace('_', ' ')} {value}" for name, value in kept)))
+    return [Fact(label, value) for label, value in said if value]
+
+
+def _leaves(record: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, str]]:
+    """Everything that a record says, by its dotted name."""
+    for key, value in record.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{lead}{key}.")
+        else:
+            yield f"{lead}{key}", _in_words(value)
+
+
+def _in_words(value: Any) -> str:
+    """A value as a person writes it."""
+    if isinstance(value, float):
+        return f"{value:g}" if abs(value) < 1e6 else str(value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_in_words(one)}" for key, one in value.items())
+    if isinstance(value, list):
+        return ", ".join(_in_words(one) for one in value)
+    return str(value)
 
 
 def _moment(stamp: str) -> str:

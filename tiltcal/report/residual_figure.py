@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.figure import CHANNELS, GREY, INK, RED, SvgFigure, picture
-from tiltcal.report.record import number, numbers, section, text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,13 +19,13 @@ COVERAGE = 1.96
 
 def residual_figure(calibration: CalibrationRecord) -> SvgFigure | None:
     """Measured less modelled for every position, a panel per channel; None where the file does not say."""
-    residuals = section(calibration.fit, "residuals")
-    positions = [name for name in residuals if numbers(residuals, name)]
+    residuals = calibration.fit.residuals
+    positions = [name for name, row in residuals.items() if row]
     if not positions:
         return None
     channels = calibration.coefficients.channels
     worst = {
-        channel: max((abs(number(residuals, name, channel) or 0.0) for name in positions), default=0.0)
+        channel: max((abs(residuals[name].get(channel, 0.0)) for name in positions), default=0.0)
         for channel in channels
     }
     told = "; ".join(f"channel {channel}: none beyond {value:.3g}" for channel, value in worst.items())
@@ -49,19 +48,18 @@ def _plot(figure: Figure, calibration: CalibrationRecord, positions: list[str]) 
     first = panels[0]
     first.set_yticks(range(len(positions)), positions)
     first.set_ylim(len(positions) - 0.4, -0.6)
-    suspects = section(calibration.fit, "suspect_positions")
     for label, name in zip(first.get_yticklabels(), positions, strict=True):
-        if name in suspects:
+        if name in calibration.fit.suspect_positions:
             label.set_color(RED)
             label.set_fontweight("bold")
 
 
 def _plot_channel(panel: Axes, calibration: CalibrationRecord, positions: list[str], channel: str) -> None:
-    residuals, doubts = section(calibration.fit, "residuals"), _uncertainties(calibration, channel)
+    residuals, doubts = calibration.fit.residuals, _uncertainties(calibration, channel)
     colour, mark, _ = CHANNELS[channel]
     panel.axvline(0.0, color=INK, linewidth=0.6)
     for row, name in enumerate(positions):
-        value = number(residuals, name, channel)
+        value = residuals[name].get(channel)
         if value is not None:
             panel.plot([0.0, value], [row, row], color=GREY, linewidth=0.4)
             panel.errorbar(
@@ -102,7 +100,7 @@ def _uncertainties(calibration: CalibrationRecord, channel: str) -> dict[str, fl
     """Standard uncertainty of the mean by position; of a name that comes twice, the first, which was fitted."""
     found: dict[str, float] = {}
     for record in calibration.positions:
-        name, u = text(record, "position"), number(record, "u", channel)
-        if name and u is not None:
-            found.setdefault(name, u)
+        u = (record.u or {}).get(channel)
+        if u is not None:
+            found.setdefault(record.position, u)
     return found

@@ -9,10 +9,7 @@ import numpy as np
 
 from tiltcal.core.model import Array, Thermal, polynomial
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.uncertainty import named_uncertainties
-from tiltcal.report.coefficients_section import coverage_factors
 from tiltcal.report.figure import CHANNELS, GREY, SvgFigure, picture
-from tiltcal.report.record import number, section, text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,11 +74,10 @@ def _curve(panel: Axes, t: Array, curve: Array, half: Array | None, channel: str
 def _positions(panel: Axes, calibration: CalibrationRecord, thermal: Thermal, column: int) -> None:
     """The curve at each position's temperature, and on it the residual."""
     channel = calibration.coefficients.channels[column]
-    residuals = section(calibration.fit, "residuals")
     fitted: dict[str, tuple[float, float]] = {}
     for record in calibration.positions:
-        name, t = text(record, "position") or "", number(record, "temperature")
-        residual = number(residuals, name, channel)
+        name, t = record.position, record.temperature
+        residual = calibration.fit.residuals.get(name, {}).get(channel)
         if t is not None and residual is not None and name not in fitted:
             fitted[name] = t, residual
     if not fitted:
@@ -94,17 +90,15 @@ def _positions(panel: Axes, calibration: CalibrationRecord, thermal: Thermal, co
 
 def _half_width(calibration: CalibrationRecord, names: list[str], powers: Array) -> Array | None:
     """Half the 95 % interval of a polynomial; None where the file does not say how uncertain it is."""
-    covariance = section(calibration.uncertainty, "covariance")
-    parameters = list(covariance.get("parameters", ()))
-    if not parameters or any(name not in dict(named_uncertainties(calibration.uncertainty)) for name in names):
+    covariance = calibration.uncertainty.covariance
+    if covariance is None or any(name not in calibration.uncertainty for name in names):
         return None
-    own = np.zeros((len(names), len(names)))
-    matrix = np.array(covariance["matrix"], dtype=float)
+    own, matrix, parameters = np.zeros((len(names), len(names))), np.array(covariance.matrix), covariance.parameters
     known = [(i, parameters.index(name)) for i, name in enumerate(names) if name in parameters]
     for i, row in known:
         for j, other in known:
             own[i, j] = matrix[row, other]
-    factors = coverage_factors(calibration)
+    factors = calibration.uncertainty.coverage_factor
     factor = max((factors[name] for name in names if name in factors), default=1.96)
     return np.asarray(factor * np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", powers, own, powers), 0.0)))
 

@@ -6,10 +6,8 @@ from collections.abc import Iterator
 from math import degrees
 
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.report.coefficients_section import coverage_factors
 from tiltcal.report.number_format import plain, signed
 from tiltcal.report.provenance import Fact, notice
-from tiltcal.report.record import items, number, text
 
 
 def covered(calibration: CalibrationRecord) -> list[Fact]:
@@ -55,18 +53,18 @@ def _open(calibration: CalibrationRecord) -> Iterator[str]:
         yield f"Sensitivity to {missing}: it was not measured and counts as zero."
     if coefficients.mounting is None:
         yield "The mounting in an application: tilt is that of the sensor’s own frame."
-    if items(calibration.derived, "assumed"):
+    if calibration.derived.assumed:
         yield "What was assumed and not measured, as noted above."
-    if number(calibration.fit, "jig_degrees") is None and text(calibration.fit, "uncertainty_from") != "residuals":
+    if calibration.fit.jig_degrees is None and calibration.fit.uncertainty_from != "residuals":
         yield "The angles of the jig: none was stated, and they are not in the uncertainty."
-    if not coverage_factors(calibration):
+    if not calibration.uncertainty.coverage_factor:
         yield "Intervals of 95 %: the file has no coverage factors."
     yield "Motion, vibration and ageing: all positions were held still, on the dates above."
 
 
 def _held(calibration: CalibrationRecord) -> str:
     """At which temperatures the positions were measured nevertheless."""
-    met = [t for record in calibration.positions if (t := number(record, "temperature")) is not None]
+    met = [one.temperature for one in calibration.positions if one.temperature is not None]
     if not met:
         return ""
     low, high = min(met), max(met)

@@ -64,7 +64,7 @@ def test_the_chosen_coefficients_are_the_parts() -> None:
     found = calibrated(with_order(procedure, 2), measured, jig=0.0)
     thermal = found.coefficients.thermal
     assert thermal is not None
-    u = found.uncertainty["temperature"]["offset"]["x"]
+    u = [found.uncertainty[f"temperature.offset.x.{power}"] for power in (1, 2)]
     assert thermal.drift[0] == pytest.approx([0.2, 0.004], abs=4 * max(u))
 
 
@@ -73,9 +73,9 @@ def test_hysteresis_is_reported() -> None:
     subject = MeasuredSensor(SENSOR, measured, NOMINAL)
     choice = choose_order([subject], procedure, BenchUncertainty())
     found = calibrated(with_order(procedure, choice.order), measured, jig=0.0)
-    loop = swept(found, measured, choice).fit["hysteresis"]["x"]
-    assert abs(loop["difference"]) == pytest.approx(2.0, abs=0.4)
-    assert sorted(name.split("-")[0] for name in loop["between"]) in (["back", "up"], ["down", "up"])
+    loop = swept(found, measured, choice).fit.hysteresis["x"]
+    assert abs(loop.difference) == pytest.approx(2.0, abs=0.4)
+    assert sorted(name.split("-")[0] for name in loop.between) in (["back", "up"], ["down", "up"])
 
 
 def test_means_without_an_uncertainty_choose_an_order_too() -> None:

@@ -23,6 +23,8 @@ from tiltcal.files.calibration import (
     write_calibration,
 )
 from tiltcal.files.document import parse_document
+from tiltcal.files.records import FitRecord, PositionRecord, Provenance, WorstResidual
+from tiltcal.files.uncertainty import Uncertainty
 
 EXAMPLE = """\
 tiltcal: 1
@@ -42,7 +44,7 @@ uncertainty:
   offset: {x: 0.1, y: 0.1}
   covariance: {parameters: [offset.x, offset.y], matrix: [[0.01, 1e-8], [1e-8, 0.01]]}
 limits: {tilt: [-60, 60], temperature: [0, 30], reading: {x: [101, 2047]}}
-fit: {chi_square: 3.1, note: [1, {a: null}]}
+fit: {chi_square: 3.1, notes: [one], worst: {position: level, channel: x, residual: 2}}
 positions: [{position: level, mean: {x: 1024.6}}]
 """
 
@@ -66,9 +68,13 @@ def test_example_is_read() -> None:
     assert calibration.limits.tilt == {"x": (radians(-60), radians(60)), "y": (radians(-60), radians(60))}
     assert calibration.limits.temperature == (0.0, 30.0)
     assert calibration.limits.reading == {"x": (101.0, 2047.0)}
-    assert calibration.uncertainty["covariance"]["matrix"] == [[0.01, 1e-8], [1e-8, 0.01]]
-    assert calibration.fit == {"chi_square": 3.1, "note": [1, {"a": None}]}
-    assert calibration.provenance == {}
+    assert calibration.uncertainty["offset.x"] == 0.1
+    assert calibration.uncertainty.covariance is not None
+    assert calibration.uncertainty.covariance.matrix == ((0.01, 1e-8), (1e-8, 0.01))
+    worst = WorstResidual(position="level", channel="x", residual=2.0)
+    assert calibration.fit == FitRecord(chi_square=3.1, notes=("one",), worst=worst)
+    assert calibration.positions == (PositionRecord(position="level", mean={"x": 1024.6}),)
+    assert calibration.provenance == Provenance()
 
 
 def test_two_channels_may_have_a_z_column() -> None:
@@ -105,6 +111,20 @@ def test_two_channels_may_have_a_z_column() -> None:
         ("tilt: [-60, 60]", "tilt: {w: [0, 1]}", 17, "limits.tilt.w", "unknown key"),
         ("chi_square: 3.1", "chi_square: .inf", 18, "fit.chi_square", "must be finite"),
         ("[{position", "[1, {position", 19, "positions[0]", "a mapping is needed"),
+        ("chi_square: 3.1", "chi_square: x", 18, "fit.chi_square", "a number is needed"),
+        ("chi_square", "chi_sqare", 18, "fit.chi_sqare", "did you mean 'chi_square'"),
+        ("notes: [one]", "jig_that_shows_degrees: 1", 18, "fit.jig_that_shows_degrees", "'jig_estimated_degrees' now"),
+        ("notes: [one]", "worse_than_stated: {}", 18, "fit.worse_than_stated", "'suspect_positions' now"),
+        ("offset: {x: 0.1, y: 0.1}", "reading: {}", 15, "uncertainty.reading", "'single_reading' now"),
+        (
+            "fit:",
+            "derived: {intrinsic: {not_separated: x}}\nfit:",
+            18,
+            "derived.intrinsic.not_separated",
+            "'left_handed' now",
+        ),
+        ("fit:", "provenance: {journal: x}\nfit:", 18, "provenance.journal", "a mapping is needed"),
+        ("residual: 2}", "residual: [2]}", 18, "fit.worst.residual", "a number is needed"),
         ("fit:", "fitt:", 18, "fitt", "did you mean 'fit'"),
     ],
 )
@@ -162,10 +182,9 @@ limits:                                         # the ranges that were covered, 
   reading: {x: [101.0, 2047.0]}
 derived: {}
 fit:
+  worst: {position: level, channel: x, residual: 2.0}
   chi_square: 3.1
-  note:
-    - 1
-    - {a: null}
+  notes: [one]
 procedure: {}
 positions:
   - position: level
@@ -191,8 +210,8 @@ def test_file_written_twice_is_the_same(tmp_path: Path) -> None:
 
 
 def test_nothing_is_written_where_a_record_is_not_finite(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"fit.chi: nan"):
-        write_calibration(tmp_path / "a.yaml", replace(read(EXAMPLE), fit={"chi": float("nan")}))
+    with pytest.raises(InputError, match=r"fit.chi_square: nan"):
+        write_calibration(tmp_path / "a.yaml", replace(read(EXAMPLE), fit=FitRecord(chi_square=float("nan"))))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -226,10 +245,13 @@ def calibrations(draw: st.DrawFn) -> CalibrationRecord:
             thermal=draw(st.sampled_from([None, thermal])),
             mounting=draw(st.sampled_from([None, mounting])),
         ),
-        uncertainty={"offset": {channel: draw(finite.map(abs)) for channel in channels}},
+        uncertainty=Uncertainty({f"offset.{channel}": draw(finite.map(abs)) for channel in channels}),
         limits=Limits(tilt, draw(st.none() | ranges), {channel: draw(ranges) for channel in channels}),
-        fit=draw(st.dictionaries(serials, finite | serials, max_size=3)),
-        positions=[{"name": draw(serials)}],
+        fit=FitRecord(
+            notes=tuple(draw(st.lists(serials, max_size=2))),
+            budget=draw(st.dictionaries(serials, st.dictionaries(serials, finite, max_size=2), max_size=2)),
+        ),
+        positions=(PositionRecord(position=draw(serials), n=draw(st.integers(0, 10**9))),),
     )
 
 

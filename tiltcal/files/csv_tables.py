@@ -1,0 +1,69 @@
+"""Small tables in CSV, read as strictly as our YAML: every cell knows its file, line and column."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from io import StringIO
+
+from tiltcal.errors import InputError
+from tiltcal.files.node import Node, Scalar
+
+_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+
+
+def csv_records(text: str, file: str, *, required: Sequence[str], optional: Sequence[str] = ()) -> Iterator[Node]:
+    """The rows as mappings, as a JSON list of objects would give them; a blank field is an absent one.
+
+    Parameters
+    ----------
+    text : str
+    file : str
+        As the user named it.
+    required, optional : sequence of str
+        The columns that the header must and may have.
+
+    Yields
+    ------
+    Node
+
+    Raises
+    ------
+    InputError
+        The header has an unknown column, one twice, or lacks one; a row has another number of fields; or the text is
+        no CSV.
+    """
+    rows = csv.reader(StringIO(text, newline=""), strict=True)
+    try:
+        header = [name.strip() for name in next(rows, [])]
+        _check_header(header, file, required, optional)
+        line = rows.line_num + 1
+        for row in rows:
+            if row:
+                yield _record(header, row, file, line)
+            line = rows.line_num + 1
+    except csv.Error as failure:
+        raise InputError(f"not CSV: {failure}", file=file, line=rows.line_num) from None
+
+
+def _check_header(header: list[str], file: str, required: Sequence[str], optional: Sequence[str]) -> None:
+    if not header:
+        raise InputError("the file is empty", file=file)
+    twice = [name for name in header if header.count(name) > 1]
+    if twice:
+        raise InputError(f"the column {twice[0]!r} is there twice", file=file, line=1)
+    Node({name: Node(Scalar("", True), file, 1, name) for name in header}, file, 1, None).mapping(
+        required=required, optional=optional
+    )
+
+
+def _record(header: list[str], row: list[str], file: str, line: int) -> Node:
+    if len(row) != len(header):
+        raise InputError(f"the row has {len(row)} fields, the header {len(header)}", file=file, line=line)
+    fields = {
+        name: Node(Scalar(field.strip(), plain=_NUMBER.fullmatch(field.strip()) is not None), file, line, name)
+        for name, field in zip(header, row, strict=True)
+        if field.strip()
+    }
+    return Node(fields, file, line, None)
