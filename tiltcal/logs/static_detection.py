@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from math import cos, inf, radians, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiltcal.core.detection import Mask, Span, runs, stillest, stuck_rows, window_scatter
 from tiltcal.core.estimation.ellipsoid import UNKNOWNS, Ellipsoid, fit_ellipsoid
 from tiltcal.core.model import Array
 from tiltcal.core.statistics import BLOCKS
@@ -30,19 +30,11 @@ WINDOWS = (200, 100, 50, 25)
 MULTIPLES = (1.4, 1.7, 2.0, 2.4, 2.8, 3.4, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Thresholds that are tried, in units of the noise of the stillest part."""
 
-STILLEST = 0.01
-"""The share of the windows that counts as the stillest part."""
-
 STUCK = 25
 """Rows that are identical in all channels, one after the other, where the noise would have changed them."""
 
 SAME = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
-
-Mask = NDArray[np.bool_]
-Span = tuple[int, int]
-
-_CHUNK = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -108,7 +100,7 @@ def find_still(
     EstimateError
         No threshold finds more attitudes than there are unknowns.
     """
-    lost = ~np.isfinite(readings).all(axis=1) | _stuck(readings)
+    lost = ~np.isfinite(readings).all(axis=1) | stuck_rows(readings, STUCK)
     tried = tuple(_choices(readings, lost, windows))
     best = min(tried, key=lambda choice: choice.expanded, default=None)
     if best is None or best.ellipsoid is None or best.expanded == inf:
@@ -179,32 +171,14 @@ def still_holds(readings: Array, lost: Mask, window: int, threshold: float) -> l
     still = np.zeros(len(readings), dtype=bool)
     still[middle : middle + len(scatter)] = scatter <= threshold
     # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
-    spans = [(start, end) for start, end in _runs(still) if end - start >= max(middle, 2)]
+    spans = [(start, end) for start, end in runs(still) if end - start >= max(middle, 2)]
     spans = [span for span in spans if np.any(np.ptp(readings[slice(*span)], axis=0) > 0.0)]
     return _merged(readings, spans)
 
 
-def window_scatter(readings: Array, lost: Mask, window: int) -> Array:
-    """Standard deviation in every window, all channels together (root of the sum of squares).
-
-    Parameters
-    ----------
-    readings : ndarray, shape (rows, channels)
-    lost : ndarray of bool, shape (rows,)
-    window : int
-        Rows.
-
-    Returns
-    -------
-    ndarray, shape (rows - window + 1,)
-        Infinite where a window holds a lost row; empty where the log is shorter than the window.
-    """
-    return np.asarray(np.sqrt(np.sum(_variances(readings, lost, window), axis=1)))
-
-
 def _choices(readings: Array, lost: Mask, windows: Sequence[int]) -> Iterator[StaticDetection]:
     for window in windows:
-        noise = _noise(window_scatter(readings, lost, window))
+        noise = stillest(window_scatter(readings, lost, window))
         if noise is None:
             continue
         for multiple in MULTIPLES:
@@ -233,55 +207,6 @@ def _uncertainty(samples: Array) -> Array:
     return np.asarray(means.std(axis=0, ddof=1) / sqrt(BLOCKS))
 
 
-def _variances(readings: Array, lost: Mask, window: int) -> Array:
-    """Sample variance of every channel in every window; infinite where a window holds a lost row."""
-    rows, channels = readings.shape
-    if rows < window:
-        return np.zeros((0, channels))
-    filled = np.where(lost[:, None], 0.0, readings)
-    pieces = []
-    for start in range(0, rows - window + 1, _CHUNK):
-        piece = filled[start : start + _CHUNK + window - 1]
-        # Running sums about the piece's own mean: over a long log they would lose the noise in their last digits.
-        centred = piece - piece.mean(axis=0)
-        sums, squares = (_window_sums(values, window) for values in (centred, centred**2))
-        pieces.append(np.maximum(squares - sums**2 / window, 0.0) / (window - 1))
-    variances = np.concatenate(pieces)
-    variances[_window_sums(lost[:, None].astype(float), window)[:, 0] > 0.5] = inf
-    return variances
-
-
-def _window_sums(values: Array, window: int) -> Array:
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    return np.asarray(total[window:] - total[:-window])
-
-
-def _noise(scatter: Array) -> float | None:
-    """Scatter in the stillest part; None where there is none, or no noise in it."""
-    usable = scatter[np.isfinite(scatter) & (scatter > 0.0)]
-    return float(np.quantile(usable, STILLEST)) if len(usable) else None
-
-
-def _stuck(readings: Array) -> Mask:
-    """Rows in long runs of identical samples, where the stillest part of the rest has noise that forbids them."""
-    change = np.abs(np.diff(readings, axis=0))
-    held = np.concatenate([[False], (change == 0.0).all(axis=1)])
-    runs = np.zeros(len(readings), dtype=bool)
-    for start, end in _runs(held):
-        if end - start >= STUCK - 1:
-            runs[start - 1 : end] = True
-    if not runs.any():
-        return runs
-    elsewhere = _variances(np.nan_to_num(readings), runs | ~np.isfinite(readings).all(axis=1), STUCK)
-    elsewhere = elsewhere[np.isfinite(elsewhere).all(axis=1)]
-    if not len(elsewhere):
-        return runs
-    noise = np.sqrt(np.quantile(elsewhere, STILLEST, axis=0))
-    steps = np.array([np.min(column[column > 0.0], initial=inf) for column in change.T])
-    # Noise of half a step changes every other reading: a run of identical ones is then no chance.
-    return runs if np.any(noise >= steps / 2) else np.zeros(len(readings), dtype=bool)
-
-
 def _merged(readings: Array, spans: Sequence[Span]) -> list[list[Span]]:
     """Intervals that follow each other in one attitude, together."""
     if not spans:
@@ -299,12 +224,6 @@ def _merged(readings: Array, spans: Sequence[Span]) -> list[list[Span]]:
             holds.append([span])
             first = direction
     return holds
-
-
-def _runs(mask: Mask) -> list[Span]:
-    """Start and end of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
 
 
 def _too_few(tried: Sequence[StaticDetection], lost: Mask) -> str:

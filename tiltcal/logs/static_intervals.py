@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
+from tiltcal.core.detection import identical_by_chance, resolution
 from tiltcal.core.frames import Vector
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.statistics import SampleSummary, summarise
+from tiltcal.core.statistics import SampleSummary, drift, summarise
 from tiltcal.errors import InputError
 from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
 from tiltcal.logs.columns import TEMPERATURE, locate_columns
 from tiltcal.logs.formats import open_log
-from tiltcal.logs.resolution import alike_by_chance, step_of
 
 FEWEST = 2
 """Samples that a segment needs for a standard deviation."""
@@ -134,7 +134,7 @@ def holds_of(record: RecordedReadings, segments: Sequence[Segment], *, file: str
     """
     parts = [list(group) for _, group in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
     names = _distinct([part[0].name for part in parts])
-    step = step_of(values for role, values in record.columns.items() if role != TEMPERATURE)
+    step = resolution(values for role, values in record.columns.items() if role != TEMPERATURE)
     holds = [_hold(record, step, part, name, file) for part, name in zip(parts, names, strict=True)]
     _require_alive(holds, step, file)
     return holds
@@ -254,7 +254,7 @@ def _require_alive(holds: Sequence[StaticInterval], step: float, file: str) -> N
     for channel, noise in usual.items():
         for hold in holds:
             summary = hold.summaries[channel]
-            if summary.std == 0.0 and not alike_by_chance(summary.n, noise, step):
+            if summary.std == 0.0 and not identical_by_chance(summary.n, noise, step):
                 raise InputError(
                     f"segment {hold.position}: all samples of {channel} are identical, and elsewhere they scatter by "
                     f"{noise:.3g}: it was stuck, not still; choose other rows",
@@ -297,11 +297,8 @@ def _rise(values: Array) -> float:
     count = len(values)
     if count < FEWEST_FOR_A_RISE:
         return 0.0
-    place = np.linspace(-0.5, 0.5, count)
-    rise = float(place @ values / (place @ place))
-    scatter = values - values.mean() - rise * place
-    doubt = CERTAIN * sqrt(float(scatter @ scatter) / (count - 2) / float(place @ place))
-    return float(np.sign(rise)) * max(abs(rise) - doubt, 0.0)
+    rise, uncertainty = drift(range(count), values.tolist())
+    return float(np.sign(rise)) * max(abs(rise) - CERTAIN * uncertainty, 0.0)
 
 
 def _samples(record: RecordedReadings, role: str, parts: Iterable[Segment]) -> Array:

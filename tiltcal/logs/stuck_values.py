@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.detection import repeated, run_bounds
 from tiltcal.core.model import Array
 from tiltcal.core.pair.encoder import AngleTracker
 from tiltcal.logs.pair_block import PairBlock
@@ -60,14 +61,12 @@ class StuckValues:
 
     def _judged(self, stretch: PairBlock) -> Iterator[PairBlock]:
         readings = stretch.readings
-        same = np.empty(readings.shape, dtype=bool)
-        same[0] = readings[0] == self._values
-        np.equal(readings[1:], readings[:-1], out=same[1:])
-        repeated = np.flatnonzero(same.any(axis=0)).tolist()
-        turns = self._turns(stretch.theta) if repeated else np.empty(0)
-        cleaned = readings.copy() if repeated else readings
+        same = repeated(readings, self._values)
+        channels = np.flatnonzero(same.any(axis=0)).tolist()
+        turns = self._turns(stretch.theta) if channels else np.empty(0)
+        cleaned = readings.copy() if channels else readings
         last = {
-            channel: self._left_out(channel, same[:, channel], turns, cleaned, stretch.first) for channel in repeated
+            channel: self._left_out(channel, same[:, channel], turns, cleaned, stretch.first) for channel in channels
         }
         ready = min([len(readings), *(run.first for run in last.values() if run.doubtful)])
         # What is held back is judged anew, as it was read.
@@ -95,9 +94,8 @@ class StuckValues:
 
     def _left_out(self, channel: int, same: NDArray[np.bool_], turns: Array, readings: Array, number: int) -> _Run:
         """Leave out a channel's stuck values; the run of the last one."""
-        rows = np.flatnonzero(same)
-        cuts = np.flatnonzero(np.diff(rows) > 1) + 1
-        firsts, lasts = rows[np.append(0, cuts)] - 1, rows[np.append(cuts, len(rows)) - 1]
+        starts, ends = run_bounds(same)
+        firsts, lasts = starts - 1, ends - 1
         begun = np.where(firsts >= 0, turns[firsts], -self._turned[channel])
         turned = np.abs(turns[lasts] - begun)
         for run in np.flatnonzero(turned >= _TURN).tolist():

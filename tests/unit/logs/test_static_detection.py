@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
+from tiltcal.core.detection import window_scatter
 from tiltcal.errors import EstimateError
-from tiltcal.logs.static_detection import STUCK, find_still, still_holds, still_segments, told, window_scatter
+from tiltcal.logs.static_detection import STUCK, find_still, still_holds, still_segments, told
 
 Array = NDArray[np.float64]
 HELD, MOVED = 300, 120

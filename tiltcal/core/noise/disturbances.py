@@ -13,6 +13,7 @@ from math import log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.detection import bursts, jumps, repeated, runs
 from tiltcal.core.model import Array
 
 BLOCK = 16
@@ -22,14 +23,6 @@ MOST_BLOCKS = 1 << 16
 """Blocks kept; in a longer record they are of twice the rows, and twice that, ..."""
 
 _FEWEST_BLOCKS = 8
-
-JUMP = 8.0
-"""A difference of block means beyond so many standard deviations is motion."""
-
-BURST = 5.0
-"""So is a scatter within a block beyond so many times the usual one."""
-
-_SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
 
 _ODD_RUN = 3.0  # a run of identical rows so many times longer than the longest that chance makes is none of chance
 
@@ -87,9 +80,8 @@ class Disturbances:
         if len(blocks.counts) < _FEWEST_BLOCKS:
             return []
         rounding = step / sqrt(12.0)
-        found = blocks.jumps(rounding) | blocks.bursts(rounding)
-        edges = np.flatnonzero(np.diff(np.r_[False, found.any(axis=1), False].astype(np.int8)))
-        return [RowRange(start * self._size, end * self._size) for start, end in edges.reshape(-1, 2).tolist()]
+        found = jumps(blocks.mean, rounding) | bursts(blocks.scatter, rounding)
+        return [RowRange(start * self._size, end * self._size) for start, end in runs(np.any(found, axis=1))]
 
     def hung(self) -> RowRange | None:
         """The longest run of rows that are identical in all channels, where chance does not make such a one."""
@@ -103,8 +95,7 @@ class Disturbances:
     def _follow_runs(self, samples: Array) -> None:
         if not len(samples):
             return
-        beside = np.concatenate([self._last, samples])
-        same = (beside[1:] == beside[:-1]).all(axis=1)
+        same = repeated(samples, self._last).all(axis=1)
         self._last = samples[-1:]
         self._repeats += int(same.sum())
         breaks = np.flatnonzero(~same)
@@ -141,21 +132,11 @@ class _Blocks:
     def mean(self) -> Array:
         return np.asarray(self.sums / np.where(self.counts > 1, self.counts, np.nan))
 
-    def jumps(self, rounding: Array) -> NDArray[np.bool_]:
-        """Blocks before and behind a difference of means that stands out."""
-        mean = self.mean
-        difference = np.abs(np.diff(mean, axis=0) - np.nanmedian(np.diff(mean, axis=0), axis=0))
-        usual = np.maximum(_SIGMA_OF_MEDIAN * np.nanmedian(difference, axis=0), rounding)
-        far = difference > JUMP * usual
-        none = np.zeros((1, far.shape[1]), dtype=np.bool_)
-        return np.asarray(np.concatenate([far, none]) | np.concatenate([none, far]))
-
-    def bursts(self, rounding: Array) -> NDArray[np.bool_]:
-        """Blocks whose scatter stands out."""
+    @property
+    def scatter(self) -> Array:
+        """Standard deviation within each block."""
         variance = self.squares / np.where(self.counts > 1, self.counts, np.nan) - self.mean**2
-        scatter = np.sqrt(np.maximum(variance, 0.0))
-        usual = np.maximum(np.nanmedian(scatter, axis=0), rounding)
-        return np.asarray(scatter > BURST * usual)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _joined(blocks: list[_Blocks]) -> _Blocks:

@@ -1,0 +1,97 @@
+"""Still, moved and stuck, against counts and probabilities worked out by hand and by scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from tiltcal.core.detection import (
+    bursts,
+    identical_by_chance,
+    is_still,
+    jumps,
+    outliers,
+    repeated,
+    resolution,
+    runs,
+    stuck_rows,
+    stuck_runs,
+    window_variances,
+)
+
+REST = np.random.default_rng(1).normal(0.0, 1.0, (2000, 2))
+
+
+@pytest.mark.parametrize(
+    ("mask", "expected"),
+    [("", []), ("..", []), ("##", [(0, 2)]), ("#.#", [(0, 1), (2, 3)]), (".##.", [(1, 3)])],
+)
+def test_runs(mask: str, expected: list[tuple[int, int]]) -> None:
+    assert runs(np.array([mark == "#" for mark in mask], dtype=bool)) == expected
+
+
+def test_a_missing_value_repeats_nothing() -> None:
+    samples = np.array([[1.0, np.nan], [1.0, np.nan], [2.0, 3.0]])
+    assert repeated(samples, [1.0, 3.0]).tolist() == [[True, False], [True, False], [False, False]]
+
+
+def test_a_run_counts_its_first_row() -> None:
+    samples = REST[:20].copy()
+    samples[5:10] = samples[5]
+    assert stuck_runs(samples, 5) == [(5, 10)]
+    assert stuck_runs(samples, 6) == []
+
+
+class TestStuck:
+    def test_identical_samples_of_a_noisy_reading(self) -> None:
+        samples = np.rint(REST)  # noise of a whole step
+        samples[100:140] = samples[100]
+        assert np.flatnonzero(stuck_rows(samples, 25)).tolist() == list(range(100, 140))
+
+    def test_a_coarse_reading_that_hardly_changes_is_not_stuck(self) -> None:
+        assert not stuck_rows(np.rint(0.3 + 0.08 * REST), 25).any()
+
+    def test_identical_samples_and_their_probability(self) -> None:
+        """No step holds more of normal noise than the middle one: its share to the power of the count."""
+        step, noise = 1.0, 0.5
+        share = norm.cdf(0.5 * step / noise) - norm.cdf(-0.5 * step / noise)
+        most = int(np.log(1e-6) / np.log(share))
+        assert identical_by_chance(most, noise, step)
+        assert not identical_by_chance(most + 1, noise, step)
+
+    def test_resolution_is_the_smallest_step_of_any_channel(self) -> None:
+        assert resolution([np.array([3.0, 3.0]), np.array([1.0, 1.5, np.nan, 4.0])]) == 0.5
+        assert resolution([np.array([0.3, 0.1 + 0.2])]) == 0.0
+
+
+def test_variance_in_a_window_is_that_of_numpy() -> None:
+    lost = np.zeros(len(REST), dtype=bool)
+    lost[1000] = True
+    found = window_variances(REST + 1e6, lost, 50)
+    assert found[7] == pytest.approx(REST[7:57].var(axis=0, ddof=1), rel=1e-6)
+    assert np.flatnonzero(np.isinf(found[:, 0])).tolist() == list(range(951, 1001))
+
+
+def test_a_step_and_a_knock_stand_out() -> None:
+    blocks = REST.reshape(50, 40, 2).copy()
+    blocks[20:] += 5.0
+    knocked = blocks[31, :, 1]
+    blocks[31, :, 1] = knocked.mean() + 8.0 * (knocked - knocked.mean())
+    assert np.flatnonzero(jumps(blocks.mean(axis=1)).any(axis=1)).tolist() == [19, 20]
+    assert np.flatnonzero(bursts(blocks.std(axis=1))[:, 1]).tolist() == [31]
+
+
+@pytest.mark.parametrize(
+    ("change", "uncertainty", "shown", "still"),
+    [(0.9, 0.0, False, True), (1.1, 0.0, False, False), (1.1, 0.3, False, True), (0.5, 0.3, True, False)],
+)
+def test_still(change: float, uncertainty: float, shown: bool, still: bool) -> None:
+    assert is_still(-change, uncertainty, 1.0, shown=shown) is still
+
+
+def test_one_sample_of_a_hundred_that_is_off() -> None:
+    samples = np.rint(1024.0 + 0.6 * REST[:100, 0])
+    assert len(outliers(samples, step=1.0)) == 0
+    samples[37] += 578.0
+    assert outliers(samples, step=1.0).tolist() == [37]

@@ -1,0 +1,273 @@
+"""What samples show of the sensor: whether it stands still, moves, is knocked, or is stuck at one value.
+
+These are the only detectors of the project; the bench, recorded logs and the characterisation of noise use them with
+limits of their own. Samples that are all alike are not still: a sensor at rest has noise, and one whose reading does
+not change although its noise is larger than half a step of the reading is stuck.
+
+Sources: Tedaldi, Pretto and Menegatti (2014) for the static detector; QARTOD's flat line test for stuck readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import erf, inf, log, sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tiltcal.core.model import Array
+
+Mask = NDArray[np.bool_]
+Span = tuple[int, int]
+"""First row and the row behind the last."""
+
+ARITHMETIC = 1e-12
+"""Differences below this share of the values come from arithmetic, and are no step of the reading."""
+
+CHANCE = 1e-6
+"""Probability of identical samples below which they are no chance."""
+
+STILLEST = 0.01
+"""The share of the windows of a record that counts as its stillest part."""
+
+JUMP = 8.0
+"""A difference of block means beyond so many standard deviations is motion."""
+
+BURST = 5.0
+"""So is a scatter within a block beyond so many times the usual one."""
+
+_SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
+_CHUNK = 1 << 14
+
+
+def run_bounds(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first rows of the runs of True, and the rows behind their last."""
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
+
+
+def runs(mask: Mask) -> list[Span]:
+    """Return the runs of True."""
+    starts, ends = run_bounds(mask)
+    return list(zip(starts.tolist(), ends.tolist(), strict=True))
+
+
+# ---------------------------------------------------------------------------------------------------------------- stuck
+
+
+def repeated(samples: Array, before: ArrayLike = np.nan) -> Mask:
+    """Return where a sample is the same as the one before it, shape (n, channels).
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n, channels)
+        NaN where a value is missing; it repeats nothing.
+    before : array_like, shape (channels,)
+        The row before the first.
+    """
+    same = np.empty(samples.shape, dtype=bool)
+    same[:1] = samples[:1] == before
+    np.equal(samples[1:], samples[:-1], out=same[1:])
+    return same
+
+
+def stuck_runs(samples: Array, shortest: int) -> list[Span]:
+    """Return the runs of at least ``shortest`` rows in which no channel changes.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n, channels)
+        NaN where a value is missing.
+    shortest : int
+        Rows.
+    """
+    return [(start - 1, end) for start, end in runs(np.all(repeated(samples), axis=1)) if end - start >= shortest - 1]
+
+
+def stuck_rows(samples: Array, shortest: int) -> Mask:
+    """Return the rows in long runs of identical samples, where the noise of the rest makes such runs no chance.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n, channels)
+        NaN where a value is missing.
+    shortest : int
+        Rows of a run that is judged.
+    """
+    stuck = np.zeros(len(samples), dtype=bool)
+    for start, end in stuck_runs(samples, shortest):
+        stuck[start:end] = True
+    if not stuck.any():
+        return stuck
+    elsewhere = window_variances(np.nan_to_num(samples), stuck | ~np.isfinite(samples).all(axis=1), shortest)
+    elsewhere = elsewhere[np.isfinite(elsewhere).all(axis=1)]
+    if not len(elsewhere):
+        return stuck
+    noise = np.sqrt(np.quantile(elsewhere, STILLEST, axis=0))
+    change = np.abs(np.diff(samples, axis=0))
+    steps = np.array([np.min(column[column > 0.0], initial=inf) for column in change.T])
+    # Noise of half a step changes every other reading: a run of identical ones is then no chance.
+    return stuck if np.any(noise >= steps / 2) else np.zeros(len(samples), dtype=bool)
+
+
+def resolution(channels: Iterable[Array]) -> float:
+    """Return the step of a recorded reading: the smallest difference between two values of a channel that differ.
+
+    Nobody states the step of a log. One converter reads all channels, and one that stands still shows no step of its
+    own; so the smallest step of any channel counts.
+
+    Parameters
+    ----------
+    channels : iterable of ndarray, shape (n,)
+        NaN where a value is missing.
+
+    Returns
+    -------
+    float
+        In the unit of the readings; 0 where all values are alike.
+    """
+    steps = []
+    for values in channels:
+        different = np.unique(values[np.isfinite(values)])
+        gaps = np.diff(different)
+        steps += gaps[gaps > ARITHMETIC * np.max(np.abs(different), initial=0.0)].tolist()
+    return min(steps, default=0.0)
+
+
+def identical_by_chance(count: int, noise: float, step: float) -> bool:
+    """Return whether noise can leave so many samples in one step of the reading.
+
+    Parameters
+    ----------
+    count : int
+        Of the samples that are identical.
+    noise : float
+        Standard deviation of the samples, in their unit.
+    step : float
+        Of the reading, same unit.
+    """
+    if noise == 0.0:
+        return True
+    # Of normal noise no step holds more than the one in the middle.
+    most = erf(step / noise / sqrt(8.0))
+    return most > 0.0 and count * log(most) >= log(CHANCE)
+
+
+# ---------------------------------------------------------------------------------------------------------------- still
+
+
+def is_still(
+    change: float, uncertainty: float, limit: float, *, sigmas: float = 4.0, shown: bool = False, coverage: float = 2.0
+) -> bool:
+    """Return whether a change along a line through some samples is none.
+
+    Parameters
+    ----------
+    change, uncertainty : float
+        Of :func:`tiltcal.core.statistics.drift`.
+    limit : float
+        The largest change that counts as none, same unit.
+    sigmas : float
+        A change below this many of its standard uncertainties is noise.
+    shown : bool
+        The change must be shown to be within the limit: noise that might hide a larger one is no excuse.
+    coverage : float
+        Standard uncertainties within which it is shown.
+    """
+    return abs(change) <= (limit - coverage * uncertainty if shown else max(limit, sigmas * uncertainty))
+
+
+def window_scatter(samples: Array, lost: Mask, window: int) -> Array:
+    """Return the standard deviation in every window, all channels together (root of the sum of squares).
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n, channels)
+    lost : ndarray of bool, shape (n,)
+        Rows that cannot be used.
+    window : int
+        Rows.
+
+    Returns
+    -------
+    ndarray, shape (n - window + 1,)
+        Infinite where a window holds a lost row; empty where there are fewer rows than a window has.
+    """
+    return np.asarray(np.sqrt(np.sum(window_variances(samples, lost, window), axis=1)))
+
+
+def window_variances(samples: Array, lost: Mask, window: int) -> Array:
+    """Return the sample variance of every channel in every window, shape (n - window + 1, channels).
+
+    The arguments are those of :func:`window_scatter`, and so are infinite values.
+    """
+    rows, channels = samples.shape
+    if rows < window:
+        return np.zeros((0, channels))
+    filled = np.where(lost[:, None], 0.0, samples)
+    pieces = []
+    for start in range(0, rows - window + 1, _CHUNK):
+        piece = filled[start : start + _CHUNK + window - 1]
+        # Running sums about the piece's own mean: over a long record they would lose the noise in their last digits.
+        centred = piece - piece.mean(axis=0)
+        sums, squares = (_window_sums(values, window) for values in (centred, centred**2))
+        pieces.append(np.maximum(squares - sums**2 / window, 0.0) / (window - 1))
+    variances = np.concatenate(pieces)
+    variances[_window_sums(lost[:, None].astype(float), window)[:, 0] > 0.5] = inf
+    return variances
+
+
+def stillest(scatter: Array) -> float | None:
+    """Return the scatter in the stillest part of a record; None where there is none, or no noise in it."""
+    usable = scatter[np.isfinite(scatter) & (scatter > 0.0)]
+    return float(np.quantile(usable, STILLEST)) if len(usable) else None
+
+
+def _window_sums(values: Array, window: int) -> Array:
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return np.asarray(total[window:] - total[:-window])
+
+
+# ---------------------------------------------------------------------------------------------------------------- moved
+
+
+def jumps(means: Array, rounding: ArrayLike = 0.0) -> Mask:
+    """Return the blocks before and behind a difference of block means that stands out: a step, a turn.
+
+    Parameters
+    ----------
+    means : ndarray, shape (blocks, channels)
+        NaN where a block has none.
+    rounding : array_like, shape (channels,)
+        Standard deviation that rounding gives, below which no difference stands out.
+    """
+    changes = np.diff(means, axis=0)
+    difference = np.abs(changes - np.nanmedian(changes, axis=0))
+    usual = np.maximum(_SIGMA_OF_MEDIAN * np.nanmedian(difference, axis=0), rounding)
+    far = difference > JUMP * usual
+    none = np.zeros((1, far.shape[1]), dtype=np.bool_)
+    return np.asarray(np.concatenate([far, none]) | np.concatenate([none, far]))
+
+
+def bursts(scatter: Array, rounding: ArrayLike = 0.0) -> Mask:
+    """Return the blocks whose standard deviation stands out: a knock, a vibration; see :func:`jumps`."""
+    usual = np.maximum(np.nanmedian(scatter, axis=0), rounding)
+    return np.asarray(scatter > BURST * usual)
+
+
+def outliers(samples: Sequence[float] | Array, step: float = 0.0, sigmas: float = 6.0) -> NDArray[np.intp]:
+    """Return the samples of one channel that stand far out of the others.
+
+    Parameters
+    ----------
+    samples : sequence of float
+        Of a sensor at rest.
+    step : float
+        Of the reading, in the unit of the samples: a distance of two steps is no outlier.
+    sigmas : float
+        Standard deviations, judged by the median of the distances from the median, beyond which a sample is out.
+    """
+    values = np.asarray(samples, dtype=float)
+    distance = np.abs(values - np.median(values))
+    usual = max(_SIGMA_OF_MEDIAN * float(np.median(distance)), step / sqrt(12.0))
+    return np.flatnonzero(distance > max(sigmas * usual, 2.0 * step))
