@@ -115,14 +115,16 @@ class Sca100t:
         DeviceFault
             The part reports its own fault, or a temperature at which it cannot be alive.
         """
-        x, y, temperature = self._sample()
+        reading = self.read()
+        temperature = reading.temperature or 0.0
         # The thermometer is not trimmed, so 10 °C are added to both ends of the part's operating range.
         if not -50.0 <= temperature <= 135.0:
             raise DeviceFault(
                 f"the device reports {temperature:.0f} °C, where an SCA100T works from -40 °C to 125 °C: "
                 "is another device on this chip select?"
             )
-        return {"x": f"{x} count", "y": f"{y} count", "temperature": f"{temperature:.1f} °C (not trimmed)"}
+        x, y = reading.values
+        return {"x": f"{x:.0f} count", "y": f"{y:.0f} count", "temperature": f"{temperature:.1f} °C (not trimmed)"}
 
     def read(self) -> Reading:
         """Take one sample: x and y in counts, 0 to 2047, and the temperature in °C.
@@ -134,8 +136,12 @@ class Sca100t:
         DeviceFault
             A word below 102.
         """
-        x, y, temperature = self._sample()
-        return Reading((float(x), float(y)), temperature)
+        x = self._fresh(RDAX, 0, 0)
+        y = self._fresh(RDAY, 0, 0)
+        t = self._fresh(RWTR, 0)
+        # Only once it is sure that a part has sent them are the words looked at.
+        check_data_line(x + y + t)
+        return Reading((float(_checked_word("x", x)), float(_checked_word("y", y))), decode_temperature(t))
 
     def discard(self) -> None:
         """Nothing queues up: every read is a new conversion."""
@@ -179,14 +185,6 @@ class Sca100t:
             self._command(MEAS)
         self._clock.sleep(self.SETTLING)
         return SelfTest(channel, before, deflected, self._word(channel, read))
-
-    def _sample(self) -> tuple[int, int, float]:
-        """Both words in counts and the temperature in °C, once it is sure that a part has sent them."""
-        x = self._fresh(RDAX, 0, 0)
-        y = self._fresh(RDAY, 0, 0)
-        t = self._fresh(RWTR, 0)
-        check_data_line(x + y + t)
-        return _checked_word("x", x), _checked_word("y", y), decode_temperature(t)
 
     def _word(self, channel: str, command: int) -> int:
         frame = self._fresh(command, 0, 0)

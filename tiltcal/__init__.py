@@ -22,6 +22,7 @@ from tiltcal.errors import (
 )
 
 if TYPE_CHECKING:
+    from tiltcal.bench.measure import measure, open_sensor
     from tiltcal.bench.plan import plan
     from tiltcal.calibration.calibration import Calibration, read
     from tiltcal.calibration.comparison import compare
@@ -35,6 +36,8 @@ _HOME = {
     "PairCalibration": "tiltcal.calibration.pair_calibration",
     "compare": "tiltcal.calibration.comparison",
     "fit": "tiltcal.logs.fit",
+    "measure": "tiltcal.bench.measure",
+    "open_sensor": "tiltcal.bench.measure",
     "plan": "tiltcal.bench.plan",
     "read": "tiltcal.calibration.calibration",
 }
@@ -56,6 +59,8 @@ __all__ = [
     "__version__",
     "compare",
     "fit",
+    "measure",
+    "open_sensor",
     "plan",
     "read",
 ]

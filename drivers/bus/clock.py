@@ -50,7 +50,8 @@ class SystemClock:
         time.sleep(seconds)
 
     def seek(self, now_ns: int) -> None:
-        """The machine's clock goes its own way."""
+        """Go on from ``now_ns`` where the machine's clock is behind it, as on a computer whose clock lost its time."""
+        self._since_start += max(now_ns - self.now_ns(), 0)
 
 
 class VirtualClock:

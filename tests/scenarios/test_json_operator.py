@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from support.command import measure
 from support.json_program import GONE, Event, Session, lead
 
-from tiltcal.bench.operators.json_lines import understood
+from tiltcal.bench.operators.json_lines import parsed
+from tiltcal.bench.operators.rig import understood
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.records import PositionSet
@@ -130,4 +131,4 @@ def test_an_answer_that_will_not_do_is_refused_with_the_reason(rubbish: str, tmp
 @given(st.text() | st.binary().map(lambda data: data.decode(errors="replace")))
 def test_any_line_is_an_answer_or_an_input_error(line: str) -> None:
     with suppress(InputError):
-        understood(line)
+        understood(parsed(line))

@@ -14,13 +14,10 @@ import numpy as np
 import pytest
 from support import FIXTURES
 
-from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.session import Session
-from tiltcal.bench.session_plan import plan_session, single
+from tiltcal.bench.measure import measure
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.procedure import find_procedure
 from tiltcal.files.twin import read_twin
 
 TWIN = FIXTURES / "twins" / "mavs.yaml"
@@ -34,9 +31,15 @@ def calibrations(tmp_path_factory: pytest.TempPathFactory) -> list[CalibrationRe
     found = []
     for seed in SEEDS:
         output, journal = folder / f"{seed}.yaml", folder / f"{seed}.journal.jsonl"
-        bench = single("sca100t-d02", f"A-{seed}", f"sim:?twin={TWIN}&seed={seed}")
-        plan = plan_session(find_procedure("mavs"), bench, [output], journal, lead="sim")
-        Session(plan, journal).measure(SimOperator(lambda line: None))
+        measure(
+            "mavs",
+            operator="sim",
+            sensor="sca100t-d02",
+            address=f"sim:?twin={TWIN}&seed={seed}",
+            serial=f"A-{seed}",
+            output=output,
+            journal=journal,
+        )
         found.append(read_calibration(output))
     return found
 

@@ -308,10 +308,7 @@ def test_killed_at_a_random_moment_on_the_virtual_stage(
 
 
 def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
-    from tiltcal.bench.operators.sim import SimOperator
-    from tiltcal.bench.session import Session
-    from tiltcal.bench.session_plan import SessionPlan
-    from tiltcal.files.journal import read_journal
+    from tiltcal.bench.measure import measure
 
     whole = (never_stopped / JOURNAL).read_bytes()
     golden = (never_stopped / "pair.yaml").read_bytes()
@@ -319,8 +316,7 @@ def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
     for place in [header, header + 1, len(whole) - 1, *random.Random(7).sample(range(header, len(whole)), 12)]:
         path = tmp_path / JOURNAL
         path.write_bytes(whole[:place])
-        captured = read_journal(path)
-        Session(SessionPlan.from_journal(captured), path, captured).measure(SimOperator(lambda line: None))
+        measure(resume=path)
         assert (tmp_path / "pair.yaml").read_bytes() == golden, place
         assert path.read_bytes() == whole, place
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from support.command import measure, tiltcal
 
-from tiltcal.bench.operators.answer import OperatorAnswer
+from tiltcal.bench.operators.operator import OperatorAnswer
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.session import Session
-from tiltcal.bench.session_plan import SessionPlan, plan_session, single
+from tiltcal.bench.session_plan import plan_session, single
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
@@ -55,7 +55,7 @@ def run(
     said: list[str] = []
     live = session(procedure, **options)
     live.preflight()
-    live.measure(operator or SimOperator(said.append))
+    live.run(operator or SimOperator(said.append)).write()
     return read_calibration("S-1.yaml"), said
 
 
@@ -124,7 +124,7 @@ def test_a_fault_that_stays_ends_the_session(bench: Path) -> None:
     live = session()
     live.preflight()
     with pytest.raises(HardwareError, match="unplugged"):
-        live.measure(SimOperator(lambda line: None))
+        live.run(SimOperator())
     assert not Path("S-1.yaml").exists()
     assert Path("S-1.journal.jsonl").exists()
 
@@ -134,13 +134,11 @@ def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone(bench: Path
     live = session()
     live.preflight()
     with pytest.raises(HardwareError, match="unplugged"):
-        live.measure(SimOperator(lambda line: None))
-    journal = read_journal("S-1.journal.jsonl")
-    resumed = Session(SessionPlan.from_journal(journal), journal.path, journal).measure(SimOperator(lambda line: None))
-    captured = read_journal("S-1.journal.jsonl")
-    assert captured.end is not None
-    again = Session(SessionPlan.from_journal(captured), captured.path, captured).replay(SimOperator(lambda line: None))
-    assert again.texts == resumed.texts
+        live.run(SimOperator())
+    journal = Path("S-1.journal.jsonl")
+    resumed = Session.of_journal(journal).run(SimOperator())
+    assert read_journal(journal).end is not None
+    assert Session.of_journal(journal).replay().texts == resumed.texts
 
 
 def test_a_slow_chamber_is_waited_for(bench: Path) -> None:

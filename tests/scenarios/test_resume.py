@@ -42,10 +42,7 @@ def test_killed_at_a_random_moment(number: int, never_stopped: Path, start: Star
 
 def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
     """Within one process, at many more places than can be hit by killing: torn lines, the end record, its edges."""
-    from tiltcal.bench.operators.sim import SimOperator
-    from tiltcal.bench.session import Session
-    from tiltcal.bench.session_plan import SessionPlan
-    from tiltcal.files.journal import read_journal
+    from tiltcal.bench.measure import measure as measure_here
 
     whole = (never_stopped / JOURNAL).read_bytes()
     golden = (never_stopped / "S-1.yaml").read_bytes()
@@ -55,8 +52,7 @@ def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
     for place in places:
         path = tmp_path / JOURNAL
         path.write_bytes(whole[:place])
-        captured = read_journal(path)
-        Session(SessionPlan.from_journal(captured), path, captured).measure(SimOperator(lambda line: None))
+        measure_here(resume=path)
         assert (tmp_path / "S-1.yaml").read_bytes() == golden, place
         assert path.read_bytes() == whole, place
 

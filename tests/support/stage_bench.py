@@ -9,11 +9,9 @@ import numpy as np
 
 from support import accelerometer_disk as disk
 from tiltcal.bench.channel_map import map_channels
-from tiltcal.bench.event_log import EventLog, RecordedClock
-from tiltcal.bench.operators.answer import OperatorAnswer
-from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.operators.sim_stage import StageTurn
-from tiltcal.bench.recorded_operator import RecordedOperator
+from tiltcal.bench.event_log import EventLog, RecordedClock, RecordedLink
+from tiltcal.bench.operators.operator import OperatorAnswer, StageTurn
+from tiltcal.bench.operators.sim import SimRotationOperator
 from tiltcal.bench.rotation_runner import RotationResult, RotationRunner
 from tiltcal.bench.sensor_set import ConnectedSensor, SensorSet
 from tiltcal.core.pair.matching import Matching
@@ -65,11 +63,11 @@ class Device:
         pass
 
 
-class Attendant(SimOperator):
+class Attendant(SimRotationOperator):
     """Says ready, and stop where it is told to; keeps what it hears."""
 
     def __init__(self, *, stop_after: Sequence[int] = (), readies: int = 1) -> None:
-        super().__init__(lambda text: None)
+        super().__init__()
         self.turns: list[StageTurn] = []
         self.told: list[str] = []
         self.matchings: Sequence[Matching] = ()
@@ -90,16 +88,16 @@ class Attendant(SimOperator):
             return OperatorAnswer("stop")
         return None
 
-    def turned(self, turn: StageTurn) -> None:
+    def turn_completed(self, turn: StageTurn) -> None:
         self.turns.append(turn)
 
-    def held(self, why: str) -> None:
+    def paused(self, why: str) -> None:
         self.told.append(why)
 
     def resumed(self) -> None:
         self.told.append("goes on")
 
-    def turning_refused(self, why: str) -> None:
+    def refused(self, why: str) -> None:
         self.told.append(f"refused: {why}")
 
     def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
@@ -126,16 +124,16 @@ def turned(
     writer = JournalWriter.create(journal, {}) if journal and before is None else None
     if resume and before is not None:
         writer = JournalWriter.resume(before)
-    tape = EventLog(clock, before, writer)
-    recorded = RecordedClock(tape, clock)
+    log = EventLog(clock, before, writer)
+    recorded = RecordedClock(log, clock)
     device = Device(printed, clock, interval)
-    driver = model.driver(tape.link(lambda: device, "r", 0), recorded)
-    rack = SensorSet([ConnectedSensor(model, "G-1", driver)])
-    hookup = map_channels(rotation, [("G-1", model)])
-    runner = RotationRunner(rotation, hookup, rack, attendant, RecordedOperator(tape), tape, recorded)
+    driver = model.driver(RecordedLink(log, lambda: device, "r", 0), recorded)
+    sensors = SensorSet([ConnectedSensor(model, "G-1", driver)])
+    channels = map_channels(rotation, [("G-1", model)])
+    runner = RotationRunner(rotation, channels, sensors, attendant, log, recorded)
     try:
         found = runner.run("a rotation")
-        tape.finish()
+        log.finish()
         return found
     finally:
         if writer is not None:

@@ -24,6 +24,8 @@ NAMES = [
     "__version__",
     "compare",
     "fit",
+    "measure",
+    "open_sensor",
     "plan",
     "read",
 ]

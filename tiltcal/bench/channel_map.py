@@ -1,4 +1,4 @@
-"""The hookup: which reading of which device each channel of a turning stage is.
+"""Which reading of which device each channel of a turning stage is.
 
 A channel is called as `tiltcal record` names its column: ``a1`` of a single device, ``S-7_a1`` of several; where only
 one device has a channel of the name, the name alone will do. The pairs that come of it carry the names of the columns,
@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tiltcal.bench.sensor_set import Sample, column_name
+from tiltcal.bench.recording import column_name
+from tiltcal.bench.sensor_set import Sample
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
@@ -26,7 +27,7 @@ class ChannelRef:
     column : str
         As `tiltcal record` calls it.
     device, place : int
-        Of the rack, and of the device's reading.
+        The numbers of the device, and of the value in its reading.
     """
 
     column: str
@@ -67,42 +68,42 @@ def map_channels(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> Ch
     ----------
     rotation : Rotation
     devices : sequence of (str, Model)
-        Serial number and model as it is wired, in the order of the rack.
+        Serial number and model as it is wired, in the order of the bench.
 
     Raises
     ------
     UsageError
         No stage angle, or not one pair has its channels.
     """
-    board = _Board(devices)
-    phase = board.tap(rotation.phase)
+    channels = _Channels(devices)
+    phase = channels.find(rotation.phase)
     if phase is None:
         raise UsageError(
-            f"no device has the stage angle {rotation.phase!r} (there are {board.names}): where a device prints it, "
+            f"no device has the stage angle {rotation.phase!r} (there are {channels.names}): where a device prints it, "
             f"name it in the address, such as columns={rotation.phase},...; of a stage without an encoder record the "
             "turning with `tiltcal record`, and match the log with `tiltcal match` without --phase, which estimates "
             "the spin"
         )
-    taps: dict[str, ChannelRef] = {}
+    refs: dict[str, ChannelRef] = {}
     pairs, left_out = [], []
     for pair in rotation.pairs:
-        found = {name: board.tap(name) for name in pair.channels}
-        missing = [name for name, tap in found.items() if tap is None]
+        found = {name: channels.find(name) for name in pair.channels}
+        missing = [name for name, ref in found.items() if ref is None]
         if missing:
             left_out.append(f"{pair.first} and {pair.second} are not matched: there is no {' and no '.join(missing)}")
             continue
-        known = {name: tap for name, tap in found.items() if tap is not None}
-        taps |= {tap.column: tap for tap in known.values()}
+        known = {name: ref for name, ref in found.items() if ref is not None}
+        refs |= {ref.column: ref for ref in known.values()}
         pairs.append(Pair(*(known[name].column for name in pair.channels)))
     if not pairs:
         raise UsageError(
-            f"no pair has its channels: {'; '.join(left_out)} (there are {board.names}): name them in the address, or "
-            "copy the procedure and name your own pairs"
+            f"no pair has its channels: {'; '.join(left_out)} (there are {channels.names}): name them in the address, "
+            "or copy the procedure and name your own pairs"
         )
-    return ChannelMap(phase, tuple(taps.values()), tuple(pairs), tuple(left_out))
+    return ChannelMap(phase, tuple(refs.values()), tuple(pairs), tuple(left_out))
 
 
-class _Board:
+class _Channels:
     """Every reading of a bench, by the names it goes by."""
 
     def __init__(self, devices: Sequence[tuple[str, Model]]) -> None:
@@ -110,15 +111,15 @@ class _Board:
         self._by_channel: dict[str, list[ChannelRef]] = {}
         for number, (serial, model) in enumerate(devices):
             for place, channel in enumerate(model.channels):
-                tap = ChannelRef(column_name(serial, channel, alone=len(devices) == 1), number, place)
-                self._by_column[tap.column] = tap
-                self._by_channel.setdefault(channel, []).append(tap)
+                ref = ChannelRef(column_name(serial, channel, alone=len(devices) == 1), number, place)
+                self._by_column[ref.column] = ref
+                self._by_channel.setdefault(channel, []).append(ref)
 
     @property
     def names(self) -> str:
         return ", ".join(self._by_column) or "no readings"
 
-    def tap(self, name: str) -> ChannelRef | None:
+    def find(self, name: str) -> ChannelRef | None:
         """The reading of a name; None where there is none.
 
         Raises
@@ -130,6 +131,6 @@ class _Board:
             return self._by_column[name]
         found = self._by_channel.get(name, [])
         if len(found) > 1:
-            columns = " or ".join(tap.column for tap in found)
+            columns = " or ".join(ref.column for ref in found)
             raise UsageError(f"{len(found)} devices have a channel {name!r}: say in the procedure which, {columns}")
         return found[0] if found else None

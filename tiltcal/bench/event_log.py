@@ -1,7 +1,7 @@
-"""The tape: everything a session cannot know beforehand passes through it.
+"""The event log: everything that a session cannot compute passes through it.
 
 A session is a program whose only inputs are the bytes of its buses, the operator's answers and the times of both. All
-of them come from the tape. Where the journal has a next event, the tape plays it; where it has none, the tape lets
+of them come from the event log. Where the journal has a next event, the log plays it; where it has none, the log lets
 the live thing happen and appends it. So recording, replaying and resuming are one path, and cannot differ.
 """
 
@@ -9,21 +9,34 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from enum import Enum
+from typing import Any, ParamSpec
 
+from tiltcal.bench.operators.operator import OperatorAnswer
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link, Recalling
 from tiltcal.errors import BusError, JournalError
-from tiltcal.files.journal import ANSWER, HARDWARE_ERROR, POSITION, RESUMED, Event, Journal, JournalWriter
+from tiltcal.files.journal import ANSWER, HARDWARE_ERROR, LIVE_READING, POSITION, RESUMED, Event, Journal, JournalWriter
 
-Answer = dict[str, Any]
+P = ParamSpec("P")
 
 REMEMBERED = 32
 """Transactions that a part's registers may depend on: none polls a conversion more often."""
 
 
-class Resumed(Exception):
-    """The session was interrupted here."""
+class SessionState(Enum):
+    """Where a session is on its event log."""
+
+    PLAYING = "the next event is in the journal"
+    RESUMING = "the journal is played, and nothing has happened since"
+    LIVE = "what happens is recorded"
+
+
+class Interruption(BusError):
+    """A bus transaction that never took place, because the session was interrupted there."""
+
+    def __init__(self) -> None:
+        super().__init__("the session was interrupted here; the bench may have been touched since")
 
 
 class EventLog:
@@ -37,156 +50,151 @@ class EventLog:
         What was captured before.
     writer : JournalWriter, optional
         Where live events go. Without one nothing live may happen: that is a replay.
+
+    Attributes
+    ----------
+    state : SessionState
     """
 
     def __init__(self, clock: Clock, journal: Journal | None = None, writer: JournalWriter | None = None) -> None:
         self._clock = clock
         self._journal = journal
-        self._events: tuple[Event, ...] = journal.events if journal else ()
-        self._next = 0
         self._writer = writer
+        self._events: list[Event] = list(journal.events) if journal else []
+        self._next = 0
         self._now_ns = 0
-        self._recorded = False
-        # Virtual sensors and their jig stand as they stood; at a real bench anything may have happened meanwhile.
-        self._resuming = clock.real and writer is not None and journal is not None
-
-    @property
-    def playing(self) -> bool:
-        """Whether the next event comes from the journal."""
-        return self._next < len(self._events)
-
-    @property
-    def resumed_before_here(self) -> bool:
-        """Whether what happened last was captured before, and the session goes on from it: played, or resumed here."""
-        return self.playing or (self._journal is not None and self._writer is not None and not self._recorded)
-
-    @property
-    def silent(self) -> bool:
-        """Whether nothing live may be heard yet: it plays, or it has still to note that the session goes on here."""
-        return self.playing or self._resuming
+        if journal is not None and writer is not None and clock.real:
+            self._events.append(self._resumption(writer))
+        self.state = SessionState.PLAYING if self._events else SessionState.LIVE
 
     def now_ns(self) -> int:
-        """Time of the last event, in nanoseconds since the session began."""
+        """Return the time of the last event, in nanoseconds since the session began."""
         return self._now_ns
-
-    def next_is_answer(self) -> bool:
-        """Whether the next event in the journal is an operator's answer."""
-        return self.playing and self._events[self._next].kind == ANSWER
-
-    def answer_waits(self, question: str) -> bool:
-        """Whether the next event in the journal is an answer to this question."""
-        return self.next_is_answer() and self._events[self._next].payload[0].get("to") == question
 
     def secure(self) -> None:
         """Have all that was recorded on the disk."""
-        if self._writer is not None and not self.playing:
+        if self._writer is not None and self.state is not SessionState.PLAYING:
             self._writer.secure()
 
-    def link(self, live: Callable[[], Link], letter: str, number: int) -> RecordedLink:
-        """A link that goes through this tape; ``live`` opens the real one when it is first needed."""
-        return RecordedLink(self, live, letter, number)
+    def ask(
+        self, question: str, operator: Callable[P, OperatorAnswer], *args: P.args, **kwargs: P.kwargs
+    ) -> OperatorAnswer:
+        """Return the answer to a question: from the journal, or else from the operator's method.
 
-    def exchange(self, letter: str, number: int, out: bytes, live: Callable[[], bytes]) -> bytes:
-        """One bus transaction.
-
-        Raises
-        ------
-        BusError
-            It failed, now or when it was captured.
-        JournalError
-            The journal has something else here.
-        Resumed
-            The session was interrupted here, and the bench may have been touched since.
+        Parameters
+        ----------
+        question : str
+            ``position``, ``review``, ``write``, ``rotation`` or a place of :meth:`poll`.
+        operator : callable
+            Asked with the arguments that follow.
         """
-        if self._paused():
-            raise Resumed
-        sent = out.hex()
-        device = (number,) if number else ()
-        if self.playing:
-            event = self._play()
-            if event.kind == HARDWARE_ERROR and event.payload[0] == sent and event.payload[2:] == device:
-                raise BusError(event.payload[1])
-            if event.kind != letter or event.payload[0] != sent or event.payload[2:] != device:
-                raise self._mismatch(event, f"the driver sends {letter} {sent or 'nothing'}")
-            return bytes.fromhex(event.payload[1])
-        self._require_writer()
-        try:
-            answer = live()
-        except BusError as error:
-            self._record(HARDWARE_ERROR, sent, str(error), *device)
-            raise
-        self._record(letter, sent, answer.hex(), *device)
-        return answer
-
-    def answer(self, question: str, live: Callable[[], Answer]) -> Answer:
-        """What the operator answers to a question (``position``, ``review``, ``write``)."""
-        self._pass_pauses()
-        if self.playing:
+        self._pass_interruptions()
+        if self.state is SessionState.PLAYING:
             event = self._play()
             if event.kind != ANSWER or event.payload[0].get("to") != question:
                 raise self._mismatch(event, f"the procedure asks for an answer to {question!r}")
-            recorded: Answer = event.payload[0]
-            return {key: value for key, value in recorded.items() if key != "to"}
-        self._require_writer()
-        given = live()
-        self._record(ANSWER, {"to": question, **given})
-        return given
+            return OperatorAnswer.from_record(event.payload[0])
+        self.require_writer()
+        answer = operator(*args, **kwargs)
+        self.record(ANSWER, {"to": question, **answer.record()})
+        return answer
+
+    def poll(self, question: str, operator: Callable[[], OperatorAnswer | None]) -> OperatorAnswer | None:
+        """Return what the operator said without being asked, at its place in the journal; None where that is nothing.
+
+        Parameters
+        ----------
+        question : str
+            The place of such a word, another one wherever one may come.
+        operator : callable
+            Returns at once.
+        """
+        if self.state is SessionState.PLAYING:
+            event = self._events[self._next]
+            if event.kind != ANSWER or event.payload[0].get("to") != question:
+                return None
+            return OperatorAnswer.from_record(self._play().payload[0])
+        said = operator() if self.state is SessionState.LIVE else None
+        if said is not None:
+            self.record(ANSWER, {"to": question, **said.record()})
+        return said
+
+    def tell(self, operator: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
+        """Tell the operator something, unless it was told before the session was interrupted."""
+        if self.state is not SessionState.PLAYING:
+            operator(*args, **kwargs)
+
+    def live_reading(self) -> None:
+        """Note that a reading follows that only the operator looks at."""
+        self.require_writer()
+        self.record(LIVE_READING)
+
+    def plays_live_reading(self) -> bool:
+        """Pass the note of a live reading, where it is the next event."""
+        self._pass_interruptions()
+        if self.state is not SessionState.PLAYING or self._events[self._next].kind != LIVE_READING:
+            return False
+        self._play()
+        return True
 
     def position(self, summary: dict[str, Any]) -> None:
         """Note an accepted position, and have all before it on the disk."""
-        self._pass_pauses()
-        if self.playing:
+        self._pass_interruptions()
+        if self.state is SessionState.PLAYING:
             event = self._play()
             if event.kind != POSITION or event.payload[0] != summary:
                 raise self._mismatch(event, f"the samples give {summary}")
             return
-        self._require_writer()
-        self._record(POSITION, summary)
-        if self._writer is not None:
-            self._writer.secure()
+        self.require_writer()
+        self.record(POSITION, summary)
+        self.secure()
 
     def finish(self) -> str:
-        """End the session; the SHA-256 of its journal."""
-        self._pass_pauses()
+        """End the session; return the SHA-256 of its journal."""
+        self._pass_interruptions()
         if self._journal is not None and self._journal.end is not None:
-            if self.playing:
+            if self.state is SessionState.PLAYING:
                 raise self._mismatch(self._events[self._next], "the procedure is at its end")
             return self._journal.sha256
-        self._require_writer()
+        self.require_writer()
         return self._writer.finish(0) if self._writer is not None else ""
 
-    def _paused(self) -> bool:
-        """Whether the session was interrupted at this point; a live one notes that it goes on here."""
-        if self.playing:
-            if self._events[self._next].kind != RESUMED:
-                return False
-            self._play()
-            return True
-        if self._resuming:
-            self._resuming = False
-            self._record(RESUMED)
-            return True
-        return False
+    def play_transaction(self, letter: str, number: int, out: bytes) -> bytes:
+        """Return what a device answered to ``out``, from the journal.
 
-    def _pass_pauses(self) -> None:
-        while self._paused():
-            pass
+        Raises
+        ------
+        BusError
+            It failed when it was captured, or the session was interrupted here.
+        JournalError
+            The journal has something else here.
+        """
+        event = self._play()
+        if event.kind == RESUMED:
+            raise Interruption
+        sent, device = out.hex(), (number,) if number else ()
+        if event.kind == HARDWARE_ERROR and event.payload[0] == sent and event.payload[2:] == device:
+            raise BusError(event.payload[1])
+        if event.kind != letter or event.payload[0] != sent or event.payload[2:] != device:
+            raise self._mismatch(event, f"the driver sends {letter} {sent or 'nothing'}")
+        return bytes.fromhex(event.payload[1])
 
-    def _play(self) -> Event:
-        event = self._events[self._next]
-        self._next += 1
-        self._now_ns += event.dt_ns
-        self._clock.seek(self._now_ns)
-        return event
-
-    def _record(self, kind: str, *payload: Any) -> None:
+    def record(self, kind: str, *payload: Any) -> None:
+        """Append what has just happened."""
         now_ns = max(self._clock.now_ns(), self._now_ns)
-        self._recorded = True
+        self.state = SessionState.LIVE
         if self._writer is not None:
             self._writer.append(now_ns - self._now_ns, kind, *payload)
         self._now_ns = now_ns
 
-    def _require_writer(self) -> None:
+    def require_writer(self) -> None:
+        """Refuse that anything live happens in a replay.
+
+        Raises
+        ------
+        JournalError
+            The journal ends here, and the session does not.
+        """
         if self._writer is None and self._journal is not None:
             path = self._journal.path
             raise JournalError(
@@ -194,6 +202,30 @@ class EventLog:
                 file=path,
                 line=len(self._events) + 1,
             )
+
+    def _resumption(self, writer: JournalWriter) -> Event:
+        """Record that the session goes on: at a real bench anything may have happened meanwhile.
+
+        Virtual sensors and their jig stand as they stood; their journals have no such event.
+        """
+        stopped_ns = sum(event.dt_ns for event in self._events)
+        self._clock.seek(stopped_ns)
+        pause_ns = max(self._clock.now_ns() - stopped_ns, 0)
+        writer.append(pause_ns, RESUMED)
+        return Event(len(self._events) + 2, pause_ns, RESUMED, ())
+
+    def _pass_interruptions(self) -> None:
+        while self.state is SessionState.PLAYING and self._events[self._next].kind == RESUMED:
+            self._play()
+
+    def _play(self) -> Event:
+        event = self._events[self._next]
+        self._next += 1
+        self._now_ns += event.dt_ns
+        self._clock.seek(self._now_ns)
+        if self._next == len(self._events):
+            self.state = SessionState.RESUMING
+        return event
 
     def _mismatch(self, event: Event, wanted: str) -> JournalError:
         held = " ".join(str(part) for part in (event.kind, *event.payload))
@@ -205,26 +237,51 @@ class EventLog:
 
 
 class RecordedLink:
-    """A link whose transactions are played from, or recorded on, a tape."""
+    """A link whose transactions are played from, or recorded on, an event log.
 
-    def __init__(self, tape: EventLog, live: Callable[[], Link], letter: str, number: int) -> None:
-        self._tape = tape
-        self._open = live
-        self._live: Link | None = None
-        self._number = number
-        self._played: deque[tuple[bytes, int]] = deque(maxlen=REMEMBERED)
+    Parameters
+    ----------
+    log : EventLog
+    connect : callable
+        Opens the real link; called when it is first needed.
+    letter : str
+        The bus in the journal.
+    number : int
+        The device in the journal.
+    """
+
+    def __init__(self, log: EventLog, connect: Callable[[], Link], letter: str, number: int) -> None:
         self.letter = letter
+        self._log = log
+        self._connect = connect
+        self._number = number
+        self._live: Link | None = None
+        self._played: deque[tuple[bytes, int]] = deque(maxlen=REMEMBERED)
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """One transaction; after an error the next one opens the bus anew, so a re-plugged sensor goes on."""
-        playing = self._tape.playing
+        """Carry out one transaction; after an error the next one opens the bus anew, so a re-plugged sensor goes on."""
+        log = self._log
+        if log.state is SessionState.PLAYING:
+            try:
+                answer = log.play_transaction(self.letter, self._number, out)
+            except BusError:
+                self._played.clear()
+                raise
+            self._played.append((out, log.now_ns()))
+            return answer
+        log.require_writer()
+        device = (self._number,) if self._number else ()
         try:
-            answer = self._tape.exchange(self.letter, self._number, out, lambda: self._exchange(out, count))
-        except BusError:
+            if self._live is None:
+                self._live = self._connect()
+                self._remind(self._live)
+            answer = self._live.exchange(out, count)
+        except BusError as error:
+            self.close()
             self._played.clear()
+            log.record(HARDWARE_ERROR, out.hex(), str(error), *device)
             raise
-        if playing:
-            self._played.append((out, self._tape.now_ns()))
+        log.record(self.letter, out.hex(), answer.hex(), *device)
         return answer
 
     def close(self) -> None:
@@ -232,18 +289,8 @@ class RecordedLink:
             self._live.close()
             self._live = None
 
-    def _exchange(self, out: bytes, count: int) -> bytes:
-        try:
-            if self._live is None:
-                self._live = self._open()
-                self._remind(self._live)
-            return self._live.exchange(out, count)
-        except BusError:
-            self.close()
-            raise
-
     def _remind(self, live: Link) -> None:
-        """A new twin hears what was sent to the one before it; a real part has heard it."""
+        """Send a new twin what was sent to the one before it; a real part has had it."""
         if isinstance(live, Recalling):
             for out, now_ns in self._played:
                 live.recall(out, now_ns)
@@ -251,21 +298,21 @@ class RecordedLink:
 
 
 class RecordedClock:
-    """The clock that drivers and the runner wait on: while the tape plays, real waits are skipped.
+    """The clock that drivers and the runner wait on: while the log plays, real waits are skipped.
 
     A virtual clock is moved in both cases, so that after the last event that is played it stands where it stood when
     the session was interrupted.
     """
 
-    def __init__(self, tape: EventLog, clock: Clock) -> None:
-        self._tape = tape
+    def __init__(self, log: EventLog, clock: Clock) -> None:
+        self._log = log
         self._clock = clock
 
     def now_ns(self) -> int:
-        return self._tape.now_ns()
+        return self._log.now_ns()
 
     def sleep(self, seconds: float) -> None:
-        if not self._tape.playing or not self._clock.real:
+        if self._log.state is not SessionState.PLAYING or not self._clock.real:
             self._clock.sleep(seconds)
 
     def seek(self, now_ns: int) -> None:

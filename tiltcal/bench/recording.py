@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from tiltcal.bench.event_log import EventLog
-from tiltcal.bench.sensor_set import ConnectedSensor, Listener, SensorSet, column_name
+from tiltcal.bench.sensor_set import ConnectedSensor, Listener, SensorSet
 from tiltcal.bench.session_plan import stamp
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Reading
@@ -76,17 +76,22 @@ class CsvRecorder:
         os.close(self._descriptor)
 
 
-def header(bays: Sequence[ConnectedSensor], *, thermometer: bool) -> list[str]:
+def column_name(serial: str, channel: str, *, alone: bool) -> str:
+    """Return the column of a channel: its name alone, or of several devices behind the serial number."""
+    return channel if alone else f"{serial}_{channel}"
+
+
+def header(connected: Sequence[ConnectedSensor], *, thermometer: bool) -> list[str]:
     """Column names: ``x``, ``y``, ``temperature`` of a single sensor; of several each begins with the serial number."""
     names = ["time"]
-    for bay in bays:
-        own = ["temperature"] if bay.model.thermometer and not thermometer else []
-        names += [column_name(bay.serial, name, alone=len(bays) == 1) for name in (*bay.model.channels, *own)]
+    for one in connected:
+        own = ["temperature"] if one.model.thermometer and not thermometer else []
+        names += [column_name(one.serial, name, alone=len(connected) == 1) for name in (*one.model.channels, *own)]
     return names + (["temperature"] if thermometer else [])
 
 
 def sample_rows(
-    stream: BinaryIO, bays: Sequence[ConnectedSensor], started: datetime, tape: EventLog, thermometer: bool
+    stream: BinaryIO, connected: Sequence[ConnectedSensor], started: datetime, events: EventLog, thermometer: bool
 ) -> Listener:
     """What writes a session's samples as the rows of a log; a sensor that was given up leaves its cells empty.
 
@@ -94,10 +99,10 @@ def sample_rows(
     ----------
     stream : BinaryIO
         Has the header at once.
-    bays : sequence of ConnectedSensor
+    connected : sequence of ConnectedSensor
     started : datetime
         UTC, when the session began.
-    tape : EventLog
+    events : EventLog
         Says when a sample was taken.
     thermometer : bool
         Whether the bench has one of its own.
@@ -107,15 +112,15 @@ def sample_rows(
         stream.write((",".join(cells) + "\n").encode())
 
     def row(sample: Mapping[str, Reading]) -> None:
-        moment = started + timedelta(microseconds=tape.now_ns() / 1000)
-        write(_cells(bays, [sample.get(bay.serial) for bay in bays], moment, thermometer))
+        moment = started + timedelta(microseconds=events.now_ns() / 1000)
+        write(_cells(connected, [sample.get(one.serial) for one in connected], moment, thermometer))
 
-    write(header(bays, thermometer=thermometer))
+    write(header(connected, thermometer=thermometer))
     return row
 
 
 def record(
-    rack: SensorSet,
+    sensors: SensorSet,
     log: CsvRecorder,
     clock: Clock,
     started: datetime,
@@ -128,13 +133,13 @@ def record(
 
     Parameters
     ----------
-    rack : SensorSet
+    sensors : SensorSet
     log : CsvRecorder
     clock : Clock
     started : datetime
         UTC, when ``clock`` stood at zero.
     thermometer : bool
-        Whether the rack has one of its own.
+        Whether the sensors has one of its own.
     interval : float
         Seconds between rows.
     rows : int or None
@@ -147,16 +152,16 @@ def record(
     """
     tally = RecordingTally()
     # A sensor that talks faster than rows are taken would be read later and later.
-    slower = interval > 1.5 * min(model.interval for model in rack.models)
-    rack.discard()
+    slower = interval > 1.5 * min(model.interval for model in sensors.models)
+    sensors.discard()
     due_ns = secured_ns = clock.now_ns()
     while rows is None or tally.rows < rows:
         if slower:
             with suppress(HardwareError):
-                rack.discard()
-        readings, why = rack.read_available()
+                sensors.discard()
+        readings, why = sensors.read_available()
         now_ns = clock.now_ns()
-        log.write(_cells(rack.bays, readings, started + timedelta(microseconds=now_ns / 1000), thermometer))
+        log.write(_cells(sensors.sensors, readings, started + timedelta(microseconds=now_ns / 1000), thermometer))
         tally.rows += 1
         if why:
             tally.missing, tally.why = tally.missing + len(why), why[-1]
@@ -169,15 +174,15 @@ def record(
 
 
 def _cells(
-    bays: Sequence[ConnectedSensor], readings: Sequence[Reading | None], moment: datetime, thermometer: bool
+    connected: Sequence[ConnectedSensor], readings: Sequence[Reading | None], moment: datetime, thermometer: bool
 ) -> list[str]:
     cells = [stamp(moment)]
     common = None
-    for bay, reading in zip(bays, readings, strict=True):
-        cells += [""] * len(bay.model.channels) if reading is None else [f"{value:.10g}" for value in reading.values]
+    for one, reading in zip(connected, readings, strict=True):
+        cells += [""] * len(one.model.channels) if reading is None else [f"{value:.10g}" for value in reading.values]
         temperature = None if reading is None else reading.temperature
         common = temperature if common is None else common
-        if bay.model.thermometer and not thermometer:
+        if one.model.thermometer and not thermometer:
             cells.append(_temperature(temperature))
     return cells + ([_temperature(common)] if thermometer else [])
 

@@ -1,8 +1,8 @@
 """The runner of a rotation: samples the accelerometers of a turning stage until their pairs are matched.
 
-The operator is asked once. Then every sample comes from the tape, in blocks of a fraction of a second. What cannot be
-used is told once with the reason, and so is that it goes on; after each turn the operator is told p and q. It ends when
-they are known as the procedure asks, when its turns are made, or when the operator says stop.
+The operator is asked once. Then every sample comes from the event log, in blocks of a fraction of a second. What cannot
+be used is told once with the reason, and so is that it goes on; after each turn the operator is told p and q. It ends
+when they are known as the procedure asks, when its turns are made, or when the operator says stop.
 """
 
 from __future__ import annotations
@@ -11,21 +11,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from tiltcal.bench.channel_map import ChannelMap
-from tiltcal.bench.event_log import EventLog, RecordedClock, Resumed
-from tiltcal.bench.operators.operator import Operator
-from tiltcal.bench.operators.sim_stage import QUESTION, StageTurn
+from tiltcal.bench.event_log import EventLog, Interruption, RecordedClock, SessionState
+from tiltcal.bench.operators.operator import RotationOperator, StageTurn
 from tiltcal.bench.position_runner import RECOVERY
-from tiltcal.bench.recorded_operator import RecordedOperator
 from tiltcal.bench.rotation_samples import TOO_FEW, RotationSamples, SampleBlock
 from tiltcal.bench.sensor_set import Sample, SensorSet
+from tiltcal.bench.session_calibration import SessionEnd, session_provenance
+from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.matching import Matching, match
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import EstimateError, SensorError
+from tiltcal.files.pair import PairRecord
+from tiltcal.files.records import BenchRecord, BenchSensorRecord, PairProvenance, SamplesRecord
 from tiltcal.files.rotation import Rotation
 
 BLOCK_NS = 200_000_000
-"""How long samples are collected before they are looked at, and before the operator is heeded."""
+"""How long samples are collected before they are looked at, and before the operator is polled."""
 LARGEST_BLOCK = 16
 """Samples: fewer than a turn has, so that no turn goes by untold."""
 SOONEST = 5
@@ -76,33 +78,29 @@ class RotationRunner:
     Parameters
     ----------
     rotation : Rotation
-    hookup : ChannelMap
-    rack : SensorSet
-    operator : Operator
-    desk : RecordedOperator
-    tape : EventLog
+    channels : ChannelMap
+    sensors : SensorSet
+    operator : RotationOperator
+    log : EventLog
     clock : RecordedClock
     """
 
     def __init__(
         self,
         rotation: Rotation,
-        hookup: ChannelMap,
-        rack: SensorSet,
-        operator: Operator,
-        desk: RecordedOperator,
-        tape: EventLog,
+        channels: ChannelMap,
+        sensors: SensorSet,
+        operator: RotationOperator,
+        log: EventLog,
         clock: RecordedClock,
     ) -> None:
         self._rotation = rotation
-        self._hookup = hookup
-        self._rack = rack
+        self._channels = channels
+        self._sensors = sensors
         self._operator = operator
-        self._desk = desk
-        self._tape = tape
+        self._log = log
         self._clock = clock
-        self._channels = [tap.column for tap in hookup.readings]
-        self._interval = max(model.interval for model in rack.models)
+        self._interval = max(model.interval for model in sensors.models)
         self._samples = 0
         self._stale = True
         self._held = ""
@@ -125,10 +123,10 @@ class RotationRunner:
         JournalError
             The journal does not fit, or a replay ends before the rotation does.
         """
-        self._desk.tell(lambda: self._operator.begin(title, 0))
+        self._operator.begin(title)
         turned = None
         while turned is None:
-            collected = RotationSamples(self._hookup.pairs, self._channels)
+            collected = RotationSamples(self._channels.pairs, [ref.column for ref in self._channels.readings])
             ended = self._turn(collected)
             try:
                 turned = self._matched(collected, ended)
@@ -150,20 +148,20 @@ class RotationRunner:
                 if ended:
                     return ended
             elif why:
-                since_ns = self._tape.now_ns()
+                since_ns = self._log.now_ns()
             elif not collected.turns and collected.idle and self._waited(since_ns):
                 self._refuse(f"{collected.idle} (waited for {self._rotation.patience:g} s)")
                 since_ns = self._begin()
 
     def _begin(self) -> int:
         """Ask to let the stage turn; when that was, in nanoseconds since the session began."""
-        rotation, pairs = self._rotation, self._hookup.pairs
-        self._desk.ask(QUESTION, lambda: self._operator.turning(rotation.prompt, pairs, rotation.turns))
+        rotation, pairs = self._rotation, self._channels.pairs
+        self._log.ask("rotation", self._operator.turning, rotation.prompt, pairs, rotation.turns)
         self._stale = True
-        return self._tape.now_ns()
+        return self._log.now_ns()
 
     def _waited(self, since_ns: int) -> bool:
-        return self._tape.now_ns() - since_ns > self._rotation.patience * 1e9
+        return self._log.now_ns() - since_ns > self._rotation.patience * 1e9
 
     def _block(self, collected: RotationSamples) -> str:
         """Collect for a while, and tell what is held; why no sample came, if none did."""
@@ -180,41 +178,41 @@ class RotationRunner:
 
     def _sampled(self) -> tuple[SampleBlock, str]:
         """Samples of a fraction of a second, and why they ended early."""
-        block, begun_ns = SampleBlock(), self._tape.now_ns()
-        while len(block.times) < LARGEST_BLOCK and self._tape.now_ns() - begun_ns < BLOCK_NS:
+        block, begun_ns = SampleBlock(), self._log.now_ns()
+        while len(block.times) < LARGEST_BLOCK and self._log.now_ns() - begun_ns < BLOCK_NS:
             try:
                 if self._stale:
-                    self._rack.discard()
+                    self._sensors.discard()
                     self._stale = False
-                sample = self._rack.read()
-            except Resumed:
+                sample = self._sensors.read()
+            except Interruption as pause:
                 # What a line held of before the pause does not belong to what comes after it.
                 self._stale = True
-                return block, "the session was interrupted here"
+                return block, str(pause)
             except SensorError as error:
                 self._stale = True
-                if not self._rack.failed(error, needed=True):
-                    if not self._tape.resumed_before_here:
+                if not self._sensors.failed(error, needed=True):
+                    if self._log.state is SessionState.LIVE:
                         raise
                     # It ended the session once; whoever resumes it has put it right.
-                    self._rack.succeeded()
+                    self._sensors.succeeded()
                 self._clock.sleep(RECOVERY)
                 return block, str(error)
-            self._rack.succeeded()
+            self._sensors.succeeded()
             self._enter(block, sample)
             self._clock.sleep(self._interval)
         return block, ""
 
     def _enter(self, block: SampleBlock, sample: Sample) -> None:
         self._samples += 1
-        block.times.append(self._tape.now_ns())
-        block.theta.append(self._hookup.phase.value(sample))
-        block.readings.append([tap.value(sample) for tap in self._hookup.readings])
+        block.times.append(self._log.now_ns())
+        block.theta.append(self._channels.phase.value(sample))
+        block.readings.append([ref.value(sample) for ref in self._channels.readings])
 
     def _stops(self, collected: RotationSamples) -> bool:
         """Whether the operator said stop, and there is enough to stop with."""
         # One message of a fast line may hold samples for several blocks: the place of a word is a number of samples.
-        if self._desk.poll(f"turning {self._samples}", self._operator.poll) is None:
+        if self._log.poll(f"turning {self._samples}", self._operator.poll) is None:
             return False
         if collected.turns >= FEWEST_TURNS:
             return True
@@ -223,11 +221,11 @@ class RotationRunner:
 
     def _tell_turn(self, collected: RotationSamples, made: int) -> str:
         """Tell that another turn is made; why it is the last one, if it is."""
-        self._tape.secure()
+        self._log.secure()
         left_out = collected.left_out + self._damaged
         turn = StageTurn(made, self._rotation.turns, collected.online(), dict(collected.unknown), left_out)
         self._told_damage = False
-        self._desk.tell(lambda: self._operator.turned(turn))
+        self._log.tell(self._operator.turn_completed, turn)
         enough = self._rotation.converged
         if enough is not None and made >= SOONEST and collected.known_to(enough):
             return CONVERGED
@@ -244,7 +242,7 @@ class RotationRunner:
         whole = collected.whole()
         demodulation = whole.demodulator.result()
         matchings, unmatched = [], []
-        for pair in self._hookup.pairs:
+        for pair in self._channels.pairs:
             try:
                 matchings.append(match(demodulation, pair))
             except EstimateError as refusal:
@@ -253,7 +251,7 @@ class RotationRunner:
             raise EstimateError("; ".join(unmatched))
         for why in unmatched:
             self._say(why)
-        self._desk.tell(lambda: self._operator.matched(whole.turns, matchings))
+        self._log.tell(self._operator.matched, whole.turns, matchings)
         return RotationResult(
             tuple(matchings),
             whole.turns,
@@ -265,19 +263,24 @@ class RotationRunner:
         )
 
     def _refuse(self, why: str) -> None:
-        self._desk.tell(lambda: self._operator.turning_refused(why))
+        self._log.tell(self._operator.refused, why)
 
     def _say(self, why: str) -> None:
         """Tell, once, why samples are held, or that they go on."""
         if why == self._held:
             return
         self._held = why
-        self._desk.tell((lambda: self._operator.held(why)) if why else self._operator.resumed)
+        if why:
+            self._log.tell(self._operator.paused, why)
+        else:
+            self._log.tell(self._operator.resumed)
 
     def _say_damage(self) -> None:
         """Tell, once a turn, that something was lost on the way."""
         damaged = sum(
-            _unused(bay.sensor.link_statistics()) for bay in self._rack.bays if isinstance(bay.sensor, StreamingSensor)
+            _unused(one.sensor.link_statistics())
+            for one in self._sensors.sensors
+            if isinstance(one.sensor, StreamingSensor)
         )
         if damaged > self._damaged and not self._told_damage and not self._held:
             self._told_damage = True
@@ -289,3 +292,20 @@ class RotationRunner:
 def _unused(link_statistics: Mapping[str, int]) -> int:
     """All but the first, which is what was used."""
     return sum(list(link_statistics.values())[1:])
+
+
+def pair_calibration(plan: SessionPlan, channels: ChannelMap, result: RotationResult, ending: SessionEnd) -> PairRecord:
+    """Return what a rotation found, with its provenance."""
+    sensors = tuple(
+        BenchSensorRecord(serial=one.serial, model=one.model_name, address=one.address) for one in plan.sensors
+    )
+    provenance = PairProvenance(
+        **session_provenance(plan, ending),
+        bench=BenchRecord(sensors=sensors),
+        link_statistics={serial: dict(one) for serial, one in ending.link_statistics_by_serial.items()},
+        procedure=plan.procedure.name,
+        samples=SamplesRecord(used=result.samples, left_out=result.left_out),
+        stopped=result.ended,
+        not_matched=(*channels.left_out, *result.unmatched),
+    )
+    return PairRecord(result.matchings, channels.phase.column, result.turns, result.frequency, provenance=provenance)

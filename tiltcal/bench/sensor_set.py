@@ -1,18 +1,26 @@
-"""The rack: the sensors of a bench, read together, and the thermometer beside them."""
+"""The sensors of a bench, connected and read together, and the thermometer beside them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
+from tiltcal.bench.event_log import EventLog, Interruption, RecordedLink
+from tiltcal.bench.session_plan import DeviceSetup
+from tiltcal.bench.virtual import VirtualBench
 from tiltcal.core.orientation import STRAIGHT, Orientation
+from tiltcal.drivers.bus import link_letter, open_link
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.device import Model, Reading, Sensor
 from tiltcal.errors import HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity
 
 Sample = tuple[Reading, ...]
-"""One reading of each sensor of a rack, in its order."""
+"""One reading of each sensor of a set, in its order."""
 
 Listener = Callable[[Mapping[str, Reading]], None]
 """Has the readings of a sample by serial number."""
@@ -48,76 +56,83 @@ class ConnectedSensor:
         return SensorIdentity(self.model.name, self.serial, self.model.unit, self.model.channels)
 
 
-def column_name(serial: str, channel: str, *, alone: bool) -> str:
-    """What a log calls a channel: by its name alone, or of several devices behind the serial number."""
-    return channel if alone else f"{serial}_{channel}"
-
-
 class SensorSet:
     """Reads several sensors as one, and gives up those that fail for good.
 
     Parameters
     ----------
-    bays : sequence of ConnectedSensor
+    connected : sequence of ConnectedSensor
     thermometer : Sensor, optional
         Its temperature stands for that of every sensor.
+
+    Attributes
+    ----------
+    lost : dict of str to str
+        Why sensors were given up, by serial number.
     """
 
     THERMOMETER = "thermometer"
 
-    def __init__(self, bays: Sequence[ConnectedSensor], thermometer: Sensor | None = None) -> None:
-        self._bays = tuple(bays)
+    def __init__(self, connected: Sequence[ConnectedSensor], thermometer: Sensor | None = None) -> None:
+        self._all = tuple(connected)
         self._listeners: list[Listener] = []
         self._thermometer = thermometer
         self._failures: dict[str, int] = {}
         self.lost: dict[str, str] = {}
 
     @property
-    def bays(self) -> tuple[ConnectedSensor, ...]:
-        """Those that were not given up."""
-        return tuple(bay for bay in self._bays if bay.serial not in self.lost)
+    def sensors(self) -> tuple[ConnectedSensor, ...]:
+        """The sensors that were not given up."""
+        return tuple(one for one in self._all if one.serial not in self.lost)
 
     @property
     def models(self) -> tuple[Model, ...]:
-        """Of the same sensors."""
-        return tuple(bay.model for bay in self.bays)
+        """The models of the same sensors."""
+        return tuple(one.model for one in self.sensors)
 
-    def tell(self, listener: Listener) -> None:
-        """Let someone have every sample that :meth:`read` takes from here on."""
+    def listen(self, listener: Listener) -> None:
+        """Pass every sample that :meth:`read` takes from here on to a listener."""
         self._listeners.append(listener)
 
-    def read(self) -> Sample:
-        """One sample of every sensor.
+    def read(self, *, fresh: bool = False) -> Sample:
+        """Take one sample of every sensor.
+
+        Parameters
+        ----------
+        fresh : bool
+            Whether what the sensors sent before is dropped first.
 
         Raises
         ------
         SensorError
             One of them failed.
         """
-        sample = self._sample()
-        for listener in self._listeners:
-            listener(dict(zip((bay.serial for bay in self.bays), sample, strict=True)))
-        return sample
-
-    def _sample(self) -> Sample:
+        if fresh:
+            self.discard()
         readings = []
-        for bay in self.bays:
-            with self._named(bay.serial):
-                readings.append(bay.sensor.read())
-        if self._thermometer is None:
-            return tuple(readings)
-        with self._named(self.THERMOMETER):
-            temperature = self._thermometer.read().temperature
-        return tuple(replace(reading, temperature=temperature) for reading in readings)
+        for one in self.sensors:
+            with self._named(one.serial):
+                readings.append(one.sensor.read())
+        if self._thermometer is not None:
+            with self._named(self.THERMOMETER):
+                temperature = self._thermometer.read().temperature
+            readings = [replace(reading, temperature=temperature) for reading in readings]
+        for listener in self._listeners:
+            listener(self.by_serial(readings))
+        return tuple(readings)
+
+    def by_serial(self, sample: Sequence[Reading]) -> dict[str, Reading]:
+        """Return the readings of a sample by serial number."""
+        return {one.serial: reading for one, reading in zip(self.sensors, sample, strict=True)}
 
     def read_available(self) -> tuple[list[Reading | None], list[str]]:
         """One sample of every sensor that answers, None for the others, and why they did not."""
         readings: list[Reading | None] = []
         reasons = []
-        for bay in self.bays:
+        for one in self.sensors:
             try:
-                with self._named(bay.serial):
-                    readings.append(bay.sensor.read())
+                with self._named(one.serial):
+                    readings.append(one.sensor.read())
             except SensorError as error:
                 readings.append(None)
                 reasons.append(str(error))
@@ -128,7 +143,7 @@ class SensorSet:
             except SensorError as error:
                 temperature = None
                 reasons.append(str(error))
-            readings = [None if one is None else replace(one, temperature=temperature) for one in readings]
+            readings = [reading and replace(reading, temperature=temperature) for reading in readings]
         return readings, reasons
 
     def discard(self) -> None:
@@ -139,9 +154,9 @@ class SensorSet:
         SensorError
             One of them failed.
         """
-        for bay in self.bays:
-            with self._named(bay.serial):
-                bay.sensor.discard()
+        for one in self.sensors:
+            with self._named(one.serial):
+                one.sensor.discard()
         if self._thermometer is not None:
             with self._named(self.THERMOMETER):
                 self._thermometer.discard()
@@ -158,16 +173,70 @@ class SensorSet:
         count = self._failures[error.serial] = self._failures.get(error.serial, 0) + 1
         if count < ATTEMPTS:
             return True
-        if needed or error.serial == self.THERMOMETER or len(self.bays) == 1:
+        if needed or error.serial == self.THERMOMETER or len(self.sensors) == 1:
             return False
         self.lost[error.serial] = str(error)
         return True
 
     @contextmanager
     def _named(self, serial: str) -> Iterator[None]:
-        """Say which device an error is of."""
+        """Name the device of an error; an interruption of the session is an error of none."""
         try:
             yield
+        except Interruption:
+            raise
         except HardwareError as error:
-            alone = len(self._bays) == 1 and serial != self.THERMOMETER
+            alone = len(self._all) == 1 and serial != self.THERMOMETER
             raise SensorError(serial, str(error) if alone else f"{serial}: {error}") from error
+
+
+def open_device(device: DeviceSetup, virtual: VirtualBench) -> Link:
+    """Return the live link of one device.
+
+    Raises
+    ------
+    HardwareError
+        It cannot be opened.
+    """
+    address = parse_address(device.address)
+    return virtual.twin(device) if address.simulated else open_link(address, device.model)
+
+
+@contextmanager
+def connected(
+    sensors: Sequence[DeviceSetup], thermometer: DeviceSetup | None, log: EventLog, clock: Clock, virtual: VirtualBench
+) -> Iterator[SensorSet]:
+    """Connect the devices of a bench through an event log, and close their links at the end of the block.
+
+    Parameters
+    ----------
+    sensors : sequence of DeviceSetup
+    thermometer : DeviceSetup or None
+    log : EventLog
+        Numbers the devices in their order, the thermometer last.
+    clock : Clock
+        What drivers wait on.
+    virtual : VirtualBench
+        Makes the twins of ``sim:`` addresses.
+
+    Yields
+    ------
+    SensorSet
+    """
+    devices = (*sensors, thermometer) if thermometer is not None else tuple(sensors)
+    links = [
+        RecordedLink(
+            log, partial(open_device, one, virtual), link_letter(parse_address(one.address), one.model), number
+        )
+        for number, one in enumerate(devices)
+    ]
+    drivers = [one.model.driver(link, clock) for one, link in zip(devices, links, strict=True)]
+    at_work = [
+        ConnectedSensor(one.model, one.serial, driver, one.orientation)
+        for one, driver in zip(sensors, drivers, strict=False)
+    ]
+    try:
+        yield SensorSet(at_work, drivers[-1] if thermometer is not None else None)
+    finally:
+        for link in links:
+            link.close()

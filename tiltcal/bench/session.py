@@ -3,41 +3,33 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import TYPE_CHECKING, BinaryIO, cast
 
-from tiltcal.bench.channel_map import map_channels
-from tiltcal.bench.connection import connected, open_device
 from tiltcal.bench.event_log import EventLog, RecordedClock
-from tiltcal.bench.operators.operator import Operator
+from tiltcal.bench.operators.operator import PositionOperator, RotationOperator
+from tiltcal.bench.operators.sim import SimOperator, SimRotationOperator
 from tiltcal.bench.position_runner import PositionRunner
-from tiltcal.bench.recorded_operator import RecordedOperator
 from tiltcal.bench.recording import sample_rows
-from tiltcal.bench.rotation_runner import RotationResult, RotationRunner
-from tiltcal.bench.sensor_set import SensorSet
-from tiltcal.bench.session_calibration import (
-    MeasuredPositions,
-    SessionEnd,
-    pair_calibration,
-    tilt_calibrations,
-    tilt_provenance,
-)
+from tiltcal.bench.sensor_set import SensorSet, connected, open_device
+from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
 from tiltcal.bench.session_plan import DeviceSetup, SessionPlan
+from tiltcal.bench.verification import VerifiedPosition, verify_positions
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
-from tiltcal.drivers.device import Model, StreamingSensor
-from tiltcal.errors import HardwareError
+from tiltcal.drivers.device import StreamingSensor
+from tiltcal.errors import HardwareError, Stopped, TiltcalError
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
-from tiltcal.files.journal import Journal, JournalWriter
-from tiltcal.files.pair import dump_pair
-from tiltcal.files.rotation import Rotation
+from tiltcal.files.journal import Journal, JournalWriter, read_journal
 from tiltcal.files.whole import check_writable, write_whole
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from tiltcal.files.pair import PairRecord
+    from tiltcal.files.rotation import Rotation
 
 
 @dataclass(frozen=True)
@@ -46,17 +38,44 @@ class SessionResult:
 
     Attributes
     ----------
-    texts : dict of Path to str
-        The calibration files, by where they go.
-    lost : dict of str to str
-        Why sensors were given up, by serial number.
-    link_statistics_by_serial : dict of str to mapping of str to int
-        By serial number: what became of what a sensor said that talks by itself.
+    calibrations : dict of Path to CalibrationRecord or PairRecord
+        By the file that each goes to.
+    ending : SessionEnd
     """
 
-    texts: dict[Path, str]
-    lost: dict[str, str]
-    link_statistics_by_serial: dict[str, Mapping[str, int]]
+    calibrations: dict[Path, CalibrationRecord | PairRecord]
+    ending: SessionEnd
+
+    @property
+    def texts(self) -> dict[Path, str]:
+        """The calibration files' texts, by where they go."""
+        return {path: _text(record) for path, record in self.calibrations.items()}
+
+    def write(self) -> None:
+        """Write the calibration files."""
+        for path, text in self.texts.items():
+            write_whole(path, text)
+
+    def require_all(self) -> None:
+        """Refuse a session in which sensors were given up.
+
+        Raises
+        ------
+        HardwareError
+            With the reasons.
+        """
+        if self.ending.lost:
+            raise HardwareError("no calibration file for " + "; ".join(self.ending.lost.values()))
+
+
+@dataclass(frozen=True)
+class _OpenSession:
+    """The devices of a session at work, every byte of which passes through its event log."""
+
+    sensors: SensorSet
+    log: EventLog
+    clock: RecordedClock
+    live: bool
 
 
 class Session:
@@ -72,6 +91,7 @@ class Session:
 
     Attributes
     ----------
+    journal : Journal or None
     finished : bool
         Whether the journal has its end, so that there is nothing to resume.
     """
@@ -80,23 +100,57 @@ class Session:
         self.plan = plan
         self.path = path
         self.finished = False
-        self._journal = journal
-        self._samples: BinaryIO | None = None
+        self.journal = journal
         self._clock: Clock = VirtualClock() if plan.virtual else SystemClock(int(plan.started.timestamp() * 1e9))
         self._virtual = VirtualBench(self._clock, plan.devices)
 
+    @classmethod
+    def of_journal(cls, path: Path, remark: Callable[[str], None] = lambda line: None) -> Session:
+        """Return the session of a journal, to be resumed or replayed; a torn last line is a remark.
+
+        Raises
+        ------
+        JournalError
+            The journal cannot be read or used.
+        """
+        journal = read_journal(path)
+        if journal.torn:
+            remark(f"{path}: the last line was torn off and is dropped")
+        return cls(SessionPlan.from_journal(journal), path, journal)
+
+    @contextmanager
+    def resumable(self, command: str, remark: Callable[[str], None]) -> Iterator[None]:
+        """Say how to go on, where an error ends the block before the session is at its end.
+
+        Parameters
+        ----------
+        command : str
+            The command that resumes, with its arguments before ``--resume``.
+        remark : callable
+            Gets the line where the error's own message is about something else.
+        """
+        go_on = f"what was measured is kept; go on with: tiltcal {command} --resume {self.path}"
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise Stopped(f"interrupted; {go_on}") from None
+        except Stopped as error:
+            raise Stopped(f"{error}; {go_on}") from None
+        except HardwareError as error:
+            if self.finished:
+                raise
+            raise HardwareError(f"{error}; {go_on}") from None
+        except TiltcalError:
+            remark(go_on)
+            raise
+
     @property
     def outputs(self) -> list[Path]:
-        """Where the calibration files go, one per sensor."""
-        return [self._output(place) for place in self.plan.places if place.output]
-
-    @property
-    def models(self) -> dict[str, Model]:
-        """The model of each sensor, by serial number."""
-        return {place.serial: place.fitted for place in self.plan.places}
+        """Where the calibration files go, one per sensor, or one for all pairs of a stage."""
+        return [self._output(device) for device in self.plan.sensors if device.output]
 
     def preflight(self) -> None:
-        """Before the operator starts: the files can be written, and every device answers.
+        """Check before the operator starts that the files can be written, and that every device answers.
 
         Raises
         ------
@@ -107,142 +161,130 @@ class Session:
         """
         for path in (*self.outputs, self.path):
             check_writable(path)
-        for place in self.plan.devices:
-            with closing(open_device(place, self._virtual)) as link:
-                place.fitted.driver(link, self._clock).probe()
+        for device in self.plan.devices:
+            with closing(open_device(device, self._virtual)) as link:
+                device.model.driver(link, self._clock).probe()
         self._clock.seek(0)
 
-    def measure(self, operator: Operator) -> SessionResult:
-        """Carry the session out, or go on with it, and write the calibration files.
-
-        Raises
-        ------
-        HardwareError
-            Sensors were given up; the files of the others are written.
-        TiltcalError
-            What stopped it; everything that was measured is in the journal.
-        """
-        result = self._concluded(operator, self._live_writer())
-        for path, text in result.texts.items():
-            write_whole(path, text)
-        operator.done(list(result.texts), self.path)
-        if result.lost:
-            raise HardwareError("no calibration file for " + "; ".join(result.lost.values()))
-        return result
-
-    def replay(self, operator: Operator, samples: BinaryIO | None = None) -> SessionResult:
-        """Run a captured session again without hardware.
+    def run(
+        self, operator: PositionOperator | RotationOperator | None, samples: BinaryIO | None = None
+    ) -> SessionResult:
+        """Carry the session out, go on with it, or replay it.
 
         Parameters
         ----------
-        operator : Operator
+        operator : PositionOperator, RotationOperator or None
+            Of the kind that the procedure needs; None replays the journal without hardware.
         samples : BinaryIO, optional
-            Has every sample of the session as the rows of a log.
+            Gets every sample of the session as the rows of a log.
 
         Raises
         ------
         JournalError
-            The journal does not fit, or ends before the session did.
+            The journal does not fit, or a replay ends before the session did.
+        TiltcalError
+            What stopped it; everything that was measured is in the journal.
         """
-        self._samples = samples
-        return self._concluded(operator, None)
+        with self._open(live=operator is not None, samples=samples) as opened:
+            rotation = self.plan.procedure.rotation
+            if rotation is not None:
+                return self._match(rotation, opened, cast(RotationOperator, operator or SimRotationOperator()))
+            positions = cast(PositionOperator, operator or SimOperator())
+            accepted = self._position_runner(opened, positions).run()
+            found = tilt_calibrations(self.plan, opened.sensors.sensors, accepted)
+            files = {self._output(device): device for device in self.plan.sensors if device.serial in found}
+            opened.log.ask("write", positions.confirm_write, list(files))
+            end = self._finish(opened)
+            calibrations: dict[Path, CalibrationRecord | PairRecord] = {
+                path: replace(found[device.serial], provenance=tilt_provenance(self.plan, device, end))
+                for path, device in files.items()
+            }
+            return SessionResult(calibrations, end)
 
-    def walk(self, operator: Operator, conclude: Callable[[MeasuredPositions], T]) -> tuple[T, SessionEnd]:
-        """Take the positions, or go on with them, and draw a conclusion from them that is no calibration file.
+    def replay(self, samples: BinaryIO | None = None) -> SessionResult:
+        """Run a captured session again without hardware, as :meth:`run` without an operator."""
+        return self.run(None, samples)
 
-        Parameters
-        ----------
-        operator : Operator
-        conclude : callable
-            Told what was measured, before the journal ends; its errors leave the session to be resumed.
+    def verify(self, operator: PositionOperator, calibration: CalibrationRecord) -> list[VerifiedPosition]:
+        """Take the positions, or go on with them, and return them as a calibration of the sensor reads them.
 
-        Returns
-        -------
-        conclusion
-            What ``conclude`` returned.
-        ending : SessionEnd
+        Raises
+        ------
+        TiltcalError
+            What stopped it; everything that was measured is in the journal.
         """
-        return self._walk(operator, self._live_writer(), lambda walked, runner: conclude(walked))
+        with self._open(live=True) as opened:
+            accepted = self._position_runner(opened, operator).run()
+            found = verify_positions(calibration, self.plan.sensors[0].serial, accepted)
+            self._finish(opened)
+            return found
 
-    def _live_writer(self) -> JournalWriter | None:
-        """Where live events go; None for a journal that has its end."""
-        if self._journal is None:
-            return JournalWriter.create(self.path, self.plan.header())
-        return JournalWriter.resume(self._journal) if self._journal.end is None else None
+    def _position_runner(self, opened: _OpenSession, operator: PositionOperator) -> PositionRunner:
+        fixture = self._virtual.fixture if self.plan.virtual and opened.live else None
+        return PositionRunner(self.plan, opened.sensors, operator, opened.log, opened.clock, fixture)
 
-    def _concluded(self, operator: Operator, writer: JournalWriter | None) -> SessionResult:
-        """Carry the procedure out and make the calibration files' texts."""
-        if self.plan.procedure.rotation is not None:
-            return self._matched(operator, writer, self.plan.procedure.rotation)
+    def _match(self, rotation: Rotation, opened: _OpenSession, operator: RotationOperator) -> SessionResult:
+        """Let the stage turn, and match its pairs."""
+        from tiltcal.bench.channel_map import map_channels
+        from tiltcal.bench.rotation_runner import RotationRunner, pair_calibration
 
-        def conclude(walked: MeasuredPositions, runner: PositionRunner) -> dict[DeviceSetup, CalibrationRecord]:
-            found = tilt_calibrations(self.plan, walked)
-            kept = {place: found[place.serial] for place in self.plan.places if place.serial in found}
-            runner.confirm_write(lambda: operator.write([self._output(place) for place in kept]))
-            return kept
-
-        calibrations, ending = self._walk(operator, writer, conclude)
-        texts = {
-            self._output(place): dump_calibration(replace(one, provenance=tilt_provenance(self.plan, place, ending)))
-            for place, one in calibrations.items()
-        }
-        return SessionResult(texts, ending.lost, ending.link_statistics_by_serial)
-
-    def _matched(self, operator: Operator, writer: JournalWriter | None, rotation: Rotation) -> SessionResult:
-        """Let the stage turn, and make the text of the pair file."""
         plan = self.plan
-        hookup = map_channels(rotation, [(place.serial, place.fitted) for place in plan.places])
-        (output,) = self.outputs
+        channels = map_channels(rotation, [(device.serial, device.model) for device in plan.sensors])
+        runner = RotationRunner(rotation, channels, opened.sensors, operator, opened.log, opened.clock)
+        turned = runner.run(plan.procedure.title)
+        opened.log.ask("write", operator.confirm_write, self.outputs)
+        end = self._finish(opened)
+        return SessionResult({self.outputs[0]: pair_calibration(plan, channels, turned, end)}, end)
 
-        def turn(rack: SensorSet, tape: EventLog, clock: RecordedClock) -> RotationResult:
-            desk = RecordedOperator(tape)
-            turned = RotationRunner(rotation, hookup, rack, operator, desk, tape, clock).run(plan.procedure.title)
-            desk.ask("write", lambda: operator.write([output]))
-            return turned
-
-        turned, ending = self._on_tape(writer, turn)
-        text = dump_pair(pair_calibration(plan, hookup, turned, ending))
-        return SessionResult({output: text}, ending.lost, ending.link_statistics_by_serial)
-
-    def _walk(
-        self,
-        operator: Operator,
-        writer: JournalWriter | None,
-        conclude: Callable[[MeasuredPositions, PositionRunner], T],
-    ) -> tuple[T, SessionEnd]:
-        """Take every position of the procedure, and draw a conclusion before the journal ends."""
+    @contextmanager
+    def _open(self, *, live: bool, samples: BinaryIO | None = None) -> Iterator[_OpenSession]:
+        """Connect the devices to an event log for the time of the block."""
         plan = self.plan
-        fixture = self._virtual.fixture if plan.virtual and writer is not None else None
+        with self._writer(live) as writer:
+            log = EventLog(self._clock, self.journal, writer)
+            clock = RecordedClock(log, self._clock)
+            with connected(plan.sensors, plan.thermometer, log, clock, self._virtual) as sensors:
+                if samples is not None:
+                    sensors.listen(
+                        sample_rows(samples, sensors.sensors, plan.started, log, plan.thermometer is not None)
+                    )
+                yield _OpenSession(sensors, log, clock, writer is not None)
 
-        def walk(rack: SensorSet, tape: EventLog, clock: RecordedClock) -> T:
-            runner = PositionRunner(plan.procedure, rack, operator, tape, clock, plan.settings, fixture)
-            taken = runner.run()
-            return conclude(MeasuredPositions(rack.bays, tuple(taken)), runner)
-
-        return self._on_tape(writer, walk)
-
-    def _on_tape(
-        self, writer: JournalWriter | None, work: Callable[[SensorSet, EventLog, RecordedClock], T]
-    ) -> tuple[T, SessionEnd]:
-        """Do something with the rack whose every byte and answer is on the tape, and end the tape."""
-        tape = EventLog(self._clock, self._journal, writer)
-        clock = RecordedClock(tape, self._clock)
-        plan = self.plan
+    @contextmanager
+    def _writer(self, live: bool) -> Iterator[JournalWriter | None]:
+        """Open the journal for live events; None in a replay, and for a journal that has its end."""
+        if not live or (self.journal is not None and self.journal.end is not None):
+            yield None
+            return
+        if self.journal is None:
+            writer = JournalWriter.create(self.path, self.plan.header())
+        else:
+            writer = JournalWriter.resume(self.journal)
         try:
-            with connected(plan.places, plan.thermometer, tape, clock, self._virtual) as rack:
-                if self._samples is not None:
-                    rack.tell(sample_rows(self._samples, rack.bays, plan.started, tape, plan.thermometer is not None))
-                conclusion = work(rack, tape, clock)
-                ended = plan.started + timedelta(microseconds=tape.now_ns() / 1000)
-                sha256 = tape.finish()
-                self.finished = True
+            yield writer
         finally:
-            if writer is not None:
-                writer.close()
-        link_statistics_by_serial = {
-            bay.serial: bay.sensor.link_statistics() for bay in rack.bays if isinstance(bay.sensor, StreamingSensor)
-        }
-        return conclusion, SessionEnd(ended, sha256, rack.lost, link_statistics_by_serial)
+            writer.close()
 
-    def _output(self, place: DeviceSetup) -> Path:
-        return Path(os.path.normpath(self.path.parent / place.output))
+    def _finish(self, opened: _OpenSession) -> SessionEnd:
+        """End the journal; there is nothing to resume then."""
+        ended = self.plan.started + timedelta(microseconds=opened.log.now_ns() / 1000)
+        sha256 = opened.log.finish()
+        self.finished = True
+        statistics = {
+            one.serial: one.sensor.link_statistics()
+            for one in opened.sensors.sensors
+            if isinstance(one.sensor, StreamingSensor)
+        }
+        return SessionEnd(ended, sha256, opened.sensors.lost, statistics)
+
+    def _output(self, device: DeviceSetup) -> Path:
+        return Path(os.path.normpath(self.path.parent / device.output))
+
+
+def _text(record: CalibrationRecord | PairRecord) -> str:
+    """Return the text of a calibration file."""
+    if isinstance(record, CalibrationRecord):
+        return dump_calibration(record)
+    from tiltcal.files.pair import dump_pair
+
+    return dump_pair(record)

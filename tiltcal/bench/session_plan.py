@@ -9,12 +9,12 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import tiltcal
-from tiltcal.bench.channel_map import map_channels
-from tiltcal.bench.position_runner import SessionSettings
+from tiltcal.bench.positions import SessionSettings
 from tiltcal.calibration.prediction import require_tilt
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
 from tiltcal.drivers import find_model
@@ -35,29 +35,29 @@ class DeviceSetup:
 
     Attributes
     ----------
-    model, serial, address : str
+    model_name, serial, address : str
     output : str
         The calibration file, relative to the journal's folder; empty where none is made.
     orientation : Orientation
         How the sensor sits on the fixture.
     """
 
-    model: str
+    model_name: str
     serial: str
     address: str
     output: str = ""
     orientation: Orientation = STRAIGHT
 
-    @property
-    def fitted(self) -> Model:
+    @cached_property
+    def model(self) -> Model:
         """The model as it is wired at the address."""
-        return find_model(self.model).at(parse_address(self.address))
+        return find_model(self.model_name).at(parse_address(self.address))
 
     def record(self) -> dict[str, Any]:
         """As plain data, for the journal."""
         straight = self.orientation.straight
         return {
-            "model": self.model,
+            "model": self.model_name,
             "serial": self.serial,
             "address": self.address,
             "output": self.output,
@@ -78,8 +78,7 @@ class SessionPlan:
     Attributes
     ----------
     procedure : Procedure
-    places : tuple of DeviceSetup
-        The sensors.
+    sensors : tuple of DeviceSetup
     settings : SessionSettings
     jig : float or None
         Standard uncertainty of a set angle, degrees.
@@ -102,7 +101,7 @@ class SessionPlan:
     """
 
     procedure: Procedure
-    places: tuple[DeviceSetup, ...]
+    sensors: tuple[DeviceSetup, ...]
     settings: SessionSettings
     jig: float | None
     lead: str
@@ -118,12 +117,12 @@ class SessionPlan:
     @property
     def devices(self) -> tuple[DeviceSetup, ...]:
         """The sensors, and the thermometer behind them; a journal numbers them in this order."""
-        return self.places if self.thermometer is None else (*self.places, self.thermometer)
+        return self.sensors if self.thermometer is None else (*self.sensors, self.thermometer)
 
     @property
     def virtual(self) -> bool:
         """Whether every device is a virtual twin; the clock is virtual then too."""
-        return all(parse_address(place.address).simulated for place in self.devices)
+        return all(parse_address(device.address).simulated for device in self.devices)
 
     def header(self) -> dict[str, Any]:
         """As plain data, for the journal."""
@@ -134,7 +133,7 @@ class SessionPlan:
             "virtual": self.virtual,
             "operator": self.lead,
             **({} if self.person is None else {"person": self.person}),
-            "sensors": [place.record() for place in self.places],
+            "sensors": [device.record() for device in self.sensors],
             **({} if self.thermometer is None else {"thermometer": self.thermometer.record()}),
             "settings": {
                 "samples": self.settings.samples,
@@ -166,7 +165,7 @@ class SessionPlan:
             procedure = procedure_from_record(header["procedure"], settings["angle"], file=file, line=1)
             return cls(
                 procedure=procedure.with_turns(settings.get("turns")),
-                places=tuple(DeviceSetup.from_record(sensor) for sensor in header["sensors"]),
+                sensors=tuple(DeviceSetup.from_record(sensor) for sensor in header["sensors"]),
                 settings=SessionSettings(settings["samples"], settings["settle"], settings["soak"]),
                 jig=settings["jig"],
                 lead=header["operator"],
@@ -219,15 +218,17 @@ def plan_session(
         An unknown model, a bad address, or an angle that the model cannot read.
     """
     scale = 1.0 if settle is None else settle / procedure.settle
-    places = tuple(_place(sensor, output, journal) for sensor, output in zip(bench.sensors, outputs, strict=True))
+    sensors = tuple(_device(sensor, output, journal) for sensor, output in zip(bench.sensors, outputs, strict=True))
     if procedure.rotation is not None:
-        map_channels(procedure.rotation, [(place.serial, place.fitted) for place in places])
-    for place in places if procedure.rotation is None else ():
-        require_tilt(procedure, place.fitted)
-        _require_in_range(procedure, place)
+        from tiltcal.bench.channel_map import map_channels
+
+        map_channels(procedure.rotation, [(device.serial, device.model) for device in sensors])
+    for device in sensors if procedure.rotation is None else ():
+        require_tilt(procedure, device.model)
+        _require_in_range(procedure, device)
     plan = SessionPlan(
         procedure=procedure,
-        places=places,
+        sensors=sensors,
         settings=SessionSettings(
             samples or procedure.samples, settle or procedure.settle, procedure.soak_seconds * scale
         ),
@@ -247,7 +248,7 @@ def plan_session(
     return plan if plan.virtual else replace(plan, started=_to_the_millisecond(datetime.now(UTC)))
 
 
-def places_of(bench: BenchFile) -> tuple[tuple[DeviceSetup, ...], DeviceSetup | None]:
+def devices_of(bench: BenchFile) -> tuple[tuple[DeviceSetup, ...], DeviceSetup | None]:
     """The devices of a bench where no calibration is made: its sensors, and its thermometer."""
     sensors = tuple(DeviceSetup(s.model, s.serial, s.address, orientation=s.orientation) for s in bench.sensors)
     return sensors, None if bench.thermometer is None else _thermometer(bench.thermometer)
@@ -270,33 +271,35 @@ def _require_population(plan: SessionPlan) -> None:
         raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: a pair has no temperature terms")
     if determines.drift or determines.gain or determines.mounting:
         raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: it does without, or measures its own")
-    for place in plan.places:
-        if place.fitted.population is None:
-            raise UsageError(f"no source tells how a {place.model} behaves over temperature on average: measure it")
+    for device in plan.sensors:
+        if device.model.population is None:
+            raise UsageError(
+                f"no source tells how a {device.model_name} behaves over temperature on average: measure it"
+            )
 
 
-def _place(sensor: BenchSensor, output: Path | None, journal: Path) -> DeviceSetup:
+def _device(sensor: BenchSensor, output: Path | None, journal: Path) -> DeviceSetup:
     relative = "" if output is None else os.path.relpath(output, journal.parent)
     return DeviceSetup(sensor.model, sensor.serial, sensor.address, relative, sensor.orientation)
 
 
 def _thermometer(thermometer: BenchThermometer) -> DeviceSetup:
-    place = DeviceSetup(thermometer.model, "thermometer", thermometer.address)
-    if not place.fitted.thermometer:
+    device = DeviceSetup(thermometer.model, "thermometer", thermometer.address)
+    if not device.model.thermometer:
         raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
-    return place
+    return device
 
 
-def _require_in_range(procedure: Procedure, place: DeviceSetup) -> None:
+def _require_in_range(procedure: Procedure, device: DeviceSetup) -> None:
     """Refuse positions that the model can only answer with its rail, and a scale that nobody has stated."""
-    model = place.fitted
+    model = device.model
     if not model.scaled and not procedure.determines.axes and not procedure.determines.mounting:
         raise UsageError(
             f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
             "address (sensitivity=..., unit per g)"
         )
     for position in procedure.positions:
-        gravity = place.orientation.seen(position.gravity)
+        gravity = device.orientation.seen(position.gravity)
         for channel in model.channels:
             expected = model.offset + model.sensitivity * gravity["xyz".index(channel)]
             if not model.rails[0] < expected < model.rails[1]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
-from tiltcal.bench.sensor_set import Sample
+from tiltcal.bench.sensor_set import Sample, SensorSet
 from tiltcal.core.statistics import drift
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Model
@@ -92,21 +92,13 @@ class Window:
         )
 
 
-def wait_until_still(
-    read: Callable[[], Sample],
-    models: Sequence[Model],
-    clock: Clock,
-    window: Window,
-    look: Callable[[Sample, str], None],
-) -> None:
+def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Callable[[Sample, str], None]) -> None:
     """Read until neither the readings nor, where it matters, the temperature change over a whole window.
 
     Parameters
     ----------
-    read : callable
-        Takes one sample of every sensor.
-    models : sequence of Model
-        Of the sensors; their nominal sensitivities turn g into their units.
+    sensors : SensorSet
+        Their nominal sensitivities turn g into their units.
     clock : Clock
     window : Window
     look : callable
@@ -116,7 +108,10 @@ def wait_until_still(
     ------
     Unsettled
         They did not come to rest within the window's patience.
+    SensorError
+        One of them failed.
     """
+    models = sensors.models
     looks = SOAK_LOOKS if window.soaking else LOOKS
     pause = max(window.seconds / looks, *(model.interval for model in models))
     held: deque[Timed] = deque()
@@ -124,7 +119,7 @@ def wait_until_still(
     judged = 0.0
     why = "waiting until it is still"
     while True:
-        sample = read()
+        sample = sensors.read(fresh=True)
         now = clock.now_ns() / 1e9
         if began is None:
             began = judged = now

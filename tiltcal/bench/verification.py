@@ -1,18 +1,16 @@
-"""Verification: what a calibration makes of positions that it was not fitted to."""
+"""Verification: positions that a calibration was not fitted to, as the calibration reads them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import acos, degrees, hypot, inf, isnan
 
 import numpy as np
 
-from tiltcal.bench.position_runner import PositionResult
-from tiltcal.bench.sensor_set import ConnectedSensor
+from tiltcal.bench.positions import PositionResult
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.frames import Vector, tilt_from_gravity
-from tiltcal.core.model import Coefficients
 from tiltcal.files.calibration import CalibrationRecord
 
 
@@ -46,44 +44,28 @@ class VerifiedPosition:
         return inf if any(isnan(error) for error in errors) else max(errors)
 
 
-def checks(
-    calibration: CalibrationRecord, bay: ConnectedSensor, taken: Sequence[PositionResult]
+def verify_positions(
+    calibration: CalibrationRecord, serial: str, accepted: Sequence[PositionResult]
 ) -> list[VerifiedPosition]:
-    """Every position of a sensor, as its calibration reads it.
-
-    Parameters
-    ----------
-    calibration : CalibrationRecord
-    bay : ConnectedSensor
-    taken : sequence of PositionResult
-    """
+    """Return every position of a sensor, as its calibration reads it."""
     coefficients = calibration.coefficients
     # What is judged is the sensor's own frame, in which positions are set; the mounting is the application's.
-    compensation = Compensation(_without_mounting(coefficients), calibration.limits)
+    compensation = Compensation(replace(coefficients, mounting=None), calibration.limits)
     found = []
-    for one in taken:
-        summaries: Mapping[str, float] = {
-            channel: summary.mean for channel, summary in one.summaries[bay.serial].items()
-        }
-        readings = np.array([[summaries[channel] for channel in coefficients.channels]])
-        temperature = one.temperatures[bay.serial]
-        result = compensation(readings, None if temperature is None else np.array([temperature]))
-        gravity = bay.orientation.seen(one.position.gravity)
-        expected = _tilt(gravity)
+    for one in (result.measurements[serial] for result in accepted):
+        readings = np.array([[one.summaries[channel].mean for channel in coefficients.channels]])
+        result = compensation(readings, None if one.temperature is None else np.array([one.temperature]))
+        expected = _tilt(one.gravity)
         found.append(
             VerifiedPosition(
-                one.position.name,
+                one.position,
                 {axis: expected[axis] for axis in compensation.axes},
                 dict(zip(compensation.axes, result.tilt[0].tolist(), strict=True)),
-                _between(gravity, result.gravity[0].tolist()) if len(compensation.axes) == 3 else None,
+                _between(one.gravity, result.gravity[0].tolist()) if len(compensation.axes) == 3 else None,
                 int(result.flag[0]),
             )
         )
     return found
-
-
-def _without_mounting(coefficients: Coefficients) -> Coefficients:
-    return replace(coefficients, mounting=None)
 
 
 def _tilt(gravity: Vector) -> dict[str, float]:

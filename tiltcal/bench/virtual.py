@@ -25,20 +25,20 @@ class VirtualBench:
     ----------
     clock : Clock
         Session time.
-    places : sequence of DeviceSetup
+    devices : sequence of DeviceSetup
         The devices; ``sim:`` addresses take ``twin=FILE`` and ``seed=N``.
     """
 
-    def __init__(self, clock: Clock, places: Sequence[DeviceSetup]) -> None:
+    def __init__(self, clock: Clock, devices: Sequence[DeviceSetup]) -> None:
         self._clock = clock
-        self._first = next((place for place in places if parse_address(place.address).simulated), None)
+        self._first = next((device for device in devices if parse_address(device.address).simulated), None)
 
     @cached_property
     def fixture(self) -> Fixture:
         """The jig and the chamber; the first virtual sensor's truth says how good they are."""
         if self._first is None:
             return Fixture(self._clock)
-        truth = truth_of(parse_address(self._first.address), self._first.fitted)
+        truth = truth_of(parse_address(self._first.address), self._first.model)
         return Fixture(
             self._clock,
             seed=truth.seed,
@@ -47,23 +47,23 @@ class VirtualBench:
             time_constant=truth.time_constant,
         )
 
-    def twin(self, place: DeviceSetup) -> Link:
+    def twin(self, device: DeviceSetup) -> Link:
         """The virtual sensor behind a ``sim:`` address."""
-        truth = truth_of(parse_address(place.address), place.fitted)
-        return place.fitted.twin(truth, self.fixture.turned(_seat(place, truth)), self._clock)
+        truth = truth_of(parse_address(device.address), device.model)
+        return device.model.twin(truth, self.fixture.turned(_to_sensor(device, truth)), self._clock)
 
 
-def _seat(place: DeviceSetup, truth: Truth) -> Callable[[Vector], Vector]:
-    """What takes a vector of the fixture's frame into the sensor's."""
+def _to_sensor(device: DeviceSetup, truth: Truth) -> Callable[[Vector], Vector]:
+    """Return the function that takes a vector of the fixture's frame into the sensor's."""
     if truth.mounting == (0.0, 0.0, 0.0):
-        return place.orientation.seen
+        return device.orientation.seen
     from tiltcal.core.mounting import mounting_matrix
 
     roll, pitch, yaw = map(radians, truth.mounting)
     to_sensor = mounting_matrix(Mounting(roll, pitch, yaw)).T.tolist()
 
     def seen(vector: Vector) -> Vector:
-        straight = place.orientation.seen(vector)
+        straight = device.orientation.seen(vector)
         x, y, z = (sum(a * b for a, b in zip(row, straight, strict=True)) for row in to_sensor)
         return x, y, z
 

@@ -105,10 +105,7 @@ def _of_journal_beside(path: Path, captured: FileRecord | None) -> list[str]:
 
 def _against_journal(path: Path, journal: Path) -> list[str]:
     """Replay the journal that lies beside a calibration file."""
-    from tiltcal.bench.operators.sim import SimOperator
     from tiltcal.bench.session import Session
-    from tiltcal.bench.session_plan import SessionPlan
 
-    captured = read_journal(journal)
-    texts = Session(SessionPlan.from_journal(captured), journal, captured).replay(SimOperator(lambda line: None)).texts
+    texts = Session.of_journal(journal).replay().texts
     return [] if path.read_text(encoding="utf-8") in texts.values() else [f"{journal} does not give this file"]

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.session import Session
-from tiltcal.bench.session_plan import plan_session, single
+from tiltcal.bench.measure import measure
 from tiltcal.calibration.summary import summary
 from tiltcal.cli.report import write_report
 from tiltcal.drivers import find_model
@@ -19,7 +17,6 @@ from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.procedure import find_procedure
 from tiltcal.files.whole import write_whole
 from tiltcal.report.page import require_extra
 
@@ -50,10 +47,16 @@ def command(folder: Path, seed: int) -> None:
 
     click.echo("1. measure, on the virtual bench (no real sensor)")
     journal.unlink(missing_ok=True)
-    plan = plan_session(
-        find_procedure(PROCEDURE), single(MODEL, SERIAL, str(address)), [calibration], journal, lead="sim"
+    measure(
+        PROCEDURE,
+        operator="sim",
+        sensor=MODEL,
+        address=str(address),
+        serial=SERIAL,
+        output=calibration,
+        journal=journal,
+        remark=lambda line: click.echo(f"   {line}"),
     )
-    Session(plan, journal).measure(SimOperator(lambda line: click.echo(f"   {line}")))
     click.echo("\n2. the calibration file")
     click.echo(summary(read_calibration(calibration)))
     click.echo(

@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from tiltcal.bench.channel_map import map_channels
-from tiltcal.bench.session import Session
-from tiltcal.bench.session_plan import SessionPlan, plan_session, single
-from tiltcal.calibration.unit_gravity import require_no_jig
-from tiltcal.cli.session_options import LEADERS, captured, free_journal, led, left_at_default
-from tiltcal.drivers.device import in_words
-from tiltcal.errors import JournalError, UsageError
-from tiltcal.files.bench import BenchFile, read_bench
-from tiltcal.files.document import read_text
-from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.cli.session_options import LEADERS, left_at_default, remark
 
 
 @click.command(
@@ -94,105 +84,25 @@ def command(
     the file of its pairs. Everything is captured in a journal as it happens: after a crash, a power cut or Ctrl-C,
     `--resume JOURNAL` goes on from the last byte.
     """
-    if resume is not None and resume.exists():
-        journal_before = captured(resume)
-        session = Session(SessionPlan.from_journal(journal_before), resume, journal_before)
-        operator = session.plan.lead if left_at_default("operator") else operator
-    else:
-        wanted: dict[str, object] = {"PROCEDURE": procedure}
-        if bench is None:
-            wanted |= {"--sensor": sensor, "--address": address, "--serial": serial, "-o": output}
-        missing = [name for name, value in wanted.items() if value is None]
-        if resume is not None and missing:
-            raise JournalError("no such journal; nothing was captured there", file=resume)
-        if missing:
-            raise UsageError(f"measure needs {', '.join(missing)} (or --resume JOURNAL); see tiltcal measure --help")
-        if bench is not None and (sensor or address or serial):
-            raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
-        steps = find_procedure(str(procedure), tilt).with_turns(turns)
-        if steps.rotation is not None:
-            _require_steady(samples, settle, jig)
-        sensors = read_bench(bench) if bench is not None else single(str(sensor), str(serial), str(address))
-        require_no_jig(steps, jig)
-        sensors = sensors if jig is None else replace(sensors, jig=jig)
-        mounted = _base(steps, base, sensors)
-        outputs, beside = _outputs(steps, sensors, bench, output)
-        path = resume or journal or free_journal(beside)
-        plan = plan_session(
-            *(steps, sensors, outputs, path),
-            lead=operator,
-            samples=samples,
-            settle=settle,
-            base=mounted,
-            typical=typical_temperature,
-        )
-        session = Session(plan, path)
-        _show_outlook(plan)
-    with led(session, operator, plain=plain, again="measure") as leader:
-        result = session.measure(leader)
-    for name, link_statistics in result.link_statistics_by_serial.items():
-        click.echo(f"{name}: {in_words(link_statistics)}", err=True)
+    from tiltcal.bench.measure import measure
 
-
-def _show_outlook(plan: SessionPlan) -> None:
-    """Tell how well the positions will determine the coefficients; refuse those that cannot."""
-    from tiltcal.calibration.prediction import predict
-
-    if plan.procedure.determines.mounting:
-        return
-    if plan.procedure.rotation is not None:
-        hookup = map_channels(plan.procedure.rotation, [(place.serial, place.fitted) for place in plan.places])
-        for why in hookup.left_out:
-            click.echo(why, err=True)
-        if len(plan.places) > 1:
-            click.echo(
-                "several devices are read one after the other: what one is late by, times 2 pi f, goes into q",
-                err=True,
-            )
-        return
-    for place in {(place.model, place.orientation): place for place in plan.places}.values():
-        expected = predict(
-            plan.procedure,
-            place.fitted,
-            jig=plan.jig,
-            thermometer=plan.thermometer_uncertainty,
-            samples=plan.settings.samples,
-            orientation=place.orientation,
-            sensors=len(plan.places),
-        )
-        click.echo(f"{place.model}, {expected}", err=True)
-
-
-def _base(procedure: Procedure, base: Path | None, sensors: BenchFile) -> str | None:
-    """The text of the calibration that a mounting completes."""
-    from tiltcal.calibration.calibrate import base_of
-
-    base_of(procedure, base, [sensor.serial for sensor in sensors.sensors])
-    return None if base is None else read_text(base)
-
-
-def _require_steady(samples: int | None, settle: float | None, jig: float | None) -> None:
-    """Refuse what only positions have."""
-    for option, value in (("--samples", samples), ("--settle", settle), ("--jig", jig)):
-        if value is not None:
-            raise UsageError(f"a stage that turns has no positions: leave {option} out; --turns says how long it turns")
-
-
-def _outputs(
-    procedure: Procedure, sensors: BenchFile, bench: Path | None, output: Path | None
-) -> tuple[list[Path | None], Path]:
-    """The calibration files, and the file beside which the journal lies.
-
-    A bench file's sensors each have a file of their own, named for their serial number, in the folder that -o names;
-    those of a stage that turns have one together, which -o names.
-    """
-    if procedure.rotation is not None:
-        if output is None or output.is_dir():
-            raise UsageError("the pairs of a stage have one file together: name it with -o PAIR.yaml")
-        return [output, *(None for _ in sensors.sensors[1:])], output
-    if bench is None and output is not None:
-        return [output], output
-    folder = output or Path()
-    if not folder.is_dir():
-        raise UsageError(f"with --bench, -o names the folder for the calibration files; {folder} is no folder")
-    return [folder / f"{sensor.serial}.yaml" for sensor in sensors.sensors], folder / str(bench and bench.name)
+    measure(
+        procedure,
+        operator=None if left_at_default("operator") else operator,
+        sensor=sensor,
+        address=address,
+        serial=serial,
+        output=output,
+        bench=bench,
+        samples=samples,
+        settle=settle,
+        jig=jig,
+        tilt=tilt,
+        turns=turns,
+        base=base,
+        typical_temperature=typical_temperature,
+        journal=journal,
+        resume=resume,
+        plain=plain,
+        remark=remark,
+    )

@@ -6,12 +6,9 @@ import json
 
 import click
 
-from tiltcal.bench.session_plan import DeviceSetup
-from tiltcal.bench.virtual import VirtualBench
+from tiltcal.bench.measure import open_sensor
 from tiltcal.drivers import find_model
-from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import SelfTesting
 from tiltcal.errors import UsageError
 
@@ -30,23 +27,14 @@ def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
 
     Exit code 3 where it does not answer, 1 where its self-test fails.
     """
-    import time
-
-    where = parse_address(address)
-    model = find_model(sensor).at(where)
-    clock: Clock = VirtualClock() if where.simulated else SystemClock(time.time_ns())
-    place = DeviceSetup(sensor, "", address)
-    link = VirtualBench(clock, [place]).twin(place) if where.simulated else open_link(where, model)
-    try:
-        driver = model.driver(link, clock)
+    model = find_model(sensor).at(parse_address(address))
+    with open_sensor(sensor, address) as driver:
         said = dict(driver.probe())
         tests = {}
         if self_test:
             if not isinstance(driver, SelfTesting):
                 raise UsageError(f"{model.name} has no self-test that tiltcal can start")
             tests = {channel: driver.self_test(channel) for channel in model.channels}
-    finally:
-        link.close()
     passed = all(test.passed for test in tests.values())
     if as_json:
         results = {channel: {"passed": test.passed, "said": str(test)} for channel, test in tests.items()}

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tiltcal.bench.connection import connected, open_device
 from tiltcal.bench.event_log import EventLog
 from tiltcal.bench.recording import CsvRecorder, RecordingTally, header, record
-from tiltcal.bench.session_plan import VIRTUAL_START, places_of
+from tiltcal.bench.sensor_set import connected, open_device
+from tiltcal.bench.session_plan import VIRTUAL_START, devices_of
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
@@ -67,29 +67,32 @@ def capture(named: BenchFile, rate: float | None, rows: int | None, seconds: flo
     HardwareError
         A sensor does not answer.
     """
-    places, thermometer = places_of(named)
-    devices = places if thermometer is None else (*places, thermometer)
-    virtual = all(parse_address(place.address).simulated for place in devices)
-    interval = 1.0 / rate if rate else max(place.fitted.interval for place in places)
+    sensors, thermometer = devices_of(named)
+    devices = sensors if thermometer is None else (*sensors, thermometer)
+    virtual = all(parse_address(one.address).simulated for one in devices)
+    interval = 1.0 / rate if rate else max(one.model.interval for one in sensors)
     wanted = rows if seconds is None else min(rows or sys.maxsize, max(1, round(seconds / interval)))
     if virtual and wanted is None:
         raise UsageError("on the virtual bench time takes no time: say --rows or --for")
     started = VIRTUAL_START if virtual else datetime.now(UTC)
     clock: Clock = VirtualClock() if virtual else SystemClock(int(started.timestamp() * 1e9))
     twins = VirtualBench(clock, devices)
-    for place in devices:
-        link = open_device(place, twins)
+    for device in devices:
+        link = open_device(device, twins)
         try:
-            place.fitted.driver(link, clock).probe()
+            device.model.driver(link, clock).probe()
         finally:
             link.close()
     interrupted = False
     tally = RecordingTally()
-    with connected(places, thermometer, EventLog(clock), clock, twins) as rack, _progress() as tell:
-        rows_log = CsvRecorder(log, header(rack.bays, thermometer=thermometer is not None))
+    with connected(sensors, thermometer, EventLog(clock), clock, twins) as sensor_set, _progress() as tell:
+        rows_log = CsvRecorder(log, header(sensor_set.sensors, thermometer=thermometer is not None))
         try:
             for tally in record(
-                *(rack, rows_log, clock, started), thermometer=thermometer is not None, interval=interval, rows=wanted
+                *(sensor_set, rows_log, clock, started),
+                thermometer=thermometer is not None,
+                interval=interval,
+                rows=wanted,
             ):
                 tell(tally)
         except KeyboardInterrupt:

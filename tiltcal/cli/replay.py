@@ -7,10 +7,8 @@ from pathlib import Path
 
 import click
 
-from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.session import Session
-from tiltcal.bench.session_plan import SessionPlan
-from tiltcal.cli.session_options import captured
+from tiltcal.cli.session_options import remark
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.whole import check_writable, whole_file, write_whole
 
@@ -38,19 +36,19 @@ JUDGED_FAILING = 1
 )
 def command(journal: Path, output: Path | None, golden: Path | None, samples: Path | None) -> int:
     """Run a captured session again, without hardware, and make its calibration file, identical to the byte."""
-    before = captured(journal)
-    if before.end is None:
+    session = Session.of_journal(journal, remark)
+    before = session.journal
+    if before is not None and before.end is None:
         raise JournalError(
             f"the session was interrupted; go on with it: tiltcal measure --resume {journal}",
             file=journal,
             line=len(before.events) + 2,
         )
-    session = Session(SessionPlan.from_journal(before), journal, before)
     if output is not None:
         for path in _targets(output, session.outputs):
             check_writable(path)
     with nullcontext() if samples is None else whole_file(samples) as stream:
-        texts = session.replay(SimOperator(lambda line: None), stream).texts
+        texts = session.replay(stream).texts
     if golden is not None:
         for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
             if not path.is_file() or text.encode() != path.read_bytes():

@@ -5,18 +5,18 @@ from __future__ import annotations
 import json
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from tiltcal.bench.session import Session
-from tiltcal.bench.session_calibration import MeasuredPositions
-from tiltcal.bench.session_plan import SessionPlan, plan_session, single
-from tiltcal.bench.verification import VerifiedPosition, checks
-from tiltcal.cli.session_options import LEADERS, captured, free_journal, led, left_at_default
+from tiltcal.cli.session_options import LEADERS, left_at_default, remark
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import find_procedure
+
+if TYPE_CHECKING:
+    from tiltcal.bench.operators.operator import PositionOperator
+    from tiltcal.bench.verification import VerifiedPosition
 
 JUDGED_FAILING = 1
 
@@ -67,27 +67,31 @@ def command(
 
     Exit code 1 where a tilt is off by more than the limit.
     """
+    from tiltcal.bench.measure import free_journal
+    from tiltcal.bench.operators.opening import open_operator
+    from tiltcal.bench.session import Session
+    from tiltcal.bench.session_plan import plan_session, single
+
     judged = read_calibration(calibration)
     if resume is not None:
-        before = captured(resume)
-        session = Session(SessionPlan.from_journal(before), resume, before)
+        session = Session.of_journal(resume, remark)
         operator = session.plan.lead if left_at_default("operator") else operator
     elif address is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
     else:
-        path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"))
+        path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), remark)
         bench = single(judged.sensor.model, judged.sensor.serial, address)
         steps = find_procedure(procedure, tilt)
         if steps.determines.free:
             raise UsageError(f"{steps.name} sets no position that a calibration could be judged by: name another one")
         steps.require_positions()
         session = Session(plan_session(steps, bench, [None], path, lead=operator, samples=samples, settle=settle), path)
-
-    def conclude(walked: MeasuredPositions) -> list[VerifiedPosition]:
-        return checks(judged, walked.bays[0], walked.taken)
-
-    with led(session, operator, plain=plain, again=f"verify {calibration}") as leader:
-        found, _ = session.walk(leader, conclude)
+    session.preflight()
+    with (
+        session.resumable(f"verify {calibration}", remark),
+        open_operator(operator, turns=False, virtual=session.plan.virtual, say=remark, plain=plain) as leader,
+    ):
+        found = session.verify(cast("PositionOperator", leader), judged)
         leader.done([], session.path)
     passed = all(check.error <= limit for check in found)
     if as_json:

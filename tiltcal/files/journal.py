@@ -8,6 +8,7 @@
     [0, "!", "100000", "why", "…"]                        a bus transaction that failed
     [0, "a", {"to": "position", "answer": "ready"}, "…"]  what the operator answered
     [0, "p", {"position": "x-tilt1", …}, "…"]             an accepted position
+    [0, "live", "…"]                                      a reading follows that only the operator looked at
     [9, "resumed", "…"]                                   the session was interrupted, and goes on from here
     [0, "end", {"events": 812, "sha256": "…"}, "…"]       the session came to its end
 
@@ -33,6 +34,7 @@ VERSION = 1
 HARDWARE_ERROR = "!"
 ANSWER = "a"
 POSITION = "p"
+LIVE_READING = "live"
 RESUMED = "resumed"
 END = "end"
 

@@ -9,13 +9,15 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tiltcal.core.frames import Vector, gravity_from_tilt, normalised
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.document import checked_kind, read_tiltcal_file
 from tiltcal.files.node import Node, document_of
-from tiltcal.files.rotation import Rotation, read_rotation, require_turns
+
+if TYPE_CHECKING:
+    from tiltcal.files.rotation import Rotation
 
 ORDER_LIMIT = 6
 """The highest order of a temperature polynomial."""
@@ -152,6 +154,8 @@ class Procedure:
             return self
         if self.rotation is None:
             raise UsageError(f"the procedure {self.name!r} has positions and no turns; leave --turns out")
+        from tiltcal.files.rotation import require_turns
+
         return replace(self, rotation=replace(self.rotation, turns=require_turns(turns)))
 
 
@@ -264,6 +268,8 @@ def _procedure_of(document: Node, angle: float | None) -> Procedure:
 
 def _turning_of(document: Node, angle: float | None) -> Procedure:
     """A procedure of a stage that turns."""
+    from tiltcal.files.rotation import read_rotation
+
     top = document.mapping(required=("tiltcal", "kind", "name", "title", "rotation"), optional=("source",))
     name = _read_name(top["name"])
     return Procedure(

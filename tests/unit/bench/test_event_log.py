@@ -9,9 +9,7 @@ from typing import Any
 import pytest
 from support import FIXTURES
 
-from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.session import Session
-from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.errors import JournalError
 from tiltcal.files.journal import Event, JournalWriter, read_journal
 
@@ -32,8 +30,7 @@ def forged(path: Path, change: Callable[[Event], tuple[Any, ...] | None]) -> Pat
 
 
 def replay(path: Path) -> None:
-    journal = read_journal(path)
-    Session(SessionPlan.from_journal(journal), path, journal).replay(SimOperator(lambda line: None))
+    Session.of_journal(path).replay()
 
 
 def same(event: Event) -> tuple[Any, ...]:

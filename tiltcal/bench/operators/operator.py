@@ -1,81 +1,208 @@
-"""Who carries out the positions: a person, a program, or the virtual jig."""
+"""Who carries out a session: what is asked, what may be answered, and what the operator is told.
+
+A procedure of positions is carried out by a :class:`PositionOperator`, one of a turning stage by a
+:class:`RotationOperator`. A person at a terminal (``terminal.py``), a program or a Python object (``rig.py``,
+``json_lines.py``) and the virtual bench (``sim.py``) each have one of both kinds.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from tiltcal.bench.operators.answer import OperatorAnswer
-from tiltcal.bench.operators.sim_stage import SimStageOperator
-from tiltcal.drivers.device import Reading
+from tiltcal.drivers.device import Model, Reading
 from tiltcal.files.procedure import Position
+
+if TYPE_CHECKING:
+    from tiltcal.bench.positions import PositionResult
+    from tiltcal.core.pair.matching import Matching, PairCoefficients
+    from tiltcal.core.pair.model import Pair
 
 Live = Callable[[], Mapping[str, Reading]]
 """Takes one sample of every sensor, by serial number."""
 
 
 @dataclass(frozen=True)
-class MeasuredPosition:
-    """What one sensor gave in one position.
+class OperatorAnswer:
+    """An answer of the operator, as the journal keeps it. An operator that quits raises ``Stopped`` instead.
 
     Attributes
     ----------
-    serial, unit : str
-    mean, std, expected : dict of str to float
-        Per channel, in ``unit``; ``expected`` is what the positions so far let one expect, empty where nobody
-        can say.
-    n : int
-        Number of samples.
+    word : str
+        ``ready``, ``redo`` or ``back`` to a position; ``accept``, ``redo`` or ``back`` to what was measured;
+        ``yes`` to writing the files; ``ready`` to a rotation, and ``stop`` while the stage turns.
+    tilt : dict of str to float
+        Angles actually set, degrees; empty where they are as asked.
+    gravity : tuple of float or None
+        Direction actually set; None where it is as asked.
     temperature : float or None
-        °C.
+        °C, typed; None where it is left to the thermometer.
     """
 
-    serial: str
-    unit: str
-    mean: dict[str, float]
-    std: dict[str, float]
-    expected: dict[str, float]
-    n: int
-    temperature: float | None
+    word: str
+    tilt: dict[str, float] = field(default_factory=dict)
+    gravity: tuple[float, ...] | None = None
+    temperature: float | None = None
+
+    def record(self) -> dict[str, Any]:
+        """Return plain data for the journal."""
+        return {
+            "answer": self.word,
+            **({"tilt": self.tilt} if self.tilt else {}),
+            **({"gravity": list(self.gravity)} if self.gravity is not None else {}),
+            **({"temperature": self.temperature} if self.temperature is not None else {}),
+        }
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> OperatorAnswer:
+        """Return the answer of a :meth:`record`."""
+        gravity = record.get("gravity")
+        return cls(
+            record["answer"],
+            dict(record.get("tilt", {})),
+            tuple(gravity) if gravity is not None else None,
+            record.get("temperature"),
+        )
 
 
-class Operator(SimStageOperator, Protocol):
-    """Asked and told by the runner; only its answers enter the journal."""
+class Operator(Protocol):
+    """What every operator is asked and told at the end of a session."""
 
-    def begin(self, title: str, positions: int) -> None:
-        """The session starts, or goes on."""
+    def confirm_write(self, files: list[Path]) -> OperatorAnswer:
+        """Answer ``yes``: the calibration files may be written.
+
+        Raises
+        ------
+        Stopped
+            They may not.
+        """
+        ...
+
+    def done(self, files: list[Path], journal: Path) -> None:
+        """All is written."""
+        ...
+
+
+class PositionOperator(Operator, Protocol):
+    """The operator of a procedure of positions. Every question raises ``Stopped`` where the operator quits."""
+
+    def begin(self, title: str, positions: int, models: Mapping[str, Model]) -> None:
+        """The session starts, or goes on; the models are by serial number."""
         ...
 
     def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
-        """Bring the sensors to a position: ``ready``, ``redo``, ``back`` or ``quit``."""
+        """Bring the sensors to a position: ``ready``, ``redo`` or ``back``."""
         ...
 
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
-        """Shown while the session waits or samples."""
+        """Show readings while the session waits or samples."""
         ...
 
-    def review(self, position: Position, measured: list[MeasuredPosition]) -> OperatorAnswer:
-        """Judge a measured position: ``accept``, ``redo``, ``back`` or ``quit``."""
+    def review(self, result: PositionResult) -> OperatorAnswer:
+        """Judge a measured position: ``accept``, ``redo`` or ``back``."""
         ...
 
-    def accepted(self, position: Position, measured: list[MeasuredPosition]) -> None:
+    def accepted(self, result: PositionResult) -> None:
         """The position counts."""
         ...
 
     def refused(self, position: Position, why: str) -> None:
-        """The position does not count; it is asked for again."""
+        """The position does not count; it is asked for again.
+
+        Raises
+        ------
+        Stopped
+            The operator gives up.
+        """
         ...
 
     def lost(self, serial: str, why: str) -> None:
         """A sensor is given up; the others go on."""
         ...
 
-    def write(self, files: list[Path]) -> OperatorAnswer:
-        """May the calibration files be written: ``yes`` or ``no``."""
+
+@dataclass(frozen=True)
+class StageTurn:
+    """One turn of a stage, with what is known by then.
+
+    Attributes
+    ----------
+    number : int
+        Whole turns that count.
+    of : int
+        The most that are made.
+    pairs : mapping of str to PairCoefficients
+        p and q by now, by the name of the pair; a pair of which nothing is known is not there.
+    unknown : mapping of str to str
+        Why the estimators of other pairs stopped.
+    left_out : int
+        Samples that were held or damaged so far.
+    """
+
+    number: int
+    of: int
+    pairs: Mapping[str, PairCoefficients]
+    unknown: Mapping[str, str]
+    left_out: int = 0
+
+    def __str__(self) -> str:
+        parts = [f"turn {self.number} of {self.of}", *(pair_in_words(name, one) for name, one in self.pairs.items())]
+        parts += [f"{name}: {why}" for name, why in self.unknown.items()]
+        if self.left_out:
+            parts.append(f"{self.left_out} samples left out")
+        return "   ".join(parts)
+
+
+class RotationOperator(Operator, Protocol):
+    """The operator of a turning stage: asked once, told turn by turn, free to stop at any time."""
+
+    def begin(self, title: str) -> None:
+        """The session starts, or goes on."""
         ...
 
-    def done(self, files: list[Path], journal: Path) -> None:
-        """All is written."""
+    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
+        """Let the stage turn: ``ready``.
+
+        Raises
+        ------
+        Stopped
+            The operator quits.
+        """
         ...
+
+    def poll(self) -> OperatorAnswer | None:
+        """Return ``stop`` where the operator has said so, without waiting.
+
+        Raises
+        ------
+        Stopped
+            The operator quits.
+        """
+        ...
+
+    def turn_completed(self, turn: StageTurn) -> None:
+        """Another turn is made."""
+        ...
+
+    def paused(self, why: str) -> None:
+        """Samples do not count from here on."""
+        ...
+
+    def resumed(self) -> None:
+        """They count again."""
+        ...
+
+    def refused(self, why: str) -> None:
+        """The stage does not turn, or it is too early to stop."""
+        ...
+
+    def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
+        """The pairs are matched."""
+        ...
+
+
+def pair_in_words(name: str, found: PairCoefficients | Matching) -> str:
+    """Return p and q of a pair in a line: ``a1_a2: p 0.012345 ± 3e-05, q ...``."""
+    return f"{name}: p {found.p:.7f} ± {found.u_p:.1g}, q {found.q:.7f} ± {found.u_q:.1g}"

@@ -4,34 +4,58 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from tiltcal.bench.operators.answer import OperatorAnswer
-from tiltcal.bench.operators.operator import Live, MeasuredPosition
-from tiltcal.bench.operators.sim_stage import StageTurn, said
-from tiltcal.core.pair.matching import Matching
-from tiltcal.core.pair.model import Pair
-from tiltcal.drivers.device import Reading
+from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn, pair_in_words
+from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Position
 
+if TYPE_CHECKING:
+    from tiltcal.bench.positions import PositionResult
+    from tiltcal.core.pair.matching import Matching
+    from tiltcal.core.pair.model import Pair
 
-class SimOperator:
-    """Answers every question with yes, and tells what happens in plain lines.
+REFUSALS = 10
+"""Refusals of one position in a row after which it gives up: the virtual jig does the same again."""
+
+
+def _silent(line: str) -> None:
+    pass
+
+
+class _Sim:
+    """The two operators' common part.
 
     Parameters
     ----------
     say : callable
-        Takes one line of talk.
+        Takes one line of talk; by default nobody hears it.
     """
 
-    def __init__(self, say: Callable[[str], None]) -> None:
+    def __init__(self, say: Callable[[str], None] = _silent) -> None:
         self._say = say
-        self._positions = 0
-        self._number = 0
 
-    def begin(self, title: str, positions: int) -> None:
-        self._positions = positions
-        self._say(f"{title}: {positions} positions" if positions else title)
+    def confirm_write(self, files: list[Path]) -> OperatorAnswer:
+        return OperatorAnswer("yes")
+
+    def done(self, files: list[Path], journal: Path) -> None:
+        for path in files:
+            self._say(f"wrote {path}")
+        self._say(f"journal {journal}")
+
+
+class SimOperator(_Sim):
+    """Answers ready to every position of a virtual jig."""
+
+    def __init__(self, say: Callable[[str], None] = _silent) -> None:
+        super().__init__(say)
+        self._models: Mapping[str, Model] = {}
+        self._positions = self._number = self._refusals = 0
+
+    def begin(self, title: str, positions: int, models: Mapping[str, Model]) -> None:
+        self._positions, self._models = positions, models
+        self._say(f"{title}: {positions} positions")
 
     def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
         self._number = number
@@ -40,21 +64,35 @@ class SimOperator:
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
         pass
 
-    def review(self, position: Position, measured: list[MeasuredPosition]) -> OperatorAnswer:
+    def review(self, result: PositionResult) -> OperatorAnswer:
         return OperatorAnswer("accept")
 
-    def accepted(self, position: Position, measured: list[MeasuredPosition]) -> None:
-        for one in measured:
-            values = "  ".join(f"{channel} {mean:.6g} ± {one.std[channel]:.2g}" for channel, mean in one.mean.items())
-            whose = f"{one.serial}  " if len(measured) > 1 else ""
+    def accepted(self, result: PositionResult) -> None:
+        self._refusals = 0
+        for serial, one in result.measurements.items():
+            values = "  ".join(
+                f"{name} {summary.mean:.6g} ± {summary.std:.2g}" for name, summary in one.summaries.items()
+            )
+            whose = f"{serial}  " if len(result.measurements) > 1 else ""
             warmth = "" if one.temperature is None else f"  at {one.temperature:.1f} °C"
-            self._say(f"  {self._number}/{self._positions} {position.name:<12} {whose}{values} {one.unit}{warmth}")
+            unit = self._models[serial].unit
+            self._say(f"  {self._number}/{self._positions} {result.position.name:<12} {whose}{values} {unit}{warmth}")
 
     def refused(self, position: Position, why: str) -> None:
         self._say(f"  {position.name} refused: {why}")
+        self._refusals += 1
+        if self._refusals >= REFUSALS:
+            raise Stopped(f"{position.name} was refused {self._refusals} times in a row: {why}")
 
     def lost(self, serial: str, why: str) -> None:
         self._say(f"  {serial} is given up, the others go on: {why}")
+
+
+class SimRotationOperator(_Sim):
+    """Lets a virtual stage turn."""
+
+    def begin(self, title: str) -> None:
+        self._say(title)
 
     def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
         self._say(f"{len(pairs)} pairs, up to {turns} turns of the virtual stage")
@@ -63,27 +101,19 @@ class SimOperator:
     def poll(self) -> OperatorAnswer | None:
         return None
 
-    def turned(self, turn: StageTurn) -> None:
+    def turn_completed(self, turn: StageTurn) -> None:
         self._say(f"  {turn}")
 
-    def held(self, why: str) -> None:
+    def paused(self, why: str) -> None:
         self._say(f"  held: {why}")
 
     def resumed(self) -> None:
         self._say("  goes on")
 
-    def turning_refused(self, why: str) -> None:
+    def refused(self, why: str) -> None:
         # Asked again, the virtual stage would do the same.
         raise Stopped(why)
 
     def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
         for one in matchings:
-            self._say(f"  {said(one.pair.name, one)} after {turns:.1f} turns")
-
-    def write(self, files: list[Path]) -> OperatorAnswer:
-        return OperatorAnswer("yes")
-
-    def done(self, files: list[Path], journal: Path) -> None:
-        for path in files:
-            self._say(f"wrote {path}")
-        self._say(f"journal {journal}")
+            self._say(f"  {pair_in_words(one.pair.name, one)} after {turns:.1f} turns")

@@ -5,31 +5,35 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from math import asin, degrees, isfinite
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from tiltcal.bench.operators.answer import OperatorAnswer
 from tiltcal.bench.operators.keys import ENTER, Keys
-from tiltcal.bench.operators.operator import Live, MeasuredPosition
-from tiltcal.bench.operators.sim_stage import StageTurn, said
+from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn, pair_in_words
 from tiltcal.core.frames import gravity_from_tilt, normalised
-from tiltcal.core.pair.matching import Matching
-from tiltcal.core.pair.model import Pair
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import HardwareError, InputError, Stopped
 from tiltcal.files.procedure import Position
+
+if TYPE_CHECKING:
+    from tiltcal.bench.positions import PositionResult
+    from tiltcal.core.pair.matching import Matching
+    from tiltcal.core.pair.model import Pair
 
 T = TypeVar("T")
 
 LIVE_PAUSE = 0.4
 """Seconds between live readings: fast enough to set an angle by, slow enough for the journal of a long night."""
 
+CLEAR = "\r\x1b[2K"
+"""Empties the line of the live reading."""
 
-class TerminalOperator:
-    """Asks a person.
+
+class _Terminal:
+    """The two operators' common part.
 
     Parameters
     ----------
@@ -37,29 +41,79 @@ class TerminalOperator:
         Where to talk.
     keys : Keys
         Where the choices come from.
-    models : mapping of str to Model
-        Per serial number, so that readings can be shown as angles too.
     live : bool
-        Whether to show readings while waiting; needs a terminal.
+        Whether one line may overwrite another; needs a terminal.
     """
 
-    def __init__(self, console: Console, keys: Keys, models: Mapping[str, Model], *, live: bool) -> None:
+    def __init__(self, console: Console, keys: Keys, *, live: bool) -> None:
         self._console = console
         self._keys = keys
-        self._models = models
         self._live = live
-        self._positions = 0
 
-    def begin(self, title: str, positions: int) -> None:
-        self._positions = positions
-        self._console.print(f"\n[bold]{title}[/bold]" + (f"  {positions} positions" if positions else ""))
+    def confirm_write(self, files: list[Path]) -> OperatorAnswer:
+        """Ask once more before the files are written."""
+        named = ", ".join(f"{path} (replaces the one there)" if path.exists() else str(path) for path in files)
+        self._say(f"\nAll is measured. Write {named}?")
+        self._hint("Enter write", "n stop and keep")
+        if self._choice(f"{ENTER}ynq") in "nq":
+            raise Stopped("not written, as the operator wished")
+        return OperatorAnswer("yes")
+
+    def done(self, files: list[Path], journal: Path) -> None:
+        for path in files:
+            self._say(f"wrote {path}", "green")
+        self._say(f"journal {journal}")
+
+    def _choice(self, keys: str) -> str:
+        """Wait for one of these keys."""
+        while True:
+            key = self._keys.choice(None)
+            if key is not None and key in keys:
+                return key
+
+    def _say(self, text: str, style: str = "", end: str = "\n") -> None:
+        """Print a line as it stands: what comes from a file is no markup, and holds no escape sequence."""
+        self._console.print(Text(printable(text), style=style), end=end)
+
+    def _hint(self, *choices: str) -> None:
+        told = Text("  ")
+        for choice in choices:
+            key, _, meaning = choice.partition(" ")
+            told.append(key, style="bold").append(f" {meaning}   ", style="dim")
+        self._console.print(told)
+
+    def _line(self, text: str) -> None:
+        """Print one line that the next one overwrites."""
+        width = self._console.width - 3
+        self._console.file.write(f"{CLEAR}  {printable(text)[:width]}")
+        self._console.file.flush()
+
+    def _clear(self) -> None:
+        if self._live:
+            self._console.file.write(CLEAR)
+            self._console.file.flush()
+
+
+class TerminalOperator(_Terminal):
+    """Asks a person for positions; ``live`` shows readings while it waits."""
+
+    def __init__(self, console: Console, keys: Keys, *, live: bool) -> None:
+        super().__init__(console, keys, live=live)
+        self._positions = 0
+        self._models: Mapping[str, Model] = {}
+
+    def begin(self, title: str, positions: int, models: Mapping[str, Model]) -> None:
+        self._positions, self._models = positions, models
+        self._say(f"\n{title}  {positions} positions", "bold")
 
     def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
         """Show the operator what to set, and a live reading, until a key is pressed."""
-        self._console.print(f"\n[bold cyan]{number}/{self._positions or '?'}  {position.name}[/bold cyan]")
-        self._console.print(f"  {position.prompt}", markup=False)
+        self._say(f"\n{number}/{self._positions}  {position.name}", "bold cyan")
+        self._say(f"  {position.prompt}")
         if position.temperature is not None:
-            self._console.print(f"  at {position.temperature:g} °C")
+            self._say(f"  at {position.temperature:g} °C")
+        if position.stage is not None:
+            self._say(f"  stage at {position.stage:g}°")
         self._hint("Enter measure", "a angle set", "t temperature", "b back", "q stop and keep")
         tilt: dict[str, float] = {}
         gravity: tuple[float, ...] | None = None
@@ -73,117 +127,58 @@ class TerminalOperator:
             if key in ("b", "r"):
                 return OperatorAnswer("back" if key == "b" else "redo")
             if key == "t":
-                temperature = self._number("temperature in °C", -100.0, 200.0)
+                temperature = self._number("temperature in °C", -100.0, 200.0, temperature)
             elif key == "a" and position.tilt is not None:
-                tilt = self._angles(position.tilt)
+                tilt = self._angles(position.tilt, tilt)
             elif key == "a":
-                gravity = self._direction()
+                gravity = self._typed("direction that points up, as gx gy gz", direction, gravity)
             elif key is not None:
-                self._console.print(f"  {key!r} is no choice here")
+                self._say(f"  {key!r} is no choice here")
 
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
         self._show(readings, why)
 
-    def review(self, position: Position, measured: list[MeasuredPosition]) -> OperatorAnswer:
+    def review(self, result: PositionResult) -> OperatorAnswer:
         """Show expected, measured and noise, and ask whether it counts."""
         self._clear()
-        table = Table(box=None, pad_edge=False, padding=(0, 2), header_style="dim")
-        for heading in ("", "expected", "measured", "tilt", "noise", "n"):
-            table.add_column(heading, justify="right")
-        for one in measured:
-            for channel, mean in one.mean.items():
-                table.add_row(
-                    f"{one.serial} {channel}",
-                    f"{one.expected[channel]:.6g}" if one.expected else "unknown",
-                    f"{mean:.6g} {one.unit}",
-                    self._angle(one.serial, mean),
-                    f"{one.std[channel]:.2g}",
-                    str(one.n),
-                )
-            if one.temperature is not None:
-                table.add_row(f"{one.serial} T", "", f"{one.temperature:.2f} °C", "", "", "")
-        self._console.print(table)
+        self._console.print(self._table(result))
         self._hint("Enter accept", "r redo", "b back", "q stop and keep")
-        while True:
-            key = self._keys.choice(None)
-            if key == ENTER:
-                return OperatorAnswer("accept")
-            if key == "q":
-                raise Stopped("stopped by the operator")
-            if key in ("r", "b"):
-                return OperatorAnswer("redo" if key == "r" else "back")
+        key = self._choice(f"{ENTER}rbq")
+        if key == "q":
+            raise Stopped("stopped by the operator")
+        return OperatorAnswer({ENTER: "accept", "r": "redo", "b": "back"}[key])
 
-    def accepted(self, position: Position, measured: list[MeasuredPosition]) -> None:
-        self._console.print(f"  [green]accepted[/green] {position.name}")
+    def accepted(self, result: PositionResult) -> None:
+        self._say(f"  accepted {result.position.name}", "green")
 
     def refused(self, position: Position, why: str) -> None:
         self._clear()
-        self._console.print(Text(f"  refused: {why}", style="bold red"))
+        self._say(f"  refused: {why}", "bold red")
 
     def lost(self, serial: str, why: str) -> None:
-        self._console.print(Text(f"  {serial} is given up, the others go on: {why}", style="bold red"))
+        self._say(f"  {serial} is given up, the others go on: {why}", "bold red")
 
-    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
-        """Ask to let the stage turn."""
-        for pair in pairs:
-            self._console.print(f"  {pair.first} and {pair.second}, orthogonal {pair.orthogonal}", markup=False)
-        self._console.print(f"  {prompt}", markup=False)
-        self._hint(f"Enter it turns: up to {turns} turns", "q stop and keep")
-        while True:
-            key = self._keys.choice(None)
-            if key == ENTER:
-                self._hint("s stop and use what is there", "q stop and keep the journal")
-                return OperatorAnswer("ready")
-            if key == "q":
-                raise Stopped("stopped by the operator")
-
-    def poll(self) -> OperatorAnswer | None:
-        key = self._keys.pressed("sq")
-        if key == "q":
-            raise Stopped("stopped by the operator")
-        return OperatorAnswer("stop") if key == "s" else None
-
-    def turned(self, turn: StageTurn) -> None:
-        if self._live:
-            self._line(str(turn))
-        else:
-            self._console.print(f"  {turn}", markup=False)
-
-    def held(self, why: str) -> None:
-        self._clear()
-        self._console.print(Text(f"  held: {why}", style="yellow"))
-
-    def resumed(self) -> None:
-        self._console.print("  goes on")
-
-    def turning_refused(self, why: str) -> None:
-        self._clear()
-        self._console.print(Text(f"  refused: {why}", style="bold red"))
-
-    def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
-        self._clear()
-        for one in matchings:
-            self._console.print(f"  [green]matched[/green] {said(one.pair.name, one)} after {turns:.1f} turns")
-
-    def write(self, files: list[Path]) -> OperatorAnswer:
-        """Ask once more before the files are written."""
-        named = ", ".join(f"{path} (replaces the one there)" if path.exists() else str(path) for path in files)
-        self._console.print(f"\nAll is measured. Write {named}?")
-        self._hint("Enter write", "n stop and keep")
-        while True:
-            key = self._keys.choice(None)
-            if key in (ENTER, "y"):
-                return OperatorAnswer("yes")
-            if key in ("n", "q"):
-                raise Stopped("not written, as the operator wished")
-
-    def done(self, files: list[Path], journal: Path) -> None:
-        for path in files:
-            self._console.print(f"[green]wrote[/green] {path}")
-        self._console.print(f"journal {journal}")
+    def _table(self, result: PositionResult) -> Table:
+        table = Table(box=None, pad_edge=False, padding=(0, 2), header_style="dim")
+        for heading in ("", "expected", "measured", "tilt", "noise", "n"):
+            table.add_column(heading, justify="right")
+        for serial, one in result.measurements.items():
+            expected = result.expected.get(serial, {})
+            for channel, summary in one.summaries.items():
+                table.add_row(
+                    Text(printable(f"{serial} {channel}")),
+                    f"{expected[channel]:.6g}" if expected else "unknown",
+                    f"{summary.mean:.6g} {self._models[serial].unit}",
+                    self._angle(serial, summary.mean),
+                    f"{summary.std:.2g}",
+                    str(summary.n),
+                )
+            if one.temperature is not None:
+                table.add_row(Text(printable(f"{serial} T")), "", f"{one.temperature:.2f} °C", "", "", "")
+        return table
 
     def _wait(self, live: Live) -> str | None:
-        """The next key; meanwhile the readings are shown."""
+        """Return the next key; meanwhile the readings are shown."""
         if not self._live:
             return self._keys.choice(None)
         key = self._keys.choice(0.0)
@@ -211,66 +206,113 @@ class TerminalOperator:
         self._line("   ".join(parts) + f"   {why}")
 
     def _angle(self, serial: str, value: float) -> str:
-        """A reading as a tilt, by the model's nominal coefficients."""
+        """Return a reading as a tilt, by the model's nominal coefficients."""
         model = self._models[serial]
         sine = (value - model.offset) / model.sensitivity
         return f"{degrees(asin(sine)):+.2f}°" if abs(sine) <= 1 else "over range"
 
-    def _line(self, text: str) -> None:
-        """One line that the next one overwrites."""
-        width = self._console.width - 3
-        self._console.file.write(f"\r\x1b[2K  {text[:width]}")
-        self._console.file.flush()
-
-    def _clear(self) -> None:
-        if self._live:
-            self._console.file.write("\r\x1b[2K")
-            self._console.file.flush()
-
-    def _hint(self, *choices: str) -> None:
-        told = Text("  ")
-        for choice in choices:
-            key, _, meaning = choice.partition(" ")
-            told.append(key, style="bold").append(f" {meaning}   ", style="dim")
-        self._console.print(told)
-
-    def _angles(self, asked: Mapping[str, float]) -> dict[str, float]:
-        """The angles actually set, one question an axis."""
+    def _angles(self, asked: Mapping[str, float], before: dict[str, float]) -> dict[str, float]:
+        """Ask for the angles actually set, one an axis; an empty line keeps what was typed before."""
         while True:
-            tilt = {
-                axis: self._number(f"tilt of {axis} actually set, in degrees (asked {angle:g})", -90.0, 90.0)
-                for axis, angle in asked.items()
-            }
+            tilt = dict(before)
+            for axis, angle in asked.items():
+                what = f"tilt of {axis} actually set, in degrees (asked {angle:g})"
+                typed = self._number(what, -90.0, 90.0, before.get(axis))
+                if typed is not None:
+                    tilt[axis] = typed
             try:
-                gravity_from_tilt(tilt)
+                gravity_from_tilt({**asked, **tilt})
             except InputError as error:
-                self._console.print(f"  {error}")
+                self._say(f"  {error}")
                 continue
             return tilt
 
-    def _direction(self) -> tuple[float, ...]:
-        """The direction actually set."""
-        return self._typed("direction that points up, as gx gy gz", _direction)
-
-    def _number(self, what: str, low: float, high: float) -> float:
+    def _number(self, what: str, low: float, high: float, before: float | None) -> float | None:
         def parse(typed: str) -> float:
-            value = float(typed.replace(",", "."))
+            try:
+                value = float(typed.replace(",", "."))
+            except ValueError:
+                raise InputError(f"type a number such as {low / 3:.1f}") from None
             if not (isfinite(value) and low <= value <= high):
-                raise InputError(f"{value:g} is not between {low:g} and {high:g}")
+                raise InputError(f"it must be between {low:g} and {high:g}")
             return value
 
-        return self._typed(what, parse)
+        return self._typed(f"{what}, or Enter to leave it as it is", parse, before)
 
-    def _typed(self, what: str, parse: Callable[[str], T]) -> T:
-        """Ask until the typed line can be understood."""
+    def _typed(self, what: str, parse: Callable[[str], T], before: T | None) -> T | None:
+        """Ask until the typed line can be understood; an empty line leaves what was there before."""
         while True:
-            self._console.print(f"  {what}: ", end="")
+            self._say(f"  {what}: ", end="")
             typed = self._keys.line()
+            if not typed.strip():
+                return before
             try:
                 return parse(typed)
-            except (ValueError, InputError) as error:
-                self._console.print(f"  {typed!r} will not do: {error}")
+            except InputError as error:
+                self._say(f"  {typed!r} will not do: {error}")
 
 
-def _direction(typed: str) -> tuple[float, ...]:
-    return normalised([float(part) for part in typed.replace(",", " ").split()])
+class TerminalRotationOperator(_Terminal):
+    """Asks a person to let a stage turn."""
+
+    def begin(self, title: str) -> None:
+        self._say(f"\n{title}", "bold")
+
+    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
+        """Ask to let the stage turn."""
+        for pair in pairs:
+            self._say(f"  {pair.first} and {pair.second}, orthogonal {pair.orthogonal}")
+        self._say(f"  {prompt}")
+        self._hint(f"Enter it turns: up to {turns} turns", "q stop and keep")
+        if self._choice(f"{ENTER}q") == "q":
+            raise Stopped("stopped by the operator")
+        self._hint("s stop and use what is there", "q stop and keep the journal")
+        return OperatorAnswer("ready")
+
+    def poll(self) -> OperatorAnswer | None:
+        key = self._keys.pressed("sq")
+        if key == "q":
+            raise Stopped("stopped by the operator")
+        return OperatorAnswer("stop") if key == "s" else None
+
+    def turn_completed(self, turn: StageTurn) -> None:
+        if self._live:
+            self._line(str(turn))
+        else:
+            self._say(f"  {turn}")
+
+    def paused(self, why: str) -> None:
+        self._clear()
+        self._say(f"  held: {why}", "yellow")
+
+    def resumed(self) -> None:
+        self._say("  goes on")
+
+    def refused(self, why: str) -> None:
+        self._clear()
+        self._say(f"  refused: {why}", "bold red")
+
+    def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
+        self._clear()
+        for one in matchings:
+            self._say(f"  matched {pair_in_words(one.pair.name, one)} after {turns:.1f} turns", "green")
+
+
+def printable(text: str) -> str:
+    """Return a text for a terminal: control characters, which could be escape sequences, become a question mark."""
+    return "".join(character if character.isprintable() or character == "\n" else "?" for character in text)
+
+
+def direction(typed: str) -> tuple[float, ...]:
+    """Return a typed direction as a unit vector.
+
+    Raises
+    ------
+    InputError
+        Not three numbers, or all zero.
+    """
+    try:
+        parts = [float(part) for part in typed.replace(",", " ").split()]
+    except ValueError:
+        raise InputError("type three numbers such as 0 0.5 0.866") from None
+    return normalised(parts)

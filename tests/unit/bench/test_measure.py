@@ -1,0 +1,201 @@
+"""Measuring from Python: a rig needs no pipe, a reading passes few frames, and nothing of pairs is loaded for tilt."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import tiltcal
+from tiltcal import Calibration, PairCalibration, measure, open_sensor
+from tiltcal.bench import sensor_set
+from tiltcal.bench.operators.rig import RigRotationOperator, understood
+from tiltcal.bench.session import Session
+from tiltcal.cli.main import main
+from tiltcal.errors import InputError, Stopped, UsageError
+from tiltcal.files.bench import BenchFile, BenchSensor
+
+SENSOR = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "samples": 4, "settle": 0.2}
+
+
+class Rig:
+    """A tilt table in Python: says ready, and half a degree more on y; keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[Mapping[str, Any]] = []
+
+    def position(self, ask: Mapping[str, Any]) -> Mapping[str, Any]:
+        self.told.append(ask)
+        return {"answer": "ready", "tilt": {axis: angle + 0.5 for axis, angle in ask["tilt"].items() if axis == "y"}}
+
+    def accepted(self, event: Mapping[str, Any]) -> None:
+        self.told.append(event)
+
+    def done(self, event: Mapping[str, Any]) -> None:
+        self.told.append(event)
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_a_rig_in_python_is_asked_as_a_program_is() -> None:
+    rig = Rig()
+    found = measure("plane", operator=rig, output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    assert isinstance(found, Calibration)
+    assert found.procedure.set["y-tilt1"].tilt == {"y": 30.5}
+    asks, events = rig.told[:-1:2], rig.told[1:-1:2]
+    assert [one["position"] for one in asks] == ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"]
+    assert asks[0] == {
+        "ask": "position",
+        "position": "x-tilt1",
+        "tilt": {"x": 30.0},
+        "gravity": [0.5, 0.0, pytest.approx(0.866, abs=1e-3)],
+        "heading": 0,
+        "temperature": None,
+        "prompt": asks[0]["prompt"],
+    }
+    assert [set(one) for one in events] == [{"event", "position", "mean", "std", "n", "temperature"}] * 4
+    assert rig.told[-1] == {"event": "done", "calibrations": ["S-1.yaml"], "journal": "S-1.journal.jsonl"}
+
+
+def test_a_session_from_python_is_the_session_of_the_command_line() -> None:
+    measure("plane", operator="sim", output="S-1.yaml", journal="J.jsonl", **SENSOR)  # type: ignore[arg-type]
+    Path("again").mkdir()
+    options = [f"--{name}={value}" for name, value in SENSOR.items()]
+    with pytest.raises(SystemExit) as left:
+        main(["measure", "plane", "--operator=sim", "-o", "again/S-1.yaml", "--journal", "again/J.jsonl", *options])
+    assert left.value.code == 0
+    assert Path("again/S-1.yaml").read_bytes() == Path("S-1.yaml").read_bytes()
+
+
+def test_a_session_that_a_rig_stopped_goes_on_where_it_stopped() -> None:
+    class Tired(Rig):
+        def position(self, ask: Mapping[str, Any]) -> Mapping[str, Any]:
+            return super().position(ask) if len(self.told) < 4 else {"answer": "quit"}
+
+    with pytest.raises(Stopped, match=r"said quit; .*--resume S-1\.journal\.jsonl"):
+        measure("plane", operator=Tired(), output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    rig = Rig()
+    found = measure(operator=rig, resume="S-1.journal.jsonl")
+    assert isinstance(found, Calibration)
+    assert [one["position"] for one in rig.told if "ask" in one] == ["y-tilt1", "y-tilt2"]
+    assert found.procedure.set["y-tilt2"].tilt == {"y": -29.5}
+    assert Session.of_journal(Path("S-1.journal.jsonl")).replay().texts == {
+        Path("S-1.yaml"): Path("S-1.yaml").read_text(encoding="utf-8")
+    }
+
+
+def test_a_bench_without_a_file() -> None:
+    bench = BenchFile(tuple(BenchSensor(f"S-{k}", "sca100t-d02", f"sim:?seed={k}") for k in (1, 2)), operator="A. Rig")
+    found = measure("plane", operator=Rig(), bench=bench, samples=4, settle=0.2)
+    assert isinstance(found, list)
+    assert [one.sensor.serial for one in found] == ["S-1", "S-2"]
+
+
+def test_a_stage_is_turned_by_a_rig() -> None:
+    class Stage:
+        turns = 0
+        matched: Mapping[str, Any] = {}
+
+        def rotation(self, ask: Mapping[str, Any]) -> Mapping[str, Any]:
+            assert ask["ask"] == "rotation"
+            return {"answer": "ready"}
+
+        def turn(self, event: Mapping[str, Any]) -> None:
+            self.turns = event["turn"]
+
+        def poll(self) -> Mapping[str, Any] | None:
+            return {"answer": "stop"} if self.turns >= 3 else None
+
+        def accepted(self, event: Mapping[str, Any]) -> None:
+            self.matched = event
+
+    stage = Stage()
+    options = {"sensor": "gradiometer", "address": "sim:", "serial": "G-1", "output": "pair.yaml"}
+    found = measure("rotation", operator=stage, **options)
+    assert isinstance(found, PairCalibration)
+    assert stage.matched["turns"] == pytest.approx(3.0, abs=0.6)
+    assert set(stage.matched) == {"event", "position", "turns", "p", "q", "u_p", "u_q", "suppression"}
+
+
+def test_an_operator_without_the_method_is_refused_before_anything_is_captured() -> None:
+    with pytest.raises(UsageError, match=r"no method position\(ask\)"):
+        measure("plane", operator=object(), output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="no operator 'robot'"):
+        measure("plane", operator="robot", output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"no method rotation\(ask\)"):
+        RigRotationOperator(Rig())
+    assert list(Path().iterdir()) == []
+
+
+def test_a_rig_whose_answers_are_none_is_given_up_with_the_reason() -> None:
+    class Mute:
+        def position(self, ask: object) -> None:
+            return None
+
+    with pytest.raises(Stopped, match="an answer is an object"):
+        measure("plane", operator=Mute(), output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("said", [None, 3, {}, {"answer": "yes"}, {"answer": "ready", "tilt": {"x": float("inf")}}])
+def test_an_answer_is_checked(said: object) -> None:
+    with pytest.raises(InputError):
+        understood(said)
+
+
+def test_a_sensor_is_read_by_itself() -> None:
+    with open_sensor("sca100t-d02", "sim:?seed=1") as sensor:
+        reading = sensor.read()
+    # Level, 1024 count ± 0.1 g of 819 count/g; room temperature.
+    assert reading.values == pytest.approx((1024, 1024), abs=82)
+    assert reading.temperature == pytest.approx(24.0, abs=5.0)
+
+
+def test_at_the_bus_twelve_frames_of_ours_stand_on_the_stack(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the entry point of the command to the link that is recorded; counted where the bytes leave."""
+    depths: set[int] = set()
+    connect = sensor_set.open_device
+    ours = (str(Path(tiltcal.__file__).parent), str(Path(tiltcal.__file__).parents[1] / "drivers"))
+
+    class Inspected:
+        """A link that counts the frames above it."""
+
+        letter = "s"
+
+        def __init__(self, *args: Any) -> None:
+            self._link = connect(*args)
+            self.close = self._link.close
+
+        def exchange(self, out: bytes, count: int = 0) -> bytes:
+            frame, depth = sys._getframe(1), 0
+            while frame is not None:
+                depth += frame.f_code.co_filename.startswith(ours)
+                frame = frame.f_back  # type: ignore[assignment]
+            depths.add(depth)
+            return self._link.exchange(out, count)
+
+    monkeypatch.setattr(sensor_set, "open_device", Inspected)
+    with pytest.raises(SystemExit) as left:
+        main(["measure", "plane", "--operator=sim", "-o=S-1.yaml", *(f"--{name}={v}" for name, v in SENSOR.items())])
+    assert left.value.code == 0
+    assert depths
+    assert max(depths) <= 12, depths
+
+
+def test_measuring_tilt_loads_nothing_of_pairs() -> None:
+    arguments = ["measure", "plane", "--operator=sim", "-o=S-1.yaml", *(f"--{name}={v}" for name, v in SENSOR.items())]
+    program = f"""
+import sys
+from tiltcal.cli.main import run
+assert run({arguments!r}) == 0
+pair = ("tiltcal.core.pair", "tiltcal.files.pair", "tiltcal.files.rotation", "tiltcal.bench.rotation", "channel_map")
+print([name for name in sys.modules if any(one in name for one in pair)])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.strip() == "[]"

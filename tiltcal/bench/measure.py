@@ -1,0 +1,271 @@
+"""Measuring from Python: what ``tiltcal measure`` does, as a function, and a sensor that can be read by itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tiltcal.bench.operators.opening import open_operator
+from tiltcal.bench.sensor_set import open_device
+from tiltcal.bench.session import Session
+from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, plan_session, single
+from tiltcal.bench.virtual import VirtualBench
+from tiltcal.calibration.calibrate import base_of
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.prediction import predict
+from tiltcal.calibration.unit_gravity import require_no_jig
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
+from tiltcal.drivers.device import Sensor, in_words
+from tiltcal.errors import JournalError, UsageError
+from tiltcal.files.bench import BenchFile, read_bench
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.document import read_text
+from tiltcal.files.procedure import Procedure, find_procedure
+
+if TYPE_CHECKING:
+    from tiltcal.calibration.pair_calibration import PairCalibration
+
+
+def unheard(remark: str) -> None:
+    """Drop a remark."""
+
+
+def measure(
+    procedure: str | Path | None = None,
+    *,
+    operator: object = None,
+    sensor: str | None = None,
+    address: str | None = None,
+    serial: str | None = None,
+    output: str | Path | None = None,
+    bench: str | Path | BenchFile | None = None,
+    samples: int | None = None,
+    settle: float | None = None,
+    jig: float | None = None,
+    tilt: float | None = None,
+    turns: int | None = None,
+    base: str | Path | None = None,
+    typical_temperature: bool = False,
+    journal: str | Path | None = None,
+    resume: str | Path | None = None,
+    plain: bool = False,
+    remark: Callable[[str], None] = unheard,
+) -> Calibration | PairCalibration | list[Calibration]:
+    """Take sensors through a procedure, and write their calibration files.
+
+    Everything is captured in a journal as it happens. After an interruption the same call with ``resume`` goes on from
+    the last byte.
+
+    Parameters
+    ----------
+    procedure : str or Path
+        A shipped procedure by its name, or your own by its path.
+    operator : object or str
+        Who brings the sensors into position. An object with the methods of :mod:`tiltcal.bench.operators.rig`:
+        ``position(ask)`` returns an answer such as ``{"answer": "ready", "tilt": {"y": 30.02}}``; for a turning stage
+        ``rotation(ask)``. By name: ``"terminal"``, ``"json"``, ``"sim"``. None: as the journal says, or a terminal.
+    sensor, address, serial : str
+        Model, address and serial number of one sensor.
+    output : str or Path
+        The calibration file; with ``bench`` the folder.
+    bench : str, Path or BenchFile, optional
+        Several sensors at once, in place of the three above.
+    samples : int, optional
+        Samples per position, in place of the procedure's.
+    settle : float, optional
+        Seconds that a reading must hold still, in place of the procedure's.
+    jig : float, optional
+        Standard uncertainty of a set angle, degrees.
+    tilt : float, optional
+        The angle that the procedure leaves free, degrees.
+    turns : int, optional
+        The most turns of a stage, in place of the procedure's.
+    base : str or Path, optional
+        The sensor's calibration file, which a mounting completes.
+    typical_temperature : bool
+        Whether the data sheet's mean temperature curves stand in for a temperature run.
+    journal : str or Path, optional
+        Where the session is captured; by default beside the output.
+    resume : str or Path, optional
+        The journal of an interrupted session, to go on with; the other arguments are then those of its start.
+    plain : bool
+        Whether the terminal prints lines only.
+    remark : callable
+        Gets each remark on the session, one line of text.
+
+    Returns
+    -------
+    Calibration, PairCalibration or list of Calibration
+        Of the sensor, of the pairs of a stage, or of each of several sensors.
+
+    Raises
+    ------
+    UsageError, InputError
+        What is asked for cannot be done; nothing was measured.
+    HardwareError
+        A device failed for good, or sensors of a bench were given up.
+    Stopped
+        The operator stopped; the message says how to go on.
+    """
+    if resume is not None and Path(resume).exists():
+        session = Session.of_journal(Path(resume), remark)
+        operator = operator or session.plan.lead
+    else:
+        operator = operator or "terminal"
+        _require_named(
+            procedure, bench, resume, {"--sensor": sensor, "--address": address, "--serial": serial, "-o": output}
+        )
+        steps = find_procedure(str(procedure), tilt).with_turns(turns)
+        require_no_jig(steps, jig)
+        if steps.rotation is not None:
+            _require_no_positions(samples, settle, jig)
+        sensors = _bench(bench) if bench is not None else single(str(sensor), str(serial), str(address))
+        sensors = sensors if jig is None else replace(sensors, jig=jig)
+        base_of(steps, None if base is None else Path(base), [one.serial for one in sensors.sensors])
+        outputs, beside = _outputs(steps, sensors, bench, None if output is None else Path(output))
+        path = Path(resume or journal or free_journal(beside, remark))
+        plan = plan_session(
+            *(steps, sensors, outputs, path),
+            lead=operator if isinstance(operator, str) else "json",
+            samples=samples,
+            settle=settle,
+            base=None if base is None else read_text(Path(base)),
+            typical=typical_temperature,
+        )
+        session = Session(plan, path)
+        _predict(plan, remark)
+    session.preflight()
+    turning = session.plan.procedure.rotation is not None
+    with (
+        session.resumable("measure", remark),
+        open_operator(operator, turns=turning, virtual=session.plan.virtual, say=remark, plain=plain) as opened,
+    ):
+        result = session.run(opened)
+        result.write()
+        opened.done(list(result.calibrations), session.path)
+        result.require_all()
+    for name, statistics in result.ending.link_statistics_by_serial.items():
+        remark(f"{name}: {in_words(statistics)}")
+    found = list(result.calibrations.values())
+    if turning:
+        from tiltcal.calibration.pair_calibration import PairCalibration
+
+        return PairCalibration(found[0])  # type: ignore[arg-type]
+    calibrations = [Calibration(one) for one in found if isinstance(one, CalibrationRecord)]
+    return calibrations[0] if len(session.plan.sensors) == 1 else calibrations
+
+
+@contextmanager
+def open_sensor(model: str, address: str) -> Iterator[Sensor]:
+    """Open one sensor to be read, and close it at the end of the block.
+
+    Parameters
+    ----------
+    model : str
+        Such as ``sca100t-d02``.
+    address : str
+        Such as ``spi:///dev/spidev0.0``, or ``sim:`` for its virtual twin.
+
+    Yields
+    ------
+    Sensor
+        ``read()`` returns a reading: ``values`` by the model's channels in its unit, ``temperature`` in °C or None.
+
+    Raises
+    ------
+    UsageError
+        No such model, or a bad address.
+    HardwareError
+        It cannot be opened.
+    """
+    device = DeviceSetup(model, "", address)
+    simulated = parse_address(address).simulated
+    clock: Clock = VirtualClock() if simulated else SystemClock(time.time_ns())
+    with closing(open_device(device, VirtualBench(clock, [device]))) as link:
+        yield device.model.driver(link, clock)
+
+
+def free_journal(output: Path, remark: Callable[[str], None]) -> Path:
+    """Return a journal's name beside the calibration file; an earlier session's journal is never touched."""
+    path = output.with_name(f"{output.stem}.journal.jsonl")
+    number = 2
+    while path.exists():
+        path = output.with_name(f"{output.stem}.{number}.journal.jsonl")
+        number += 1
+    if number > 2:
+        remark(f"an earlier journal is kept; this session is captured in {path}")
+    return path
+
+
+def _require_named(procedure: object, bench: object, resume: object, single: Mapping[str, object]) -> None:
+    """Refuse a session whose procedure or sensor is not named."""
+    wanted = {"PROCEDURE": procedure, **(single if bench is None else {})}
+    missing = [name for name, value in wanted.items() if value is None]
+    if resume is not None and missing:
+        raise JournalError("no such journal; nothing was captured there", file=str(resume))
+    if missing:
+        raise UsageError(f"measure needs {', '.join(missing)} (or --resume JOURNAL); see tiltcal measure --help")
+    if bench is not None and any(value for name, value in single.items() if name != "-o"):
+        raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
+
+
+def _bench(bench: str | Path | BenchFile) -> BenchFile:
+    return bench if isinstance(bench, BenchFile) else read_bench(bench)
+
+
+def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
+    """Remark how well the positions will determine the coefficients; refuse those that cannot."""
+    if plan.procedure.determines.mounting:
+        return
+    if plan.procedure.rotation is not None:
+        from tiltcal.bench.channel_map import map_channels
+
+        for why in map_channels(plan.procedure.rotation, [(one.serial, one.model) for one in plan.sensors]).left_out:
+            remark(why)
+        if len(plan.sensors) > 1:
+            remark("several devices are read one after the other: the delay of one, times 2 pi f, goes into q")
+        return
+    for device in {(one.model_name, one.orientation): one for one in plan.sensors}.values():
+        expected = predict(
+            plan.procedure,
+            device.model,
+            jig=plan.jig,
+            thermometer=plan.thermometer_uncertainty,
+            samples=plan.settings.samples,
+            orientation=device.orientation,
+            sensors=len(plan.sensors),
+        )
+        remark(f"{device.model_name}, {expected}")
+
+
+def _require_no_positions(samples: int | None, settle: float | None, jig: float | None) -> None:
+    """Refuse what only positions have."""
+    for option, value in (("--samples", samples), ("--settle", settle), ("--jig", jig)):
+        if value is not None:
+            raise UsageError(f"a stage that turns has no positions: leave {option} out; --turns says how long it turns")
+
+
+def _outputs(
+    procedure: Procedure, sensors: BenchFile, bench: str | Path | BenchFile | None, output: Path | None
+) -> tuple[list[Path | None], Path]:
+    """Return the calibration files, and the file beside which the journal lies.
+
+    A bench's sensors each have a file of their own, named for their serial number, in the folder that -o names; those
+    of a stage that turns have one together, which -o names.
+    """
+    if procedure.rotation is not None:
+        if output is None or output.is_dir():
+            raise UsageError("the pairs of a stage have one file together: name it with -o PAIR.yaml")
+        return [output, *(None for _ in sensors.sensors[1:])], output
+    if bench is None and output is not None:
+        return [output], output
+    folder = output or Path()
+    if not folder.is_dir():
+        raise UsageError(f"with --bench, -o names the folder for the calibration files; {folder} is no folder")
+    name = "bench" if isinstance(bench, BenchFile) else Path(str(bench)).name
+    return [folder / f"{sensor.serial}.yaml" for sensor in sensors.sensors], folder / name

@@ -1,0 +1,249 @@
+"""A rig: a program or a Python object that sets positions itself, such as a tilt table or a chamber.
+
+A rig is any object with methods of the protocol's names; each takes one dictionary, and returns one where an answer
+is due::
+
+    position({"ask": "position", "position": "y-tilt1", "tilt": {"y": 30.0}, "gravity": [0, 0.5, 0.866],
+              "heading": 0, "temperature": None, "prompt": "Tilt the +Y side up to 30°"})
+        -> {"answer": "ready"}            or {"answer": "ready", "tilt": {"y": 30.02}, "temperature": 5.4}
+           or {"answer": "redo" | "back" | "quit"}
+    accepted({"event": "accepted", "position": "y-tilt1", "mean": {...}, "std": {...}, "n": 100})
+    refused({"event": "refused", "position": "y-tilt1", "why": "..."})        (followed by the same ask)
+    lost({"event": "lost", "sensor": "A-1006", "why": "..."})                 (of several sensors one is given up)
+    done({"event": "done", "calibrations": ["S-0042.yaml"], "journal": "..."})
+
+A rig that turns a stage is asked once, and may stop it at any time::
+
+    rotation({"ask": "rotation", "pairs": [{"pair": ["a1", "a2"], "orthogonal": "a4"}], "turns": 100, "prompt": "..."})
+        -> {"answer": "ready"}            or {"answer": "quit"}
+    poll() -> None, {"answer": "stop"} or {"answer": "quit"}
+    turn({"event": "turn", "turn": 12, "of": 100, "p": {"a1_a2": ...}, "q": {...}, "u_p": {...}, "u_q": {...}})
+    held({"event": "held", "why": "..."}), resumed({"event": "resumed"})
+    accepted({"event": "accepted", "position": "rotation", "turns": 25.1, "p": {...}, ..., "suppression": {...}})
+
+Only ``position``, or ``rotation``, is needed; an event whose method is missing is not told. ``redo`` asks for the same
+position again; ``back`` gives up the position before it and asks for that one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn
+from tiltcal.drivers.device import Model, Reading
+from tiltcal.errors import InputError, Stopped, UsageError
+from tiltcal.files.procedure import Position
+
+if TYPE_CHECKING:
+    from tiltcal.bench.positions import PositionResult
+    from tiltcal.core.pair.matching import Matching, PairCoefficients
+    from tiltcal.core.pair.model import Pair
+
+ROTATION = "rotation"
+"""The ask of a turning stage, and what its refusals belong to."""
+
+TO_POSITION = ("ready", "redo", "back", "quit")
+TO_ROTATION = ("ready", "quit")
+WHILE_TURNING = ("stop", "quit")
+KEYS = {"answer", "tilt", "gravity", "temperature"}
+
+WRONG_ANSWERS = 100
+"""Answers in a row that cannot be understood, after which the session stops."""
+
+
+class _Rig:
+    """The two operators' common part: asks and events as dictionaries."""
+
+    def __init__(self, rig: object) -> None:
+        self._rig = rig
+
+    def confirm_write(self, files: list[Path]) -> OperatorAnswer:
+        return OperatorAnswer("yes")
+
+    def done(self, files: list[Path], journal: Path) -> None:
+        self._tell("done", calibrations=[str(path) for path in files], journal=str(journal))
+
+    def _method(self, name: str) -> Callable[..., Any]:
+        method = getattr(self._rig, name, None)
+        if not callable(method):
+            raise UsageError(f"the operator, a {type(self._rig).__name__}, has no method {name}(ask)")
+        return method  # type: ignore[no-any-return]
+
+    def _tell(self, event: str, **fields: Any) -> None:
+        method = getattr(self._rig, event, None)
+        if method is not None:
+            method({"event": event, **fields})
+
+    def _ask(self, ask: Mapping[str, Any], words: Sequence[str], about: str) -> OperatorAnswer:
+        """Ask until there is an answer that can be understood."""
+        method = self._method(ask["ask"])
+        for _ in range(WRONG_ANSWERS):
+            try:
+                return _heeded(understood(method(ask), words))
+            except InputError as error:
+                why = str(error)
+                self._tell("refused", position=about, why=why)
+        raise Stopped(f"{WRONG_ANSWERS} answers in a row could not be understood, the last because {why}")
+
+
+class RigPositionOperator(_Rig):
+    """Asks a rig for positions.
+
+    Parameters
+    ----------
+    rig : object
+        Has ``position(ask)``, and a method for each event that it wants.
+    """
+
+    def __init__(self, rig: object) -> None:
+        super().__init__(rig)
+        self._method("position")
+
+    def begin(self, title: str, positions: int, models: Mapping[str, Model]) -> None:
+        pass
+
+    def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
+        ask = {
+            "ask": "position",
+            "position": position.name,
+            "tilt": position.tilt,
+            "gravity": [round(component, 9) + 0.0 for component in position.gravity],
+            "heading": position.heading or 0,
+            "temperature": position.temperature,
+            "prompt": position.prompt,
+        }
+        return self._ask(ask, TO_POSITION, position.name)
+
+    def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
+        pass
+
+    def review(self, result: PositionResult) -> OperatorAnswer:
+        return OperatorAnswer("accept")
+
+    def accepted(self, result: PositionResult) -> None:
+        values = {serial: _values(result, serial) for serial in result.measurements}
+        told = {"position": result.position.name, **next(iter(values.values()))}
+        if len(values) > 1:
+            told["sensors"] = values
+        self._tell("accepted", **told)
+
+    def refused(self, position: Position, why: str) -> None:
+        self._tell("refused", position=position.name, why=why)
+
+    def lost(self, serial: str, why: str) -> None:
+        self._tell("lost", sensor=serial, why=why)
+
+
+class RigRotationOperator(_Rig):
+    """Asks a rig to turn a stage.
+
+    Parameters
+    ----------
+    rig : object
+        Has ``rotation(ask)``, ``poll()`` where it may stop the stage, and a method for each event that it wants.
+    """
+
+    def __init__(self, rig: object) -> None:
+        super().__init__(rig)
+        self._method(ROTATION)
+
+    def begin(self, title: str) -> None:
+        pass
+
+    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
+        shown = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in pairs]
+        return self._ask({"ask": ROTATION, "pairs": shown, "turns": turns, "prompt": prompt}, TO_ROTATION, ROTATION)
+
+    def poll(self) -> OperatorAnswer | None:
+        look = getattr(self._rig, "poll", None)
+        if look is None:
+            return None
+        for _ in range(WRONG_ANSWERS):
+            try:
+                said = look()
+                return None if said is None else _heeded(understood(said, WHILE_TURNING))
+            except InputError as error:
+                self.refused(str(error))
+        return None
+
+    def turn_completed(self, turn: StageTurn) -> None:
+        remarks: dict[str, Any] = {"unknown": turn.unknown, "left_out": turn.left_out}
+        remarks = {name: remark for name, remark in remarks.items() if remark}
+        self._tell("turn", turn=turn.number, of=turn.of, **_coefficients(turn.pairs), **remarks)
+
+    def paused(self, why: str) -> None:
+        self._tell("held", why=why)
+
+    def resumed(self) -> None:
+        self._tell("resumed")
+
+    def refused(self, why: str) -> None:
+        self._tell("refused", position=ROTATION, why=why)
+
+    def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
+        by_name = {one.pair.name: one for one in matchings}
+        suppression = {name: one.suppression for name, one in by_name.items()}
+        self._tell("accepted", position=ROTATION, turns=turns, **_coefficients(by_name), suppression=suppression)
+
+
+def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnswer:
+    """Return a rig's answer, checked.
+
+    Parameters
+    ----------
+    said : object
+        What the rig returned.
+    words : sequence of str
+        What may be answered.
+
+    Raises
+    ------
+    InputError
+        It is not an answer; the message says what is wrong with it.
+    """
+    if not isinstance(said, Mapping):
+        raise InputError('an answer is an object such as {"answer": "ready"}')
+    strange = sorted(str(key) for key in set(said) - KEYS)
+    if strange:
+        raise InputError(f"unknown key {strange[0]!r} in the answer; it may have {', '.join(sorted(KEYS))}")
+    word = said.get("answer")
+    if not isinstance(word, str) or word not in words:
+        raise InputError(f"answer {word!r} is none of {', '.join(words)}")
+    tilt = said.get("tilt") or {}
+    if not isinstance(tilt, Mapping):
+        raise InputError('tilt is an object of degrees such as {"y": 30.02}')
+    gravity = said.get("gravity")
+    if gravity is not None and not (isinstance(gravity, list | tuple) and len(gravity) == 3):
+        raise InputError("gravity is a list of three numbers")
+    temperature = said.get("temperature")
+    return OperatorAnswer(
+        word,
+        {str(axis): _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()},
+        tuple(_number(component, "gravity") for component in gravity) if gravity is not None else None,
+        None if temperature is None else _number(temperature, "temperature"),
+    )
+
+
+def _heeded(answer: OperatorAnswer) -> OperatorAnswer:
+    """Return the answer; ``quit`` is none, it ends the session."""
+    if answer.word == "quit":
+        raise Stopped("the program that leads the session said quit")
+    return answer
+
+
+def _values(result: PositionResult, serial: str) -> dict[str, Any]:
+    return {key: value for key, value in result.values(serial).items() if value is not None}
+
+
+def _coefficients(pairs: Mapping[str, PairCoefficients | Matching]) -> dict[str, dict[str, float]]:
+    """Return p, q and their uncertainties, each by the name of the pair."""
+    return {key: {name: getattr(one, key) for name, one in pairs.items()} for key in ("p", "q", "u_p", "u_q")}
+
+
+def _number(value: object, key: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise InputError(f"{key} in the answer is {value!r}, not a number")
+    return float(value)

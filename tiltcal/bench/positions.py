@@ -1,0 +1,104 @@
+"""One measured position, from the runner to the estimator: what was set, what every sensor read, what was expected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from tiltcal.bench.operators.operator import OperatorAnswer
+from tiltcal.calibration.measurement import Measurement
+from tiltcal.core.frames import gravity_from_tilt, normalised
+from tiltcal.core.model import Array
+from tiltcal.core.statistics import summarise
+from tiltcal.drivers.device import Reading
+from tiltcal.files.procedure import Position
+
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """What the command line may change of a procedure.
+
+    Attributes
+    ----------
+    samples : int
+        Per position.
+    settle, soak : float
+        Windows over which reading, and temperature, must hold still, seconds.
+    """
+
+    samples: int
+    settle: float
+    soak: float
+
+
+@dataclass(frozen=True)
+class PositionResult:
+    """A measured position.
+
+    Attributes
+    ----------
+    position : Position
+        As it was actually set.
+    measurements : mapping of str to Measurement
+        What each sensor gave, by serial number, as the estimator takes it.
+    typed : bool
+        Whether the operator typed the temperature.
+    expected : mapping of str to mapping of str to float
+        By serial number and channel: the reading that the positions before predict, in the sensor's unit; empty where
+        nothing predicts it.
+    """
+
+    position: Position
+    measurements: Mapping[str, Measurement]
+    typed: bool = False
+    expected: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def mean(self, serial: str) -> Array:
+        """Return the mean reading of each channel of a sensor, in its unit."""
+        return np.array([summary.mean for summary in self.measurements[serial].summaries.values()])
+
+    def values(self, serial: str) -> dict[str, Any]:
+        """Return mean, scatter, number and temperature of one sensor, as the journal and a program get them."""
+        one = self.measurements[serial]
+        return {
+            "mean": {channel: summary.mean for channel, summary in one.summaries.items()},
+            "std": {channel: summary.std for channel, summary in one.summaries.items()},
+            "n": next(iter(one.summaries.values())).n,
+            "temperature": one.temperature,
+        }
+
+    def record(self) -> dict[str, Any]:
+        """Return the accepted position as the journal notes it."""
+        return {
+            "position": self.position.name,
+            "sensors": {serial: self.values(serial) for serial in self.measurements},
+        }
+
+
+def as_set(position: Position, answer: OperatorAnswer) -> Position:
+    """Return the position with the angles and the temperature that the operator actually set.
+
+    Raises
+    ------
+    InputError
+        No direction has these angles.
+    """
+    if answer.temperature is not None:
+        position = replace(position, temperature=answer.temperature if position.temperature is not None else None)
+    if answer.gravity is not None:
+        return replace(position, gravity=normalised(answer.gravity), tilt=None)
+    if answer.tilt:
+        tilt = {**(position.tilt or {}), **answer.tilt}
+        return replace(position, gravity=gravity_from_tilt(tilt), tilt=tilt)
+    return position
+
+
+def temperature_of(readings: Sequence[Reading], typed: float | None, asked: float | None) -> float | None:
+    """Return the temperature of a position, °C: as typed, else the thermometer's mean, else as asked for."""
+    if typed is not None:
+        return typed
+    own = [reading.temperature for reading in readings if reading.temperature is not None]
+    return summarise(own).mean if own else asked
