@@ -1,8 +1,8 @@
-"""Sensor drivers: bytes in, readings out. They know nothing of calibration, prompts or files.
+"""Sensor drivers: bytes in, readings out. They contain nothing about calibration, prompts or files.
 
-A model is found by the name the user types. The built-in ones stand in a table and are imported only when asked for;
-a third party adds its own by an entry point in the group ``tiltcal.devices``, named as the model is named, that loads
-to a :class:`~tiltcal.drivers.device.Model`. A plug-in never replaces a built-in model.
+The user selects a model by name. The built-in models are in a table and are imported only when used. A third party adds
+a model by an entry point in the group ``tiltcal.devices``, with the name of the model, that loads a
+:class:`~tiltcal.drivers.device.Model`. A plug-in never replaces a built-in model.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _BUILT_IN = {
 
 
 def find_model(name: str) -> Model:
-    """The sensor model of a name.
+    """Return the sensor model with this name.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def find_model(name: str) -> Model:
 
 
 def models() -> Iterator[Model]:
-    """Every sensor model: the built-in ones first, then those of plug-ins by name.
+    """Iterate over every sensor model: the built-in ones first, then those of plug-ins by name.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def _built_in(name: str) -> Model:
 
 
 def _plug_ins() -> dict[str, list[EntryPoint]]:
-    """The entry points of each name; more than one is a quarrel that the caller reports."""
+    """Return the entry points of each name; the caller reports a name with more than one."""
     from importlib.metadata import entry_points
 
     found: dict[str, list[EntryPoint]] = {}
@@ -108,7 +108,7 @@ def _plug_ins() -> dict[str, list[EntryPoint]]:
 
 
 def _refuse_rivals(name: str, claims: list[EntryPoint]) -> None:
-    """One name, one model: which of two would answer must not depend on the order of installation."""
+    """Refuse a name that two packages claim, so that the order of installation does not matter."""
     if name in _BUILT_IN and claims:
         raise UsageError(
             f"package {_package(claims[0])!r} adds a sensor model called {name!r}, which tiltcal has built in: "
@@ -120,7 +120,7 @@ def _refuse_rivals(name: str, claims: list[EntryPoint]) -> None:
 
 
 def _loaded(entry: EntryPoint) -> Model:
-    """The model behind an entry point, whatever its module does when it is imported."""
+    """Load the model of an entry point, and turn every failure of its import into a UsageError."""
     from tiltcal.drivers.device import Model
 
     try:
@@ -137,8 +137,8 @@ def _loaded(entry: EntryPoint) -> Model:
         )
     if model.name != entry.name:
         raise UsageError(
-            f"sensor model {entry.name!r} of package {_package(entry)!r}: {entry.value!r} calls itself "
-            f"{model.name!r}; the entry point must carry the model's own name"
+            f"sensor model {entry.name!r} of package {_package(entry)!r}: {entry.value!r} is named "
+            f"{model.name!r}; the entry point must have the model's own name"
         )
     return model
 

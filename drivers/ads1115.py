@@ -1,11 +1,11 @@
 """TI ADS1115 analog-to-digital converter: four inputs, 16 bits, I2C.
 
-It has two registers that matter here, each two bytes, most significant first, and a pointer that is written first::
+Two registers are used, of two bytes each, most significant first, and a pointer that is written first::
 
     conversion 0x00   the last result, a signed number; 32768 steps are the full scale
     config     0x01   15 OS, 14:12 input, 11:9 full scale, 8 single shot, 7:5 rate, 4:0 comparator (00011: off)
 
-A conversion starts when OS is written as 1, and OS reads 0 until it is done.
+Writing OS as 1 starts a conversion; OS reads 0 until it is done.
 
 Source: ADS111x data sheet; the fields' values as in Linux's drivers/iio/adc/ti-ads1015.c.
 """
@@ -28,10 +28,10 @@ CONVERSION, CONFIG = 0x00, 0x01
 """Registers."""
 
 START = DONE = 0x8000
-"""OS: written it starts a conversion, read it says that none is running."""
+"""OS: writing it starts a conversion; reading it shows that none is running."""
 
 RESET = 0x8583
-"""What the config register holds after power-up."""
+"""Content of the config register after power-up."""
 
 INPUTS = 4
 
@@ -48,14 +48,14 @@ _SINGLE_ENDED, _SINGLE_SHOT, _COMPARATOR_OFF = 0b100, 0x0100, 0b00011
 
 
 class Ads1115:
-    """The driver of an ADS1115; it converts when it is asked, one input at a time.
+    """The driver of an ADS1115, with one single-shot conversion per input.
 
     Parameters
     ----------
     link : Link
         I2C.
     clock : Clock
-        Waited on for each conversion.
+        Waits for each conversion.
     full_scale : float
         One of :data:`RANGES`, V.
     rate : int
@@ -65,7 +65,7 @@ class Ads1115:
     TOLERANCE = 0.1
     """The converter's clock may be this much slower than nominal."""
     POLLS = 20
-    """Times that a conversion is asked for, a tenth of its duration apart, before it counts as hung."""
+    """Polls of a conversion, a tenth of its duration apart, before it counts as failed."""
 
     def __init__(self, link: Link, clock: Clock, full_scale: float = 6.144, rate: int = 128) -> None:
         self._link = link
@@ -79,9 +79,9 @@ class Ads1115:
         Raises
         ------
         BusError
-            The transaction failed, the bus is stuck, or the conversion never ends.
+            The transaction failed, the bus is stuck, or the conversion does not end.
         DeviceFault
-            The converter does not hold what was written, or the input is beyond the full scale.
+            The converter lost its settings, or the input is beyond the full scale.
         """
         config = config_word(number, self._full_scale, self._rate)
         self._link.exchange(bytes([CONFIG]) + config.to_bytes(2, "big"))
@@ -96,7 +96,7 @@ class Ads1115:
         return code * self._full_scale / 32768
 
     def _wait_until_done(self, config: int) -> None:
-        """Return once the conversion that this config started is done."""
+        """Wait until the conversion of this config is done."""
         for _ in range(self.POLLS):
             held = int.from_bytes(self._register(CONFIG), "big")
             _check_held(held, config)
@@ -116,11 +116,11 @@ class Ads1115:
 
     def _advice(self) -> str:
         larger = [one for one in RANGES if one > self._full_scale]
-        return f"take a larger one (range={min(larger):g})" if larger else "it takes no more than its supply"
+        return f"take a larger one (range={min(larger):g})" if larger else "its inputs may not exceed its supply"
 
 
 def config_word(number: int, full_scale: float, rate: int) -> int:
-    """The config register that starts one single-shot conversion of an input against ground.
+    """Return the config register that starts one single-shot conversion of an input against ground.
 
     Parameters
     ----------
@@ -142,19 +142,17 @@ def config_word(number: int, full_scale: float, rate: int) -> int:
 
 
 def decode_code(answer: bytes) -> int:
-    """The result in the conversion register, -32768 to 32767: an input near ground may read slightly negative."""
+    """Return the content of the conversion register, -32768 to 32767."""
     return int.from_bytes(answer, "big", signed=True)
 
 
 def _check_held(held: int, config: int) -> None:
-    """Tell a dead bus, a converter that was reset and a bus mate from a converter at work."""
+    """Raise an error for a dead bus, a converter that was reset, or another device."""
     if held in (0x0000, 0xFFFF):
         level = "low" if held == 0 else "high"
         raise BusError(f"the I2C data line is stuck {level}: check SDA, its pull-up, and the ADS1115's supply")
     if held & ~DONE == RESET & ~DONE != config & ~DONE:
-        raise DeviceFault(
-            "the ADS1115 has forgotten its settings, so it was without supply for a moment: check its supply"
-        )
+        raise DeviceFault("the ADS1115 lost its settings, so its supply failed for a moment: check its supply")
     if held & ~DONE != config & ~DONE:
         raise DeviceFault(
             f"the config register reads {held:04X} where {config:04X} was written: does another program use this "
@@ -163,7 +161,7 @@ def _check_held(held: int, config: int) -> None:
 
 
 def front_end(address: Address) -> FrontEnd:
-    """The ADS1115 that an address sets up with ``range=`` (full scale, V) and ``rate=`` (conversions per second).
+    """Return the ADS1115 with the ``range=`` (V) and ``rate=`` (conversions per second) of an address.
 
     Raises
     ------
@@ -174,12 +172,12 @@ def front_end(address: Address) -> FrontEnd:
         address.refuse(f"an ADS1115 is at {_listed([hex(one) for one in ADDRESSES])}, not at {address.text('address')}")
     full_scale, rate = address.number("range", RANGES[0]), address.integer("rate", 128)
     if full_scale not in RANGES:
-        address.refuse(f"option range={address.text('range')} is no full scale of an ADS1115 ({_listed(RANGES)} V)")
+        address.refuse(f"option range={address.text('range')} is not a full scale of an ADS1115 ({_listed(RANGES)} V)")
     if rate not in RATES:
-        address.refuse(f"option rate={address.text('rate')} is no rate of an ADS1115 ({_listed(RATES)} per second)")
+        address.refuse(f"option rate={address.text('rate')} is not a rate of an ADS1115 ({_listed(RATES)} per second)")
     return FrontEnd(
         name="ads1115",
-        says=f"ADS1115, ±{full_scale:g} V, {rate} conversions per second",
+        description=f"ADS1115, ±{full_scale:g} V, {rate} conversions per second",
         inputs=INPUTS,
         full_scale=full_scale,
         step=full_scale / 32768,

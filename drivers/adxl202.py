@@ -1,9 +1,9 @@
 """Analog Devices ADXL202, ADXL202E and ADXL210 dual-axis accelerometers at their duty-cycle outputs.
 
 Each axis is a pulse of length T1 in a period T2 that both share; the reading is the duty cycle T1/T2, nominally 0.5 at
-0 g and 0.125 more for each g (0.04 for the ADXL210). T2 drifts, so T1 alone is never a reading. The pulses come as
+0 g and 0.125 more for each g (0.04 for the ADXL210). T2 drifts, so T1 alone is never a reading. The pulses arrive as
 
-- sentences of a microcontroller that has timed them, framed as in NMEA 0183::
+- sentences of a microcontroller that times them, framed as in NMEA 0183::
 
       $PTCDC,seq,t1x,t1y,t2x,t2y[,temperature]*hh
 
@@ -42,10 +42,10 @@ ZERO = 0.5
 """Nominal duty cycle at 0 g."""
 
 EDGES_AT_ONCE = 256
-"""The most edges to take in one transaction."""
+"""The largest number of edges to take in one transaction."""
 
 TROUBLED = 256
-"""Transactions with edges, and no cycle, before the driver gives up."""
+"""Transactions with edges, but without a cycle, before the driver raises an error."""
 
 _TICKS = rb"([0-9]{1,12}(?:\.[0-9]{1,9})?)"
 _SENTENCE = re.compile(
@@ -55,18 +55,18 @@ _SENTENCE = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """What one sentence says.
+    """The content of one sentence.
 
     Attributes
     ----------
     number : int
         Its place in the sequence.
     duty : tuple of float
-        T1/T2 of x and of y, each by its own period.
+        T1/T2 of x and of y, each with its own period.
     periods : tuple of float
         T2 of x and of y, ticks.
     temperature : float or None
-        °C; None where the sentence carries none.
+        °C; None if the sentence has none.
     """
 
     number: int
@@ -76,7 +76,7 @@ class Sentence:
 
 
 def parse_sentence(line: bytes) -> Sentence | None:
-    """Take a sentence apart.
+    """Parse a sentence.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def parse_sentence(line: bytes) -> Sentence | None:
     Returns
     -------
     Sentence or None
-        None where it is damaged: its frame, its checksum, its fields, or a pulse longer than its period.
+        None if its frame, checksum or fields are damaged, or a pulse is longer than its period.
     """
     inside = content(line)
     fields = _SENTENCE.fullmatch(inside) if inside is not None else None
@@ -107,7 +107,7 @@ class Adxl202Sentences:
     link : Link
         Serial.
     clock : Clock
-        Unused: the sentences pace the driver.
+        Unused: the driver waits for sentences.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
@@ -117,17 +117,17 @@ class Adxl202Sentences:
         self._used = self._damaged = self._lost = self._restarts = 0
 
     def probe(self) -> Mapping[str, str]:
-        """Check that sentences come.
+        """Check that sentences arrive.
 
         Returns
         -------
         mapping of str to str
-            Duty cycles, the period, the temperature where it is sent, and the link_statistics.
+            Duty cycles, the period, the temperature if it is sent, and the link statistics.
 
         Raises
         ------
         BusError
-            Silence, or nothing that is a sentence.
+            No data, or no valid sentence.
         """
         self.discard()
         sentence = self._next()
@@ -138,23 +138,23 @@ class Adxl202Sentences:
         return said | {"link": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
-        """The next undamaged sentence: the duty cycles of x and y, and the temperature where it is sent, °C.
+        """Return the next undamaged sentence: the duty cycles of x and y, and the temperature where it is sent, °C.
 
         Raises
         ------
         BusError
-            Silence, or nothing that is a sentence.
+            No data, or no valid sentence.
         """
         sentence = self._next()
         return Reading(sentence.duty, sentence.temperature)
 
     def discard(self) -> None:
-        """Forget what queued up; it does not count as lost."""
+        """Discard queued data; they do not count as lost."""
         self._lines.discard()
         self._number = None
 
     def link_statistics(self) -> Mapping[str, int]:
-        """Sentences that were used, damaged, lost on the way (gaps in the sequence), and restarts of the sequence."""
+        """Return the counts of used, damaged and lost sentences (gaps in the sequence), and its restarts."""
         return {
             "sentences": self._used,
             "damaged": self._damaged,
@@ -165,7 +165,7 @@ class Adxl202Sentences:
     def _next(self) -> Sentence:
         for _ in range(UNUSABLE):
             line, whole = self._lines.next()
-            # Behind a lost line end stands a second sentence; what is before its "$" is the damaged first one.
+            # After a lost line end, a second sentence follows; the part before its "$" is damaged.
             garbage, _, _ = line.rpartition(b"$")
             sentence = parse_sentence(line[len(garbage) :])
             if (garbage or sentence is None) and (whole or line.startswith(b"$")):
@@ -175,12 +175,12 @@ class Adxl202Sentences:
                 self._used += 1
                 return sentence
         raise BusError(
-            f"{UNUSABLE} lines came and none was a sentence $PTCDC,seq,t1x,t1y,t2x,t2y*hh with its checksum; the last "
-            f"was {shown(line)}: is the baudrate right, and does the microcontroller time both axes?"
+            f"{UNUSABLE} lines arrived and none was a sentence $PTCDC,seq,t1x,t1y,t2x,t2y*hh with its checksum; "
+            f"the last was {shown(line)}: is the baud rate right, and does the microcontroller time both axes?"
         )
 
     def _in_sequence(self, number: int) -> bool:
-        """Count what is missing before a sentence; whether it is a new one."""
+        """Count the missing sentences before this one, and return whether it is new."""
         before, self._number = self._number, number
         damaged, self._damaged_since = self._damaged_since, 0
         if number == before:
@@ -190,20 +190,20 @@ class Adxl202Sentences:
             if gap is None:
                 self._restarts += 1
             else:
-                # A damaged sentence leaves a gap too, and is counted already.
+                # A damaged sentence leaves a gap too, and is already counted.
                 self._lost += max(gap - damaged, 0)
         return True
 
 
 class Adxl202Edges:
-    """The driver of an ADXL202 whose outputs are on two lines that are captured edge by edge.
+    """The driver of an ADXL202 on two lines that are captured edge by edge.
 
     Parameters
     ----------
     link : Link
         Edge records.
     clock : Clock
-        Unused: the pulses pace the driver.
+        Unused: the driver waits for pulses.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
@@ -218,7 +218,7 @@ class Adxl202Edges:
         Returns
         -------
         mapping of str to str
-            Duty cycles, the period, and the link_statistics.
+            Duty cycles, the period, and the link statistics.
 
         Raises
         ------
@@ -233,7 +233,7 @@ class Adxl202Edges:
         return said | {"period": f"{cycle.period / 1e6:.6g} ms", "link": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
-        """The next period: the duty cycles of x and y.
+        """Return the next period: the duty cycles of x and y.
 
         Raises
         ------
@@ -245,13 +245,13 @@ class Adxl202Edges:
         return Reading(self._next().duty)
 
     def discard(self) -> None:
-        """Forget what queued up; it does not count as lost."""
+        """Discard queued data; they do not count as lost."""
         self._trains.restart()
         self._ready.clear()
         self._link.exchange(b"", 0)
 
     def link_statistics(self) -> Mapping[str, int]:
-        """Periods that were used, edges lost (gaps in their numbers), and periods with a pulse missing."""
+        """Return the counts of used periods, lost edges (gaps in their numbers), and periods with a missing pulse."""
         return {"periods": self._used, "lost edges": self._trains.lost, "torn periods": self._trains.torn}
 
     def _next(self) -> Cycle:
@@ -263,20 +263,20 @@ class Adxl202Edges:
                 cycle = self._trains.take(edge)
                 if cycle is not None:
                     self._ready.append(cycle)
-        raise DeviceFault("edges come, and no period of both lines is whole: are the wires of x and y loose?")
+        raise DeviceFault("edges arrive, but no complete period of both lines: are the wires of x and y loose?")
 
     def _edges(self) -> Iterator[Edge]:
         try:
             return unpack_edges(self._link.exchange(b"", EDGES_AT_ONCE * RECORD.size))
         except BusError:
-            # Once the lines are had again, their edges are numbered anew.
+            # After a reconnection the edges are numbered from the start.
             self._trains.restart()
             raise
 
 
 @dataclass(frozen=True, slots=True)
 class Adxl202Variant:
-    """What distinguishes the parts.
+    """The constants of one part.
 
     Attributes
     ----------
@@ -291,10 +291,10 @@ class Adxl202Variant:
 
 
 SENSITIVITY_LIMIT = 0.2
-"""Largest relative error of the sensitivity over parts: 10 to 15 %/g around 12.5 (AN-603)."""
+"""Largest relative error of the sensitivity between parts: 10 to 15 %/g around 12.5 (AN-603)."""
 
 OFFSET_SPREAD = 0.5
-"""Standard deviation of the offset over parts, g; ours: the notes say only that it varies from part to part."""
+"""Standard deviation of the offset between parts, g; our estimate, because the notes state only that it varies."""
 
 
 def _sentences_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
@@ -316,16 +316,16 @@ def _default_truth(variant: Adxl202Variant, seed: int) -> Truth:
 
 
 def _tailored(model: Model, address: Address) -> Model:
-    """The model by how its pulses come; at a ``sim:`` address ``wiring=edges`` has them come as edges."""
+    """Return the model for an address; at a ``sim:`` address ``wiring=edges`` selects edges."""
     if address.scheme in CONVERTERS:
         from tiltcal.drivers import find_model
 
         return find_model(f"{model.name}-analog").at(address)
     if "wiring" in address.options and not address.simulated:
-        address.refuse("option 'wiring' is for sim: addresses; a real address says it by its scheme")
+        address.refuse("option 'wiring' is for sim: addresses; the scheme of a real address states it")
     wiring = address.text("wiring", "sentences")
     if wiring not in ("sentences", "edges"):
-        address.refuse(f"option wiring={wiring} is none of sentences, edges")
+        address.refuse(f"option wiring={wiring} is neither sentences nor edges")
     if wiring == "sentences" and address.scheme in ("serial", "sim"):
         return model
     return replace(
@@ -353,23 +353,23 @@ def _model(name: str, title: str, variant: Adxl202Variant) -> Model:
         offset=ZERO,
         sensitivity=variant.duty_per_g,
         offset_spread=OFFSET_SPREAD,
-        # A limit of either sign with nothing known inside it is a rectangular distribution (GUM 4.3.7).
+        # Limits without further information are a rectangular distribution (GUM 4.3.7): limit / sqrt(3).
         sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
         rails=(0.0, 1.0),
         resolution=0.0,
-        # The sensor talks by itself: a read waits for what comes next.
+        # The sensor streams: a read waits for the next sentence.
         interval=0.0,
         thermometer=True,
         driver=Adxl202Sentences,
         twin=_sentences_twin,
         not_modelled=(
-            "response time and bandwidth: a new position is there at once, the noise of two samples is independent",
+            "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
             "self-test",
             "supply: ratiometric error, digital noise on the supply",
-            "late time stamps, loss and damage on the line",
-            "a receive buffer: what is sent while nobody listens is missing from the sequence",
+            "late timestamps, loss and damage on the line",
+            "a receive buffer: sentences that are not read at once are missing from the sequence",
             "the period's drift with temperature, on edges (sentences have it)",
-            "the memory fault (parity) of other parts: it has no such memory",
+            "the memory fault (parity) of other parts: this part has no such memory",
         ),
         default_truth=partial(_default_truth, variant),
         options=("wiring",),

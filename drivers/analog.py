@@ -1,8 +1,8 @@
 """Analog sensors of two axes behind a converter: SCA100T, and ADXL202 with its duty cycle through an RC filter.
 
-Both are ratiometric: offset and sensitivity are shares of the supply. A reading is therefore given in volts *referred
-to a supply of 5 V*, ``5 * Vout / Vdd``, and so are the coefficients of its calibration; the supply that the sensor has
-today does not enter. Where to find it is the address's to say::
+Both are ratiometric: offset and sensitivity are shares of the supply. Readings and coefficients are therefore in volts
+*referred to a supply of 5 V*, ``5 * Vout / Vdd``, and do not depend on the present supply. The address states where it
+is connected::
 
     ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2     measured at input 2, with each sample
     ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&vdd=4.98     stated
@@ -49,30 +49,29 @@ ZERO = NOMINAL / 2.0
 """Nominal reading at 0 g, V referred to 5 V."""
 
 LOWEST_SANE, HIGHEST_SANE = 0.05 * NOMINAL, 0.95 * NOMINAL
-"""An SCA100T that has found a memory parity error holds both outputs below 0.25 V; from 95 % of the supply on it is in
-its self-test or its interconnection is broken. Applied to the ADXL202 too: it has no such limits, but no duty cycle of
-its range comes near."""
+"""After a memory parity error an SCA100T holds both outputs below 0.25 V; above 95 % of the supply it is in its
+self-test or its interconnection is broken. The duty cycles of an ADXL202 stay within these limits too."""
 
 
 @dataclass(frozen=True)
 class AnalogPart:
-    """What distinguishes one analog sensor.
+    """The constants of one analog sensor.
 
     Attributes
     ----------
     title : str
     digital : Model
-        The same part at its digital port, whose tolerances it shares.
+        The same part at its digital port, with the same tolerances.
     share_per_g : float
         Nominal sensitivity, shares of the supply per g.
     supply : tuple of float
         Lowest and highest supply, V.
     parity_signal : bool
-        Whether both outputs near ground are the part's own fault signal.
+        Whether both outputs near ground are the fault signal of the part.
     interval : float
-        Seconds after which a sample does not repeat the noise of the one before.
+        Time after which the noise of a sample is independent of the previous one, s.
     not_modelled : tuple of str
-        What the twin leaves out of this part.
+        What the twin does not model of this part.
     """
 
     title: str
@@ -96,7 +95,7 @@ class AnalogPart:
 
 @dataclass(frozen=True)
 class WiredAnalog:
-    """How a sensor is wired to a converter.
+    """The wiring of a sensor to a converter.
 
     Attributes
     ----------
@@ -112,14 +111,7 @@ class WiredAnalog:
 
 
 class AnalogSensor:
-    """The driver of an analog sensor, whatever the converter.
-
-    Parameters
-    ----------
-    part : AnalogPart
-    wired : WiredAnalog
-    converter : Converter
-    """
+    """The driver of an analog sensor behind any converter."""
 
     def __init__(self, part: AnalogPart, wired: WiredAnalog, converter: Converter) -> None:
         self._part = part
@@ -127,26 +119,26 @@ class AnalogSensor:
         self._converter = converter
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the sensor answers sanely.
+        """Check that the sensor answers plausibly.
 
         Returns
         -------
         mapping of str to str
-            What each output reads, the supply and the converter.
+            The reading of each output, the supply and the converter.
 
         Raises
         ------
         BusError
             The converter does not answer.
         DeviceFault
-            A supply that the sensor cannot work with, or the sensor's own fault signal.
+            A supply outside the range of the sensor, or its fault signal.
         """
         values, supply = self._sample()
         said = {
             channel: f"{value:.4f} V, referred to {NOMINAL:g} V"
             for channel, value in zip(CHANNELS, values, strict=True)
         }
-        return {**said, "supply": self._wired.supply.said(supply), "converter": self._wired.front_end.says}
+        return {**said, "supply": self._wired.supply.said(supply), "converter": self._wired.front_end.description}
 
     def read(self) -> Reading:
         """Take one sample: x and y in V, referred to a supply of 5 V.
@@ -162,10 +154,10 @@ class AnalogSensor:
         return Reading(values)
 
     def discard(self) -> None:
-        """Nothing queues up: every read is a new conversion."""
+        """Do nothing: every read is a new conversion."""
 
     def _sample(self) -> tuple[tuple[float, ...], float]:
-        """Both readings in V referred to 5 V, and the supply in V."""
+        """Return both readings in V referred to 5 V, and the supply in V."""
         shares, supply = self._wired.supply.shares(self._converter, self._wired.numbers)
         values = tuple(NOMINAL * share for share in shares)
         if self._part.parity_signal and max(values) < LOWEST_SANE:
@@ -177,7 +169,7 @@ class AnalogSensor:
 
 
 def _wire(part: AnalogPart, address: Address) -> WiredAnalog:
-    """The wiring as an address tells it."""
+    """Return the wiring of an address."""
     front_end = find_front_end(address)
     numbers = {channel: take_input(address, channel, front_end, place) for place, channel in enumerate(CHANNELS)}
     supply = take_supply(address, front_end, *part.supply)
@@ -203,7 +195,7 @@ def _default_truth(part: AnalogPart, seed: int) -> Truth:
 
 
 def _model(part: AnalogPart, address: Address) -> Model:
-    """The model of a part as it is wired at an address."""
+    """Return the model of a part as it is connected at an address."""
     wired = _wire(part, address)
     front_end = wired.front_end
     chooses = ("adc",) if address.simulated else ()
@@ -229,10 +221,10 @@ def _model(part: AnalogPart, address: Address) -> Model:
         twin=partial(_twin, wired),
         not_modelled=(
             *part.not_modelled,
-            "response time: a new position and a new temperature are there at once, without ringing",
+            "response time: a new position and a new temperature take effect at once, without ringing",
             "supply: ripple, drift, start-up time, ratiometric error",
             "converter: offset, gain error, non-linearity, noise, charge taken from the sensor's output",
-            "an input with nothing wired to it, which floats: it reads 0 V",
+            "an input without a wire, which floats on the real part: it reads 0 V",
         ),
         default_truth=partial(_default_truth, part),
         spi=front_end.spi,
@@ -261,14 +253,14 @@ def _adxl202(digital: Model) -> Model:
     part = AnalogPart(
         title=f"{digital.title} through an RC filter behind a converter",
         digital=digital,
-        # What is left of pulses behind the filter is their duty cycle, as a share of the supply.
+        # The output of the filter is the duty cycle, as a share of the supply.
         share_per_g=digital.sensitivity,
         supply=(3.0, 5.25),
         parity_signal=False,
         interval=0.5 / BANDWIDTH,
         not_modelled=(
-            "the pulses themselves: what is left of them behind the RC filter, and the filter's load",
-            "offsets over parts, cross-axis sensitivity and the spread of the drift are ours: no source names them",
+            "the pulses: their ripple after the RC filter, and the load of the filter",
+            "offsets, cross-axis sensitivity and drift of a part are our estimates: no source states them",
             "non-linearity",
         ),
     )
@@ -276,7 +268,7 @@ def _adxl202(digital: Model) -> Model:
 
 
 BANDWIDTH = 10.0
-"""Of the filters that an ADXL202 is assumed behind, Hz; its virtual part has the noise that these let pass."""
+"""Assumed bandwidth of the RC filter of an ADXL202, Hz; it sets the noise of the virtual part."""
 
 SCA100T_D01 = _sca100t(sca100t.D01, 0.8)
 SCA100T_D02 = _sca100t(sca100t.D02, 0.4)

@@ -1,16 +1,15 @@
 """Any device that prints numbers on a line: ``serial-columns``.
 
-The address says which number is which::
+The address names the numbers::
 
     serial:///dev/ttyUSB0?columns=x,y,temperature&unit=V&offset=2.5&sensitivity=2
     serial:socket://192.168.1.7:4000?columns=-,-,x,y,z&separator=semicolon&unit=g
 
 ``columns`` names the numbers in the order they are printed: x, y, z, temperature (°C), and ``-`` or nothing for one
-that is skipped; ``time``, the device's own clock, is skipped too. Any other name of letters and digits is a reading
-that is no tilt, such as the accelerometers a1 to a4 of a rotary stage and its angle ``theta``. ``sensitivity`` (unit/g)
-and ``offset`` (unit at 0 g) are what such a device nominally has; they let a wrong position and a movement be caught.
-Where the unit is g or m/s2 they follow from it; where nothing says what 1 g is, the device is calibrated all the same,
-without these checks.
+that is skipped; ``time``, the clock of the device, is skipped too. Any other name of letters and digits is a reading
+that is not a tilt, such as the accelerometers a1 to a4 of a rotary stage and its angle ``theta``. ``sensitivity``
+(unit/g) and ``offset`` (unit at 0 g) are the nominal values; with them, tiltcal detects a wrong position and a
+movement. The units g and m/s2 imply them. Without them the device is calibrated without these checks.
 """
 
 from __future__ import annotations
@@ -37,26 +36,26 @@ if TYPE_CHECKING:
 AXES = ("x", "y", "z")
 TEMPERATURE = "temperature"
 TIME = "time"
-"""The device's own clock: a session, and a log of `tiltcal record`, have their own."""
+"""The clock of the device; sessions and logs use their own."""
 SKIPPED = ("", "-")
 
 SEPARATORS = {"comma": rb",", "semicolon": rb";", "tab": rb"\t", "space": rb"[ \t]+", "any": rb"[,;][ \t]*|[ \t]+"}
-"""By the word that the address says, since some of the characters themselves mean something in an address."""
+"""By name, because some of the characters have a meaning in an address."""
 
 ONE_G = {"g": 1.0, "m/s2": 9.80665}
-"""Nominal sensitivity of the units that say it themselves, unit/g."""
+"""Nominal sensitivity of the units that imply it, unit/g."""
 
 UNSTATED = "unit"
-"""What a number is counted in where the address does not say."""
+"""Unit if the address states none."""
 
 UNKNOWN = 1e6
-"""Stands for a sensitivity that nobody has stated, unit/g: large, so that nothing is taken for a movement."""
+"""Stands for an unknown sensitivity, unit/g: large, so that no change of a reading looks like a movement."""
 
 OFFSET_SPREAD, ANYWHERE = 0.1, 1e4
-"""Standard deviation of the offset over devices, g: where the nominal one is known, and where it is not."""
+"""Standard deviation of the offset between devices, g, with and without a known nominal offset."""
 
 RAIL = 1e12
-"""Where the address names no rails, no number that a device prints is at one."""
+"""Rails if the address states none: no printed number reaches them."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
 _NUMBER = re.compile(rb"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
@@ -64,12 +63,12 @@ _NUMBER = re.compile(rb"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,3})?"
 
 @dataclass(frozen=True)
 class ColumnLayout:
-    """What the numbers of a line are.
+    """The meaning of the numbers of a line.
 
     Attributes
     ----------
     names : tuple of str
-        In the order they are printed; ``-`` for one that is skipped.
+        In the order of the line; ``-`` for one that is skipped.
     separator : bytes
         A regular expression.
     """
@@ -79,12 +78,12 @@ class ColumnLayout:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The axes among the names in the order x, y, z, then the other readings as they are printed."""
+        """The axes in the order x, y, z, then the other readings in the order of the line."""
         others = [name for name in self.names if name not in (*AXES, TEMPERATURE, TIME, "-")]
         return (*(axis for axis in AXES if axis in self.names), *others)
 
     def reading(self, line: bytes) -> Reading | None:
-        """The reading of a line; None where it is damaged: another number of columns, or one that is no number."""
+        """Return the reading of a line; None if its number of columns is wrong or a cell is not a number."""
         cells = re.split(self.separator, line.strip())
         if len(cells) != len(self.names):
             return None
@@ -108,7 +107,7 @@ class ColumnsSensor:
     link : Link
         Serial.
     clock : Clock
-        Unused: the lines pace the driver.
+        Unused: the driver waits for lines.
     """
 
     def __init__(self, columns: ColumnLayout, link: Link, clock: Clock) -> None:
@@ -117,17 +116,17 @@ class ColumnsSensor:
         self._used = self._damaged = 0
 
     def probe(self) -> Mapping[str, str]:
-        """Check that lines of numbers come.
+        """Check that lines of numbers arrive.
 
         Returns
         -------
         mapping of str to str
-            The numbers by their names, and the link_statistics.
+            The numbers by name, and the link statistics.
 
         Raises
         ------
         BusError
-            Silence, or no line of so many numbers.
+            No data, or no line with the right number of columns.
         """
         self.discard()
         reading = self.read()
@@ -137,16 +136,16 @@ class ColumnsSensor:
         return said | {"link": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
-        """The next line of numbers.
+        """Return the next line of numbers.
 
         Raises
         ------
         BusError
-            Silence, or no line of so many numbers.
+            No data, or no line with the right number of columns.
         """
         for _ in range(UNUSABLE):
             line, whole = self._lines.next()
-            # The tail of a line may be as many numbers as a line, the first one cut short.
+            # The tail of a line may have as many numbers as a line, with the first one cut.
             if not whole:
                 continue
             reading = self._columns.reading(line)
@@ -156,32 +155,32 @@ class ColumnsSensor:
             self._damaged += 1
         wanted = ",".join(self._columns.names)
         raise BusError(
-            f"{UNUSABLE} lines came and none had the numbers {wanted}; the last was {shown(line)}: does columns= name "
-            "every number of a line, and is the separator right?"
+            f"{UNUSABLE} lines arrived and none had the numbers {wanted}; the last was {shown(line)}: does columns= "
+            "name every number of a line, and is the separator right?"
         )
 
     def discard(self) -> None:
-        """Forget what queued up."""
+        """Discard queued data."""
         self._lines.discard()
 
     def link_statistics(self) -> Mapping[str, int]:
-        """Lines that were used, and lines that were not the numbers that the address names."""
+        """Return the counts of used lines, and of lines that do not match the columns of the address."""
         return {"lines": self._used, "damaged": self._damaged}
 
 
 def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
-    """What the address says of a line.
+    """Return the column layout of an address.
 
     Parameters
     ----------
     address : Address
     default : str, optional
-        The columns where the address names none; without it they are required.
+        The columns if the address names none; without it they are required.
 
     Raises
     ------
     UsageError
-        A name that is none, a name twice, or no reading.
+        An invalid name, a repeated name, or no reading.
     """
     written = address.text("columns", default)
     names = tuple("-" if name.strip() in SKIPPED else name.strip() for name in written.split(","))
@@ -191,7 +190,7 @@ def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
             address.refuse(f"columns names {name!r} twice")
     separator = address.text("separator", "any")
     if separator not in SEPARATORS:
-        address.refuse(f"option separator={separator} is none of {', '.join(SEPARATORS)}")
+        address.refuse(f"option separator={separator} is not one of {', '.join(SEPARATORS)}")
     columns = ColumnLayout(names, SEPARATORS[separator])
     if not columns.channels:
         address.refuse("columns names no reading: x, y, z, or another name that is neither time nor temperature")
@@ -200,17 +199,17 @@ def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
 
 def _require_name(address: Address, name: str) -> None:
     if name != "-" and not _NAME.fullmatch(name):
-        address.refuse(f"column {name!r} is no name of letters and digits, nor - (for one that is skipped)")
+        address.refuse(f"column {name!r} is neither a name of letters and digits nor - (for one that is skipped)")
     if name != TEMPERATURE and get_close_matches(name.lower(), [TEMPERATURE], cutoff=0.8):
         address.refuse(f"column {name!r}: did you mean {TEMPERATURE!r}?")
 
 
 def _tailored(model: Model, address: Address) -> Model:
-    """The model with what the address says of the device."""
+    """Return the model with the options of the address."""
     columns = columns_of(address, "x,y,temperature" if address.simulated else None)
     if address.simulated and not set(columns.channels) <= set(AXES):
         address.refuse(
-            "the virtual device has x, y, z and temperature alone; a virtual stage with four accelerometers is the "
+            "the virtual device has only x, y, z and temperature; a virtual stage with four accelerometers is the "
             "model gradiometer"
         )
     unit = address.text("unit", "g" if address.simulated else UNSTATED)
@@ -218,7 +217,7 @@ def _tailored(model: Model, address: Address) -> Model:
     scaled = default is not None or "sensitivity" in address.options
     sensitivity = address.number("sensitivity", default or UNKNOWN)
     if sensitivity == 0.0:
-        address.refuse("option sensitivity=0 cannot be: the device would sense nothing")
+        address.refuse("option sensitivity=0 is impossible: the device would not respond to tilt")
     low, high = address.number("low", -RAIL), address.number("high", RAIL)
     if low >= high:
         address.refuse(f"option low={low:g} is not below high={high:g}")
@@ -270,15 +269,15 @@ _MODEL = Model(
     sensitivity_spread=0.1,
     rails=(-RAIL, RAIL),
     resolution=0.0,
-    # The device talks by itself: a read waits for what comes next.
+    # The device streams: a read waits for the next line.
     interval=0.0,
     thermometer=True,
     driver=_driver,
     twin=partial(_twin, _ANY),
     not_modelled=(
-        "response time and bandwidth: a new position is there at once, the noise of two samples is independent",
+        "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
         "loss and damage on the line",
-        "a receive buffer: what is printed while nobody listens is gone",
+        "a receive buffer: lines that are not read at once are lost",
         "the memory fault (parity) of other parts",
     ),
     default_truth=partial(_default_truth, _ANY, 0.0, 1.0),

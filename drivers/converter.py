@@ -1,8 +1,7 @@
-"""Analog-to-digital converters as the analog sensors behind them see them.
+"""Analog-to-digital converters, and the supply of the sensors behind them.
 
-A converter measures voltages; most analog sensors put out a share of their supply. So what a sensor's driver asks for
-is a ratio, and a :class:`Supply` says what it is a ratio to: a supply that is measured along with each sample, or one
-that is stated.
+A converter measures voltages; most analog sensors are ratiometric: their output is a share of their supply. A
+:class:`Supply` is measured with each sample or stated, and gives the readings as shares of it.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ if TYPE_CHECKING:
     from tiltcal.drivers.twin.analog import Wiring
 
 SCHEMES = ("ads1115+i2c", "mcp3208+spi")
-"""Address schemes of the converters, the one that a virtual sensor is behind by default first."""
+"""Address schemes of the converters; the first one is the default of a virtual sensor."""
 
 NOMINAL = 5.0
-"""What analog sensors are supplied with nominally, V."""
+"""Nominal supply of analog sensors, V."""
 
 _MODULES = {"ads1115": "tiltcal.drivers.ads1115", "mcp3208": "tiltcal.drivers.mcp3208"}
 
@@ -49,34 +48,33 @@ class Converter(Protocol):
 
 @dataclass(frozen=True)
 class FrontEnd:
-    """A converter as an address sets it up.
+    """A converter with the settings of an address.
 
     Attributes
     ----------
     name : str
-        What stands before the ``+`` of the scheme.
-    says : str
+        The part of the scheme before ``+``.
+    description : str
         The converter and its settings, for the operator.
     inputs : int
         Number of inputs.
     full_scale : float
-        V; it reads what is beyond as if it were there.
+        V; a larger voltage reads as full scale.
     step : float
         Of a reading, V.
     reference : float or None
-        Voltage at its reference pin, V, where it has one; a sensor with the same supply needs no other to be
-        ratiometric.
+        Voltage at its reference pin, V, if it has one; a sensor with the same supply is then ratiometric.
     options : tuple of str
         Options of the address that belong to it.
     spi : SpiPort or None
     driver : callable
         ``driver(link, clock)`` returns the :class:`Converter`.
     twin : callable
-        ``twin(wiring, clock)`` returns a link that answers as it would with these voltages at its inputs.
+        ``twin(wiring, clock)`` returns a link that answers as the converter does for these input voltages.
     """
 
     name: str
-    says: str
+    description: str
     inputs: int
     full_scale: float
     step: float
@@ -93,7 +91,7 @@ class FrontEnd:
 
 
 def find_front_end(address: Address) -> FrontEnd:
-    """The converter that an address names; ``sim:`` may choose one with ``adc=``.
+    """Return the converter of an address; ``sim:`` selects one with ``adc=``.
 
     Raises
     ------
@@ -103,13 +101,13 @@ def find_front_end(address: Address) -> FrontEnd:
     name = address.text("adc", "ads1115") if address.simulated else address.scheme.partition("+")[0]
     if name not in _MODULES:
         known = " or ".join(f"{scheme}:" for scheme in SCHEMES)
-        address.refuse(f"{name!r} is no converter that tiltcal knows (analog sensors are reached by {known})")
+        address.refuse(f"{name!r} is not a known converter (analog sensors are connected by {known})")
     front_end: FrontEnd = import_module(_MODULES[name]).front_end(address)
     return front_end
 
 
 def take_input(address: Address, option: str, front_end: FrontEnd, default: int) -> int:
-    """The converter's input that an option names; only a virtual sensor has a default wiring.
+    """Return the converter input of an option; only a virtual sensor has a default.
 
     Raises
     ------
@@ -121,20 +119,20 @@ def take_input(address: Address, option: str, front_end: FrontEnd, default: int)
 
 @dataclass(frozen=True, slots=True)
 class Supply:
-    """The supply that a sensor's output is a share of.
+    """The supply of a ratiometric sensor.
 
     Attributes
     ----------
     number : int or None
-        The input that it is wired to; None where it is stated.
+        The input that measures it; None if it is stated.
     volts : float
-        As stated; where it is measured, what it nominally is.
+        As stated; if it is measured, the nominal value.
     low, high : float
-        Within these the sensor's output is a share of the supply, V.
+        Within these limits the sensor is ratiometric, V.
     full_scale : float
         Of the converter, V.
     reference : float or None
-        Voltage at the converter's reference pin, V; None where that pin is tied to this supply, or there is none.
+        Voltage at the converter's reference pin, V; None if that pin is tied to this supply or does not exist.
     """
 
     number: int | None
@@ -147,9 +145,9 @@ class Supply:
     def shares(self, converter: Converter, numbers: Sequence[int]) -> tuple[tuple[float, ...], float]:
         """Measure inputs as shares of the supply.
 
-        The conversions follow each other, so a supply that moves meanwhile would pass for tilt. A measured supply is
-        therefore taken before and after the others, and its value at each of them lies on the line between the two:
-        what it drifts cancels, and only ripple faster than one sample is left.
+        The conversions follow each other, so a change of the supply between them would look like tilt. A measured
+        supply is therefore read before and after the others and interpolated: drift cancels, and only ripple faster
+        than one sample remains.
 
         Parameters
         ----------
@@ -162,14 +160,14 @@ class Supply:
         shares : tuple of float
             One per input.
         supply : float
-            Mean of what was measured, or what was stated, V.
+            Mean of the measured values, or the stated value, V.
 
         Raises
         ------
         BusError
             The transaction failed.
         DeviceFault
-            The supply is not what the sensor needs.
+            The supply is outside the range of the sensor.
         """
         if self.number is None:
             return tuple(converter.volts(number) / self.volts for number in numbers), self.volts
@@ -181,17 +179,17 @@ class Supply:
         return shares, (before + after) / 2.0
 
     def said(self, volts: float) -> str:
-        """A supply of so many volts and how it is known, for the operator."""
+        """Return the supply as text, with its voltage and its source."""
         return f"{volts:.4f} V, {'stated' if self.number is None else f'measured at input {self.number}'}"
 
     def _checked(self, volts: float) -> float:
-        # The uppermost step stands for everything beyond it.
+        # The largest code also means every larger voltage.
         if volts > 0.9995 * self.full_scale:
             raise DeviceFault(
-                f"the supply at input {self.number} reads {volts:.3f} V, the most that this converter can tell: state "
+                f"the supply at input {self.number} reads {volts:.3f} V, the full scale of this converter: state "
                 "it with vdd=VOLTS, or give the converter a higher full scale"
             )
-        # 1 % allows for the converter's own error, which the ratio does not see.
+        # 1 % allows for the error of the converter, which cancels in the ratio.
         if not 0.99 * self.low <= volts <= 1.01 * self.high:
             raise DeviceFault(
                 f"the supply at input {self.number} reads {volts:.3f} V, where the sensor needs {self.low:g} to "
@@ -201,7 +199,7 @@ class Supply:
 
 
 def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) -> Supply:
-    """The supply as an address tells it: ``supply=N`` where it is measured, ``vdd=VOLTS`` where it is stated.
+    """Return the supply of an address: ``supply=N`` if it is measured, ``vdd=VOLTS`` if it is stated.
 
     A converter whose reference pin is the sensor's supply needs neither.
 
@@ -210,12 +208,12 @@ def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) 
     address : Address
     front_end : FrontEnd
     low, high : float
-        What the sensor may be supplied with, V.
+        Allowed supply of the sensor, V.
 
     Raises
     ------
     UsageError
-        It is neither measured nor stated, or both, or it is beyond the converter's range.
+        It is neither measured nor stated, or both, or outside the range of the converter.
     """
     if "supply" in address.options and "vdd" in address.options:
         address.refuse("options 'supply' and 'vdd' exclude each other: the supply is either measured or stated")
@@ -226,12 +224,11 @@ def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) 
     if "supply" in address.options or (front_end.reference is None and address.simulated):
         number = take_input(address, "supply", front_end, 2)
         if front_end.full_scale <= low:
-            address.refuse(f"{front_end.says} cannot measure a supply of {low:g} V or more")
+            address.refuse(f"{front_end.description} cannot measure a supply of {low:g} V or more")
         return Supply(number, min(NOMINAL, high), low, high, front_end.full_scale, front_end.reference)
     if front_end.reference is None:
         address.refuse(
-            "nothing says what the sensor is supplied with: wire its supply to an input and add supply=N, or state "
-            "it with vdd=VOLTS"
+            "the supply of the sensor is unknown: wire it to an input and add supply=N, or state it with vdd=VOLTS"
         )
     if not low <= front_end.reference <= high:
         address.refuse(
@@ -247,7 +244,7 @@ def require_apart(address: Address, wiring: dict[str, int | None]) -> None:
     Raises
     ------
     UsageError
-        Naming both options.
+        Two options name the same input.
     """
     seen: dict[int, str] = {}
     for option, number in wiring.items():

@@ -1,4 +1,4 @@
-"""What a driver offers: readings, and the facts of the model it drives."""
+"""The interface of a driver, and the facts of a sensor model."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ class Reading:
 
 
 class Sensor(Protocol):
-    """A driver at work on one link: bytes in, readings out."""
+    """The interface of a driver on one link: bytes in, readings out."""
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the device answers sanely.
+        """Check that the device answers plausibly.
 
         Returns
         -------
         mapping of str to str
-            What the device said of itself, for the operator to read.
+            What the device reports about itself, for the operator.
 
         Raises
         ------
@@ -62,9 +62,9 @@ class Sensor(Protocol):
         ...
 
     def discard(self) -> None:
-        """Forget what arrived before now, so that the next reading is a new one.
+        """Discard what arrived before now, so that the next reading is a new one.
 
-        Nothing to do for a sensor that is asked for each sample; one that talks by itself drops what has queued up.
+        A sensor that is read sample by sample has nothing to discard; one that streams drops its queued data.
 
         Raises
         ------
@@ -76,16 +76,16 @@ class Sensor(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SpiPort:
-    """How a part is spoken to over SPI.
+    """The SPI settings that a part accepts.
 
     Attributes
     ----------
     modes : tuple of int
         Clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
     fastest : int or None
-        Highest clock, Hz; None where its maker's word on it is not at hand.
+        Highest clock, Hz; None where no source states it.
     speed : int or None
-        Clock where the address names none, Hz; None is the fastest.
+        Clock if the address states none, Hz; None is the fastest.
     slowest : int
         Lowest clock at which the part's words do not change while they are read, Hz.
     """
@@ -98,7 +98,7 @@ class SpiPort:
 
 @dataclass(frozen=True, slots=True)
 class Population:
-    """How the parts of a model behave over temperature, on average.
+    """The mean temperature curves of the parts of a model.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class Population:
 
 @dataclass(frozen=True)
 class Model:
-    """The facts of one sensor model, and how to make its driver and its twin.
+    """The facts of one sensor model, with its driver and its twin.
 
     Attributes
     ----------
@@ -133,46 +133,46 @@ class Model:
     unit : str
         Unit of a reading: ``count``, ``V`` or ``duty``.
     schemes : tuple of str
-        Address schemes that reach it.
+        Address schemes that it can be connected by.
     addresses : tuple of str
-        An example address for each way to reach it, the first one foremost.
+        An example address for each way to connect it, the preferred one first.
     offset : float
         Nominal reading at 0 g, in unit.
     sensitivity : float
         Nominal sensitivity, in unit/g.
     offset_spread : float
-        Standard deviation of the offset over parts, in g.
+        Standard deviation of the offset between parts, in g.
     sensitivity_spread : float
-        Standard deviation of the sensitivity over parts, relative.
+        Standard deviation of the sensitivity between parts, relative.
     rails : tuple of float
-        A reading at or beyond one of these is no measurement, in unit.
+        Rails: a reading at or beyond one of these is not a measurement, in unit.
     resolution : float
         The step of a reading, in unit; 0 where it is continuous.
     interval : float
-        Seconds between samples that lets the reading renew itself.
+        Shortest time between two samples that gives a new reading, s.
     thermometer : bool
         Whether the sensor reports its own temperature.
     population : Population or None
-        Its parts over temperature, where the maker says so.
+        Its mean temperature curves, if the maker states them.
     thermometer_step : float
-        The step of that report, °C; 0 where it is continuous.
+        The step of this temperature, °C; 0 if it is continuous.
     driver : callable
         ``driver(link, clock)`` returns the :class:`Sensor`.
     twin : callable
         ``twin(truth, fixture, clock)`` returns a :class:`Link` that answers as the part would.
     not_modelled : tuple of str
-        What the twin leaves out, shown by ``tiltcal devices``.
+        What the twin does not model, for ``tiltcal devices``.
     default_truth : callable or None
         ``default_truth(seed)`` draws a plausible part for a ``sim:`` address without a twin file.
     spi : SpiPort or None
         None where the part has no SPI.
     options : tuple of str
-        Options of an address that belong to the device and not to its bus, such as which input is wired to x.
+        Options of an address that belong to the device and not to its bus, such as the input of x.
     scaled : bool
-        Whether the nominal offset and sensitivity are known. Where they are not, a wrong position and a movement too
-        small for the noise cannot be told.
+        Whether the nominal offset and sensitivity are known. Without them, a wrong position and a small movement cannot
+        be detected.
     configure : callable or None
-        ``configure(address)`` returns this model with the facts that such options settle; None where there are none.
+        ``configure(address)`` returns this model with the facts that these options state; None without such options.
     """
 
     name: str
@@ -202,7 +202,7 @@ class Model:
 
     @property
     def thermometer_rounding(self) -> float:
-        """Standard uncertainty of the sensor's own temperature that comes of its step, °C."""
+        """Standard uncertainty of the sensor's own temperature due to its step, °C."""
         return round(self.thermometer_step / sqrt(12.0), 4)
 
     @property
@@ -211,7 +211,7 @@ class Model:
         return set(self.channels) <= {"x", "y", "z"}
 
     def at(self, address: Address) -> Model:
-        """This model as it is wired at an address.
+        """Return this model as it is connected at an address.
 
         Raises
         ------
@@ -222,11 +222,11 @@ class Model:
 
 
 class SelfTestResult(Protocol):
-    """What one channel did in its self-test; its text says it to the operator."""
+    """The result of the self-test of one channel; its text is for the operator."""
 
     @property
     def passed(self) -> bool:
-        """Whether it did what the part should do."""
+        """Whether the channel passed."""
         ...
 
 
@@ -235,7 +235,7 @@ class SelfTesting(Protocol):
     """A driver whose part can test itself."""
 
     def self_test(self, channel: str) -> SelfTestResult:
-        """Let one channel test itself.
+        """Start the self-test of one channel.
 
         Raises
         ------
@@ -247,19 +247,19 @@ class SelfTesting(Protocol):
 
 @runtime_checkable
 class StreamingSensor(Protocol):
-    """A driver that counts what its line loses or damages, of a sensor that talks by itself or adds a checksum."""
+    """A driver that counts lost and damaged data, of a sensor that streams or adds a checksum."""
 
     def link_statistics(self) -> Mapping[str, int]:
-        """What became of what the sensor said since the driver began.
+        """Return the link statistics: how much data was used, damaged and lost since the driver began.
 
         Returns
         -------
         mapping of str to int
-            In words such as ``{"sentences": 120, "damaged": 3, "lost": 1}``: first what was used, then what was not.
+            Such as ``{"sentences": 120, "damaged": 3, "lost": 1}``: the used data first.
         """
         ...
 
 
 def in_words(link_statistics: Mapping[str, int]) -> str:
-    """A link_statistics for people: ``120 sentences, 3 damaged, 1 lost``."""
+    """Return link statistics as text: ``120 sentences, 3 damaged, 1 lost``."""
     return ", ".join(f"{number} {what}" for what, number in link_statistics.items())

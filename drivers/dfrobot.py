@@ -1,12 +1,12 @@
-"""DFRobot's TOY0048: a Murata SCA100T-D02 behind a microcontroller that answers on a serial line.
+"""DFRobot's TOY0048: a Murata SCA100T-D02 behind a microcontroller on a serial line.
 
 ::
 
     host     55 AA 02 FD
     module   55 AA Xhi Xlo Yhi Ylo T checksum     the words and the temperature code of the SCA100T
 
-The last byte is the complement of the XOR of those between the header and itself. The baudrate is not documented, so
-the address must name it.
+The last byte is the complement of the XOR of the bytes between the header and itself. The baud rate is not documented,
+so the address must state it.
 
 Source: https://wiki.dfrobot.com/toy0048/docs/18369 and its four published frames.
 """
@@ -38,23 +38,23 @@ LENGTH = 8
 """Bytes of an answer, with header and checksum."""
 
 ATTEMPTS = 10
-"""Requests for one sample before the driver gives up."""
+"""Requests for one sample before the driver raises an error."""
 
 FULL_SCALE = sca100t.FULL_SCALE
 
 
 def checksum(payload: bytes) -> int:
-    """The complement of the XOR of the payload's bytes."""
+    """Return the complement of the XOR of the payload's bytes."""
     return reduce(xor, payload, 0) ^ 0xFF
 
 
 def parse_answer(received: bytes) -> Reading | None:
-    """The reading in what was received; None where there is no undamaged answer.
+    """Return the reading of received bytes; None if they contain no valid answer.
 
     Parameters
     ----------
     received : bytes
-        An answer, perhaps behind garbage.
+        An answer, possibly after garbage.
 
     Returns
     -------
@@ -79,7 +79,7 @@ class DfrobotSca100t:
     link : Link
         Serial.
     clock : Clock
-        Unused: the module's answers pace the driver.
+        Unused: the driver waits for answers.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
@@ -92,12 +92,12 @@ class DfrobotSca100t:
         Returns
         -------
         mapping of str to str
-            Both words, the temperature, and the link_statistics.
+            Both words, the temperature, and the link statistics.
 
         Raises
         ------
         BusError
-            Silence, or no undamaged answer.
+            No data, or no valid answer.
         DeviceFault
             A word below 102.
         """
@@ -109,12 +109,12 @@ class DfrobotSca100t:
         }
 
     def read(self) -> Reading:
-        """Ask for one sample: x and y in counts and the temperature in °C.
+        """Request one sample: x and y in counts and the temperature in °C.
 
         Raises
         ------
         BusError
-            Silence, or no undamaged answer.
+            No data, or no valid answer.
         DeviceFault
             A word below 102.
         """
@@ -130,15 +130,15 @@ class DfrobotSca100t:
                 return _sane(reading)
             self._damaged += 1
         raise BusError(
-            f"{ATTEMPTS} requests brought no answer 55 AA ... with its checksum; the last brought "
-            f"{received[:LENGTH].hex(' ')}: is the baudrate right, and is it this module?"
+            f"{ATTEMPTS} requests got no answer 55 AA ... with its checksum; the last one got "
+            f"{received[:LENGTH].hex(' ')}: is the baud rate right, and is it this module?"
         )
 
     def discard(self) -> None:
-        """Nothing queues up: the module answers when it is asked."""
+        """Do nothing: the module sends no data without a request."""
 
     def link_statistics(self) -> Mapping[str, int]:
-        """Answers that were used, and damaged ones, which were asked for again."""
+        """Return the counts of used and of damaged answers; the latter were requested again."""
         return {"answers": self._used, "damaged": self._damaged}
 
 
@@ -159,7 +159,7 @@ def _twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
 
 
 def _tailored(model: Model, address: Address) -> Model:
-    """The model, once the address has named the baudrate."""
+    """Return the model, and require a baud rate in the address."""
     if not address.simulated:
         address.text("baudrate")
     return model
@@ -175,7 +175,7 @@ _MODEL = replace(
     twin=_twin,
     not_modelled=(
         *(line for line in sca100t.D02.not_modelled if "self-test" not in line and "chip select" not in line),
-        "the module's microcontroller: it answers at once, and always whole",
+        "the microcontroller of the module: it answers at once and without damage",
     ),
     spi=None,
 )

@@ -1,7 +1,7 @@
-"""Four accelerometers on a rotary stage whose readings, and the angle of the stage, come as numbers on a line.
+"""Four accelerometers on a rotary stage: a device prints their readings and the stage angle on a line.
 
-It is :mod:`tiltcal.drivers.columns` with the columns of a gravity gradient instrument, and with a virtual stage behind
-``sim:``. Where the device prints something else, the address says so::
+This is :mod:`tiltcal.drivers.columns` with the columns of a gravity gradient instrument, and with a virtual stage for
+``sim:``. The address may name other columns::
 
     serial:///dev/ttyUSB0?columns=theta,a1,a2,-,a4&separator=semicolon
 
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     from tiltcal.drivers.twin.truth import Truth
 
 PRINTED = "time,theta,a1,a2,a3,a4"
-"""What a line has where the address does not say: seconds, the stage angle in degrees, the four readings."""
+"""Default columns: seconds, the stage angle in degrees, the four readings."""
 
 
 def _tailored(model: Model, address: Address) -> Model:
-    """The model with what the address says of the line."""
+    """Return the model with the options of the address."""
     columns = columns_of(address, PRINTED)
     return replace(
         model,
@@ -70,14 +70,14 @@ _MODEL = Model(
     unit="mA",
     schemes=("serial",),
     addresses=(f"serial:///dev/ttyUSB0?columns={PRINTED}",),
-    # What 1 g is, is what nobody needs to know to match a pair.
+    # Matching a pair does not need the value of 1 g.
     offset=0.0,
     sensitivity=UNKNOWN,
     offset_spread=ANYWHERE,
     sensitivity_spread=0.1,
     rails=(-RAIL, RAIL),
     resolution=0.0,
-    # The device talks by itself: a read waits for what comes next.
+    # The device streams: a read waits for the next line.
     interval=0.0,
     thermometer=False,
     driver=partial(ColumnsSensor, _PRINTED),

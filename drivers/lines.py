@@ -1,4 +1,4 @@
-"""Lines of text as they come off a serial line: whole, half, or mixed with garbage."""
+"""Lines of text from a serial line, complete, partial, or with garbage."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.link import Link
 
 CHUNK = 4096
-"""The most bytes to take at once."""
+"""The largest number of bytes to take at once."""
 
 LONGEST = 1024
-"""A line longer than this is none: the speed is wrong, or the device speaks no text."""
+"""Longest line; a longer one means a wrong baud rate, or a device that sends no text."""
 
 UNUSABLE = 50
-"""Lines in a row that cannot be used before a driver gives up."""
+"""Unusable lines in a row before a driver raises an error."""
 
 _LINE_END = re.compile(rb"[\r\n]+")
 
 
 class LineBuffer:
-    """Cuts what a device says into lines.
+    """Splits the bytes of a device into lines.
 
-    The first piece after the start, or after :meth:`discard`, may be the tail of a line whose head nobody heard.
+    The first piece after the start, or after :meth:`discard`, may be the tail of a line.
 
     Parameters
     ----------
@@ -41,13 +41,13 @@ class LineBuffer:
         self._begun = False
 
     def next(self) -> tuple[bytes, bool]:
-        """The next line that is not empty, without its end.
+        """Return the next line that is not empty, without its end.
 
         Returns
         -------
         line : bytes
         whole : bool
-            False where its head may be missing.
+            False if its beginning may be missing.
 
         Raises
         ------
@@ -63,7 +63,7 @@ class LineBuffer:
                 return line, whole
 
     def discard(self) -> None:
-        """Forget what has arrived."""
+        """Discard what has arrived."""
         self._restart()
         self._link.exchange(b"", 0)
 
@@ -76,7 +76,7 @@ class LineBuffer:
         try:
             arrived = self._link.exchange(b"", CHUNK)
         except BusError:
-            # What comes once the line is plugged in again does not continue the half line of before.
+            # Data after a reconnection do not continue the partial line from before.
             self._restart()
             raise
         pieces = _LINE_END.split(self._rest + arrived)
@@ -92,5 +92,5 @@ class LineBuffer:
 
 
 def shown(line: bytes) -> str:
-    """A line in a message: its first characters, quoted, with what cannot be printed as an escape."""
+    """Return the first characters of a line for a message, quoted and escaped."""
     return repr(line[:60])[1:]

@@ -43,7 +43,7 @@ class Mcp3208:
     link : Link
         SPI.
     clock : Clock
-        Not waited on: the conversion takes place within the frame.
+        Unused: the conversion takes place within the frame.
     reference : float
         Voltage at the reference pin, V.
     """
@@ -71,17 +71,17 @@ class Mcp3208:
 
 
 def command_frame(number: int) -> bytes:
-    """The frame that converts an input, 0 to 7, against ground."""
+    """Return the frame that converts an input, 0 to 7, against ground."""
     return bytes([0b110 | number >> 2, (number & 0b11) << 6, 0])
 
 
 def decode_code(answer: bytes) -> int:
-    """The result in an answer, 0 to 4095; what stands before its 12 bits means nothing."""
+    """Return the result of an answer, 0 to 4095; the bits before the lowest 12 have no meaning."""
     return (answer[1] & 0x0F) << 8 | answer[2]
 
 
 def _check_data_line(number: int, answer: bytes) -> None:
-    """Tell a dead wire from a result: the bit before the result is 0, so no living part sends ones alone."""
+    """Raise an error for a dead wire: the bit before the result is 0, so a working part never sends only ones."""
     if set(answer) == {0xFF}:
         raise BusError(
             f"the data line is stuck high (input {number} reads ones alone): check MISO, chip select and the "
@@ -95,18 +95,18 @@ def _check_data_line(number: int, answer: bytes) -> None:
 
 
 def front_end(address: Address) -> FrontEnd:
-    """The MCP3208 that an address sets up with ``vref=``, the voltage at its reference pin.
+    """Return the MCP3208 with the ``vref=`` of an address, the voltage at its reference pin.
 
     Raises
     ------
     UsageError
-        The reference voltage is missing, or one that the part does not take.
+        The reference voltage is missing or out of range.
     """
     # From 0.25 V up to the part's own supply, which may be 5.5 V.
     reference = address.number("vref", 5.0 if address.simulated else None, low=0.25, high=5.5)
     return FrontEnd(
         name="mcp3208",
-        says=f"MCP3208, reference {reference:g} V",
+        description=f"MCP3208, reference {reference:g} V",
         inputs=INPUTS,
         full_scale=reference,
         step=reference / CODES,

@@ -6,10 +6,10 @@ from functools import reduce
 from operator import xor
 
 ROUND_NUMBERS = (100, 128, 256, 1000, 1024, 10_000, 65_536, 100_000, 1_000_000, 1 << 24, 1 << 31, 1 << 32)
-"""Where a counter may begin again at 0: the widths of counters and of printed digits."""
+"""Values at which a counter may wrap to 0: the widths of counters and of printed digits."""
 
 FEW = 16
-"""At a wrap, sentences that may be missing and still be told from a restart of the device."""
+"""Largest number of missing sentences at a wrap; more than these count as a restart of the device."""
 
 
 def checksum(content: bytes) -> int:
@@ -18,7 +18,7 @@ def checksum(content: bytes) -> int:
 
 
 def content(sentence: bytes) -> bytes | None:
-    """What stands between ``$`` and ``*`` of a sentence.
+    """Return the content between ``$`` and ``*`` of a sentence.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def content(sentence: bytes) -> bytes | None:
     Returns
     -------
     bytes or None
-        None where the frame or the checksum is wrong.
+        None if the frame or the checksum is wrong.
     """
     body, star, digits = sentence.rpartition(b"*")
     if not star or not body.startswith(b"$") or len(digits) != 2:
@@ -41,14 +41,14 @@ def content(sentence: bytes) -> bytes | None:
 
 
 def missing(before: int, now: int) -> int | None:
-    """How many sentences are missing between two numbers of a sequence.
+    """Return how many sentences are missing between two numbers of a sequence.
 
-    The counter may begin again at 0 after any of the :data:`ROUND_NUMBERS`.
+    The counter may wrap to 0 at any of the :data:`ROUND_NUMBERS`.
 
     Returns
     -------
     int or None
-        None where the counter went back: the device started again.
+        None if the counter went back: the device restarted.
     """
     if now > before:
         return now - before - 1

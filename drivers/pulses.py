@@ -7,7 +7,7 @@ The maker's application notes show two arrangements; in either, T1 is a pulse's 
               of y in the next period (with edges Ta, Tb of x and Tc, Td of y, and Ta = 0:
               T2 = Td - T1y/2 - T1x/2)
 
-Which of the two a part has shows in every pair of pulses, but where both are equally long; there the two agree.
+Every pair of pulses shows the arrangement, except if both are equally long; then both give the same result.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from tiltcal.drivers.bus.edges import Edge
 from tiltcal.errors import DeviceFault
 
 ALONE = 8
-"""Pulses on one line without one on the other that make a broken wire."""
+"""Pulses on one line, without one on the other, that indicate a broken wire."""
 
 APART = 1 / 8
-"""Part of a period by which pulses of one sensor may miss both arrangements (late time stamps)."""
+"""Fraction of a period by which the pulses of one sensor may deviate from both arrangements (late timestamps)."""
 
 
 class Pulse(NamedTuple):
@@ -70,26 +70,26 @@ class Cycle(NamedTuple):
 
 
 def centred_cycle(x: Pulse, y: Pulse) -> Cycle:
-    """From a pulse of x and the pulse of y in the next period, where the two trains share their centres."""
-    # From whole numbers, so that a time stamp of 2**60 ns loses nothing.
+    """Return the cycle of a pulse of x and the pulse of y in the next period, with common centres."""
+    # Integer arithmetic, so that a timestamp of 2**60 ns keeps all digits.
     period = (y.rise - x.rise + y.fall - x.fall) / 2
     return Cycle(x.length, y.length, period)
 
 
 def rising_cycle(x: Pulse, y: Pulse, next_x: Pulse) -> Cycle:
-    """From the pulses of one period and the next pulse of x, where the two trains rise together."""
+    """Return the cycle of the pulses of one period and the next pulse of x, with common rises."""
     return Cycle(x.length, y.length, next_x.rise - x.rise)
 
 
 class PulseTrains:
-    """Turns the edges of both lines into cycles, one for each period.
+    """Converts the edges of both lines to cycles, one per period.
 
     Attributes
     ----------
     lost : int
-        Edges that were captured and never arrived; the periods they were in give no cycle.
+        Edges that were captured and never arrived; their periods give no cycle.
     torn : int
-        Periods without a cycle, since a pulse of one line was missing though no edge was lost.
+        Periods without a cycle because a pulse of one line is missing, although no edge was lost.
     """
 
     def __init__(self) -> None:
@@ -98,12 +98,12 @@ class PulseTrains:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the edges so far; what is not heard now is not lost."""
+        """Discard the edges so far; edges until the next one do not count as lost."""
         self._number: int | None = None
         self._clear()
 
     def take(self, edge: Edge) -> Cycle | None:
-        """The cycle that an edge completes, if any.
+        """Add an edge, and return the cycle that it completes, if any.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class PulseTrains:
             xs.popleft()
             ys.popleft()
             if abs(next_y.rise - y.rise - about) > APART * about:
-                # A pulse of one line is missing, so what follows is not the next period.
+                # A pulse of one line is missing, so the next pulses are not the next period.
                 self.torn += 1
                 continue
             return _arranged(x, y, next_x, next_y, about)
@@ -161,7 +161,7 @@ class PulseTrains:
 
 
 def _arranged(x: Pulse, y: Pulse, next_x: Pulse, next_y: Pulse, about: float) -> Cycle:
-    """The cycle by the arrangement that the pulses show; ``about`` is roughly the period."""
+    """Return the cycle for the arrangement of the pulses; ``about`` is the approximate period."""
     rises, centres = abs(y.rise - x.rise), abs(y.rise - x.rise + y.fall - x.fall) / 2
     if min(rises, centres) > APART * about:
         raise DeviceFault(

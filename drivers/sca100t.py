@@ -1,8 +1,8 @@
 """Murata (VTI) SCA100T dual-axis inclinometer on its SPI port.
 
-One command byte starts each frame, chip select low from the first bit to the last, most significant bit first::
+One command byte starts each frame, most significant bit first; chip select stays low for the whole frame::
 
-    RDAX 0x10, RDAY 0x11   command, then 11 bits left-aligned in two bytes; the low 5 bits mean nothing
+    RDAX 0x10, RDAY 0x11   command, then 11 bits left-aligned in two bytes; the low 5 bits have no meaning
     RWTR 0x08              command, then 8 bits of temperature
     STX 0x0E, STY 0x0F     start the self-test of one axis
     MEAS 0x00              back to measuring
@@ -31,18 +31,18 @@ if TYPE_CHECKING:
 MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
 
 FULL_SCALE = 2047
-"""Largest 11-bit word; it stands for the supply voltage."""
+"""Largest 11-bit word; it corresponds to the supply voltage."""
 
 ZERO = 1024
 """Nominal word at 0 g."""
 
 LOWEST_SANE_WORD = 102
-"""A part that has found a memory parity error or a broken interconnection sends words below this one."""
+"""After a memory parity error or a broken interconnection, the part sends words below this one."""
 
 
 @dataclass(frozen=True, slots=True)
 class SelfTest:
-    """What one axis did when its proof mass was pushed by the self-test electrode.
+    """The result of the self-test of one axis, in which an electrode pushes the proof mass.
 
     Attributes
     ----------
@@ -62,17 +62,17 @@ class SelfTest:
 
     @property
     def deflection_passed(self) -> bool:
-        """Whether the push drove the output to at least 95 % of the supply."""
+        """Whether the push moved the output to at least 95 % of the supply."""
         return self.deflected >= 0.95 * FULL_SCALE
 
     @property
     def recovery_passed(self) -> bool:
-        """Whether the output came back to within 5 % of its first value."""
+        """Whether the output returned to within 5 % of its first value."""
         return abs(self.after - self.before) <= 0.05 * self.before
 
     @property
     def passed(self) -> bool:
-        """Whether the axis moves as it should."""
+        """Whether the axis passed."""
         return self.deflection_passed and self.recovery_passed
 
 
@@ -84,36 +84,36 @@ class Sca100t:
     link : Link
         SPI.
     clock : Clock
-        Waited on between frames.
+        Waits between frames.
     """
 
     REFRESH = 150e-6
-    """Seconds of chip select high before a read: the output registers reload every 150 µs, and not while it is low."""
+    """Seconds of chip select high before a read: the output registers reload every 150 µs, but not while it is low."""
     RECOVERY = 15e-6
     """Seconds of chip select high before any other frame."""
     PUSH = 80e-3
     """Seconds of self-test: the datasheet allows 20 to 100 ms, saturation takes 25 ms typically."""
     SETTLING = 150e-3
-    """Seconds after the self-test: stable after 55 ms typically, nearly three times of it allows for slow parts."""
+    """Seconds after the self-test: typically stable after 55 ms; nearly three times that allows for slow parts."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
         self._clock = clock
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the device answers sanely.
+        """Check that the device answers plausibly.
 
         Returns
         -------
         mapping of str to str
-            The three words it sent, and the temperature.
+            The words of x and y, and the temperature.
 
         Raises
         ------
         BusError
-            No answer, or a data line that never moves.
+            No answer, or a data line that never changes.
         DeviceFault
-            The part reports its own fault, or a temperature at which it cannot be alive.
+            The part reports a fault, or a temperature at which it cannot work.
         """
         reading = self.read()
         temperature = reading.temperature or 0.0
@@ -144,37 +144,32 @@ class Sca100t:
         return Reading((float(_checked_word("x", x)), float(_checked_word("y", y))), decode_temperature(t))
 
     def discard(self) -> None:
-        """Nothing queues up: every read is a new conversion."""
+        """Do nothing: every read is a new conversion."""
 
     def self_test(self, channel: str) -> SelfTest:
-        """Push one axis with its electrode and see whether it moves and comes back.
+        """Push one axis with its electrode, and test whether it moves and returns.
 
-        The session clock advances by about a quarter of a second. The sensor must lie still all the while.
+        It takes about a quarter of a second. The sensor must lie still.
 
         Parameters
         ----------
         channel : str
             x or y. The datasheet forbids both at once.
 
-        Returns
-        -------
-        SelfTest
-
         Raises
         ------
         UsageError
-            Another channel, or an axis that points down: from there the push may end short of the rail in a healthy
-            part.
+            Another channel, or an axis that points down, where the push may not reach the rail of a good part.
         BusError, DeviceFault
             As :meth:`read`.
         """
         if channel not in ("x", "y"):
-            raise UsageError(f"an SCA100T has channels x and y, no {channel!r}")
+            raise UsageError(f"an SCA100T has channels x and y, not {channel!r}")
         start, read = (STX, RDAX) if channel == "x" else (STY, RDAY)
         before = self._word(channel, read)
         if before < 0.95 * ZERO:
             raise UsageError(
-                f"{channel} reads {before} count, so this axis points down, where the self-test proves nothing: "
+                f"{channel} reads {before} count, so this axis points down, where the self-test has no meaning: "
                 "lay the sensor level and repeat it"
             )
         try:
@@ -192,7 +187,7 @@ class Sca100t:
         return _checked_word(channel, frame)
 
     def _fresh(self, *frame: int) -> bytes:
-        """Exchange a frame that reads a register, after the register has had the time to renew itself."""
+        """Exchange a frame that reads a register, after the reload time of the register."""
         self._clock.sleep(self.REFRESH)
         answer = self._link.exchange(bytes(frame))
         if len(answer) != len(frame):
@@ -207,12 +202,12 @@ class Sca100t:
 
 
 def decode_word(frame: bytes) -> int:
-    """The 11-bit word of an answer to RDAX or RDAY.
+    """Return the 11-bit word of an answer to RDAX or RDAY.
 
     Parameters
     ----------
     frame : bytes
-        Three bytes; the first and the low 5 bits of the last mean nothing.
+        Three bytes; the first one and the low 5 bits of the last one have no meaning.
 
     Returns
     -------
@@ -223,7 +218,7 @@ def decode_word(frame: bytes) -> int:
 
 
 def decode_temperature(frame: bytes) -> float:
-    """The temperature in an answer to RWTR, °C, by the datasheet's line (the part is not trimmed to it)."""
+    """Return the temperature of an answer to RWTR, °C, by the datasheet's formula (the part is not trimmed)."""
     return (frame[1] - 197) / -1.083
 
 
@@ -239,7 +234,7 @@ def _checked_word(channel: str, frame: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Sca100tVariant:
-    """What distinguishes the two parts, as delivered; each limit is the largest error of either sign.
+    """The constants of one part as delivered; each limit is the largest absolute error.
 
     Attributes
     ----------
@@ -263,22 +258,22 @@ SENSITIVITY_LIMIT = 0.005
 CROSS_AXIS_LIMIT = 0.04
 """Largest sum of the two cross-axis sensitivities, relative to the channel's own."""
 DRIFT_SPREAD = 0.008
-"""Typical deviation of the offset's slope from the population mean, °/°C."""
+"""Typical deviation of the offset's slope from the mean of the parts, °/°C."""
 GAIN_SPREAD = 0.014
-"""Typical deviation of the sensitivity's slope from the population mean, %/°C."""
+"""Typical deviation of the sensitivity's slope from the mean of the parts, %/°C."""
 
 POPULATION_DRIFT = (0.0522, -0.0039, 0.0001, -0.0000006)
-"""Mean offset over temperature of the population, degrees, coefficients of T**0, T**1, ... in °C (datasheet)."""
+"""Mean offset of the parts over temperature, degrees, coefficients of T**0, T**1, ... in °C (datasheet)."""
 
 POPULATION_GAIN = (0.0408, 0.0022, -0.00011)
-"""Mean change of the sensitivity over temperature of the population, %, likewise."""
+"""Mean change of the parts' sensitivity over temperature, %, likewise."""
 
 _D01 = Sca100tVariant(counts_per_g=1638.0, range=0.5, offset_limit=0.11, nonlinearity=0.11)
 _D02 = Sca100tVariant(counts_per_g=819.0, range=1.0, offset_limit=0.23, nonlinearity=0.57)
 
 
 def _population(variant: Sca100tVariant) -> Population:
-    """The datasheet's curves in this variant's counts."""
+    """Return the datasheet's curves in this variant's counts."""
     counts = variant.counts_per_g
     return Population(
         drift=tuple(counts * radians(k) for k in POPULATION_DRIFT),
@@ -302,7 +297,7 @@ def _default_truth(variant: Sca100tVariant, seed: int) -> Truth:
 
 
 def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
-    # A limit of either sign with nothing known inside it is a rectangular distribution (GUM 4.3.7): limit / sqrt(3).
+    # Limits without further information are a rectangular distribution (GUM 4.3.7): limit / sqrt(3).
     return Model(
         name=name,
         title=title,
@@ -316,7 +311,7 @@ def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
         sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
         rails=(float(LOWEST_SANE_WORD - 1), float(FULL_SCALE)),
         resolution=1.0,
-        # The part passes 8 to 28 Hz: a sample sooner than this repeats the noise of the one before.
+        # The bandwidth is 8 to 28 Hz: the noise of an earlier sample is not independent.
         interval=0.010,
         thermometer=True,
         thermometer_step=1.0 / 1.083,
@@ -324,12 +319,12 @@ def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
         driver=Sca100t,
         twin=_twin,
         not_modelled=(
-            "response time: a new position and a new temperature are there at once, without ringing",
+            "response time: a new position and a new temperature take effect at once, without ringing",
             "bandwidth: the noise of two samples 150 µs apart is independent",
             "thermometer noise, and a lag between thermometer and sensing element",
             "supply: start-up time, ratiometric error, brown-out",
             "long-term drift, temperature hysteresis, shock",
-            "chip select released for less than 15 µs, clock above 500 kHz, bytes torn by noise",
+            "chip select released for less than 15 µs, clock above 500 kHz, bytes damaged by noise",
             "status register and reload command (RDSR, RLOAD): answered as invalid commands",
             "self-test of both axes at once, which the datasheet forbids",
         ),

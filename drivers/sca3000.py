@@ -11,11 +11,11 @@ Registers hold one byte each. A transaction names the first register, and the ad
     0x12-0x13    TEMP_LSB TEMP_MSB: 9 bits below the two highest
     0x14 MODE    bits 1 and 0: 0 normal, 1 and 2 the part's options, 3 motion detection
 
-This driver never writes a register: a wrong reserved bit can lock the part up, and a calibration needs reads only.
+This driver never writes a register: a wrong reserved bit can block the part, and a calibration needs only reads.
 
 Sources: Linux ``drivers/iio/accel/sca3000.c``; openmag ``sca3000.h``; SCA3000 Series product family specification,
-VTI 8257300A.07, page 12. That addresses count down on I2C as well is from the last; that the pointer there is the plain
-register address is inferred, so ``pointer=command`` sends the SPI command byte in its place.
+VTI 8257300A.07, page 12. The last one states that addresses count down on I2C as well. That the pointer there is the
+plain register address is inferred, so ``pointer=command`` sends the SPI command byte in its place.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ MODES = ("normal", "option 1", "option 2", "motion detection")
 """By bits 1 and 0 of MODE."""
 
 OVERFLOW = (-3456.0, 3455.0)
-"""The words 0x9400 and 0x6BFF, which stand for a channel that is overloaded, count."""
+"""The words 0x9400 and 0x6BFF, which mean an overloaded channel, count."""
 
 COMMAND_SHIFT, WRITING = 2, 0b10
 """An SPI command byte has the register in its upper six bits; the lower two are 0 for a read."""
@@ -55,7 +55,7 @@ COMMAND_SHIFT, WRITING = 2, 0b10
 
 @dataclass(frozen=True, slots=True)
 class Sca3000Part:
-    """What distinguishes the parts of the family, and how one of them is wired.
+    """The constants of one part of the family, and its wiring.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Sca3000Part:
         Output data rate in normal mode, Hz.
     thermometer : bool
     pointer_shift : int
-        On I2C a register is named by its address shifted left by so many bits.
+        On I2C the register pointer is the address shifted left by this many bits.
     """
 
     counts_per_g: float
@@ -74,12 +74,12 @@ class Sca3000Part:
 
 
 class Sca3000:
-    """The driver of an SCA3000, whichever its range and its bus.
+    """The driver of an SCA3000 of any range on either bus.
 
     Parameters
     ----------
     link : Link
-        SPI or I2C; its letter says which.
+        SPI or I2C, by its letter.
     part : Sca3000Part
     """
 
@@ -95,18 +95,18 @@ class Sca3000:
         )
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the device answers sanely.
+        """Check that the device answers plausibly.
 
         Returns
         -------
         mapping of str to str
-            Its revision, lock and mode, the three words it sent, and the temperature where it has a thermometer. A
-            mode that is not normal is told and not refused.
+            Its revision, lock and mode, the words of x, y and z, and the temperature if it has a thermometer. A mode
+            that is not normal is reported and not refused.
 
         Raises
         ------
         BusError
-            No answer, a data line that never moves, or an SPI frame that the part found broken.
+            No answer, a data line that never moves, or an SPI frame that the part reports as damaged.
         DeviceFault
             The checksum of the part's own memory is wrong.
         """
@@ -140,10 +140,10 @@ class Sca3000:
         return self._reading(sample)
 
     def discard(self) -> None:
-        """Nothing queues up: every read finds the latest conversion."""
+        """Do nothing: every read returns the latest conversion."""
 
     def _sample(self) -> bytes:
-        """The six data registers from Z_MSB down, then TEMP_MSB and TEMP_LSB where the part has them."""
+        """Return the six data registers from Z_MSB down, then TEMP_MSB and TEMP_LSB where the part has them."""
         sample = self._port.read(Z_MSB, 6)
         return sample + self._port.read(TEMP_MSB, 2) if self._part.thermometer else sample
 
@@ -159,18 +159,18 @@ class Sca3000:
             )
         if status & FRAME_ERROR and self._link.letter == "s":
             raise BusError(
-                "the part found the previous SPI frame broken (STATUS bit 0): try a slower clock (such as "
+                "the part reports that the previous SPI frame was damaged (STATUS bit 0): try a slower clock (such as "
                 "speed=100000), shorter wires, and see that nothing else shares its chip select"
             )
 
 
 def decode_word(pair: bytes) -> int:
-    """The 13-bit word of an MSB and an LSB register.
+    """Return the 13-bit word of an MSB and an LSB register.
 
     Parameters
     ----------
     pair : bytes
-        MSB, LSB; the low 3 bits of the LSB mean nothing.
+        MSB, LSB; the low 3 bits of the LSB have no meaning.
 
     Returns
     -------
@@ -181,7 +181,7 @@ def decode_word(pair: bytes) -> int:
 
 
 def decode_temperature(pair: bytes) -> float:
-    """The temperature in TEMP_MSB and TEMP_LSB, °C; the two highest bits and the five lowest mean nothing."""
+    """Return the temperature in TEMP_MSB and TEMP_LSB, °C; the two highest and the five lowest bits have no meaning."""
     raw = (pair[0] & 0x3F) << 3 | pair[1] >> 5
     return 23.0 + (raw - 256) / 1.8
 
@@ -197,12 +197,12 @@ def _mode_in_words(mode: int) -> str:
 
 
 SLOWEST_RATE = 100.0
-"""The slowest normal output data rate of the known parts (E04), Hz; it fits a part whose own is not known."""
+"""The slowest normal output data rate of the known parts (E04), Hz; the default for an unknown part."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One line of the family as the user sees it.
+    """One model of the family.
 
     Attributes
     ----------
@@ -212,7 +212,7 @@ class Entry:
     part : Sca3000Part
         As far as it is known.
     any_range : bool
-        Whether the address must say ``counts_per_g``.
+        Whether the address must state ``counts_per_g``.
     """
 
     name: str
@@ -240,7 +240,7 @@ def _default_truth(part: Sca3000Part, seed: int) -> Truth:
 
 
 def _tailored(entry: Entry, address: Address) -> Model:
-    """The model with what the address says of the part and its wiring."""
+    """Return the model with the options of the address."""
     known = entry.part
     required = entry.any_range and not address.simulated
     # ±1 g must stay clear of the overflow codes, and one count must be less than 1 g.
@@ -264,7 +264,8 @@ def _model(entry: Entry, part: Sca3000Part) -> Model:
         addresses=entry.addresses,
         offset=0.0,
         sensitivity=part.counts_per_g,
-        # No tolerance of the family is known: wide enough for any part, narrow enough to tell the faces of a cube.
+        # No tolerance of the family is known: wide enough for any part, narrow enough to distinguish the faces of a
+        # cube.
         offset_spread=0.1,
         sensitivity_spread=0.05,
         rails=OVERFLOW,
@@ -275,16 +276,16 @@ def _model(entry: Entry, part: Sca3000Part) -> Model:
         driver=partial(_driver, part),
         twin=partial(_twin, part, entry.schemes[0]),
         not_modelled=(
-            "the real noise, tolerances and drift, which no source names: a drawn part's are ours (noise 1.5 count)",
-            "response time and bandwidth: a new position is there at the next output word, without ringing",
+            "the real noise, tolerances and drift, which no source states: a virtual part has ours (noise 1.5 count)",
+            "response time and bandwidth: a new position takes effect at the next output word, without ringing",
             "modes other than normal, ring buffer, motion detection, free fall, interrupts",
             "writes, which the driver never sends: they change nothing",
             "supply: start-up time, brown-out",
-            "bytes torn by noise, clock too fast, clock stretching",
+            "bytes damaged by noise, clock too fast, clock stretching",
         ),
         default_truth=partial(_default_truth, part),
-        # No source names the fastest clock; 4 MHz has been used, and 500 kHz is slow enough for the maker's others.
-        # A burst must be over before the next word is due, or it mixes bytes of two words.
+        # No source states the fastest clock; 4 MHz has been used, and 500 kHz suits the other parts of the maker.
+        # A burst must end before the next word is due, or it mixes bytes of two words.
         spi=SpiPort(modes=(0,), fastest=None, speed=500_000, slowest=slowest_clock(6, part.rate))
         if "spi" in entry.schemes
         else None,
@@ -294,7 +295,7 @@ def _model(entry: Entry, part: Sca3000Part) -> Model:
 
 
 ADDRESSES = {"spi": "spi:///dev/spidev0.0", "i2c": "i2c:///dev/i2c-1?address=0x1d"}
-"""Examples; the I2C address is the user's to give."""
+"""Examples; the user must state the I2C address."""
 
 
 def _named(variant: str, extent: str, part: Sca3000Part, schemes: tuple[str, ...] = ("spi",)) -> Model:
@@ -309,7 +310,7 @@ E02 = _named("E02", "1000 count/g, SPI", Sca3000Part(1000.0, 125.0, thermometer=
 E04 = _named("E04", "500 count/g, SPI", Sca3000Part(500.0, 100.0, thermometer=False))
 E05 = _named("E05", "160 count/g, SPI", Sca3000Part(160.0, 200.0, thermometer=False))
 
-# The sensitivity is a virtual part's alone: a real one's must be given.
+# This sensitivity is for a virtual part; that of a real one must be stated.
 _ANY = Sca3000Part(1333.0, SLOWEST_RATE, thermometer=False)
 I2C = _model(
     Entry(

@@ -258,7 +258,7 @@ class Scl3300:
         """Nothing queues up: every read asks for the latest words."""
 
     def link_statistics(self) -> Mapping[str, int]:
-        """What became of the samples, and of the frames that were none.
+        """Return what became of the samples, and of the frames that were none.
 
         Returns
         -------
@@ -347,7 +347,7 @@ class Scl3300:
         return answers
 
     def _answers(self, request: bytes, answer: Answer) -> bool:
-        """Whether an intact answer is to this request: it echoes the operation, and what was written."""
+        """Return whether an intact answer is to this request: it echoes the operation, and what was written."""
         unlike = bool(request[0] & 0x80) and answer.data != int.from_bytes(request[1:3], "big")
         return answer.intact and answer.operation == request[0] >> 2 and not unlike
 
@@ -458,7 +458,7 @@ def _default_truth(part: Scl3300Part, measuring: MeasuringRange, seed: int) -> T
 
 
 def _tailored(name: str, part: Scl3300Part, address: Address) -> Model:
-    """The model in the mode that the address names."""
+    """Return the model in the mode that the address names."""
     words = {**part.words, **{f"mode{number}": number for number in (1, 2, 3, 4)}}
     return _model(name, part, part.ranges[choose_range(address, words, 1) - 1])
 
@@ -474,7 +474,7 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
         addresses=("spi:///dev/spidev0.0", f"spi:///dev/spidev0.0?range={list(part.words)[-1]}"),
         offset=0.0,
         sensitivity=measuring.counts_per_g,
-        # A limit of either sign with nothing known inside it is a rectangular distribution (GUM 4.3.7).
+        # Limits without further information are a rectangular distribution (GUM 4.3.7): limit / sqrt(3).
         offset_spread=part.offset_limit / sqrt(3.0),
         sensitivity_spread=part.sensitivity_limit / sqrt(3.0),
         rails=(-32768.0, 32767.0),
@@ -486,7 +486,7 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
         driver=partial(_driver, part, measuring),
         twin=partial(_twin, part, measuring),
         not_modelled=(
-            "response time and bandwidth: a new position is there at once, the noise of two samples is independent",
+            "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
             "what a real part sends after damaged requests and frames that are not 32 bits, which no source says",
             "saturation, self-test output (STO), angle outputs that follow the position",
             "the gain of one mode against another, which is exact here",

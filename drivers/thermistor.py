@@ -1,17 +1,17 @@
-"""A thermistor in a divider at a converter's input: a thermometer for the sensors that have none.
+"""A thermistor in a divider at a converter's input: a thermometer for sensors without one.
 
 ::
 
     ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&supply=2&beta=3950&r0=10000&t0=25&fixed=10000
     mcp3208+spi:///dev/spidev0.1?channel=3&vref=5.0&a=1.129e-3&b=2.341e-4&c=8.775e-8&fixed=10000&to=supply
 
-``channel`` is its input, ``fixed`` the divider's other resistor in Ω, and ``to`` where the thermistor is tied:
-``ground`` (the default) or ``supply``. The divider puts out a share of its supply, which is told as for the analog
+``channel`` is its input, ``fixed`` the divider's other resistor in Ω, and ``to`` the potential at its other end:
+``ground`` (the default) or ``supply``. The output is a share of the supply, which the address states as for the analog
 sensors: see :mod:`tiltcal.drivers.analog`. Its curve is that of Steinhart and Hart, temperature in K, resistance in Ω::
 
     1/T = a + b ln R + c (ln R)³
 
-or the simpler one of a ``beta`` in K, with ``r0`` Ω at ``t0`` °C (25 °C where it is left out)::
+or that of a ``beta`` in K, with ``r0`` Ω at ``t0`` °C (default 25 °C)::
 
     1/T = 1/T0 + ln(R / R0) / beta
 
@@ -52,10 +52,10 @@ ZERO_CELSIUS = 273.15
 """K."""
 
 SUPPLY = (1.0, 5.5)
-"""A divider works with any; these are the converters' bounds, V."""
+"""Limits of the converters, V; a divider works with any supply."""
 
 SHORTED, OPEN = 0.005, 0.995
-"""Shares of the supply beyond which a divider of useful values never comes, but a broken one does."""
+"""Shares of the supply that only a broken divider reaches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Curve:
     Attributes
     ----------
     a, b, c : float
-        1/K. ``b`` is positive and ``c`` is not negative, so the temperature falls where the resistance rises.
+        1/K. ``b`` is positive and ``c`` is not negative, so the temperature falls as the resistance rises.
     """
 
     a: float
@@ -74,16 +74,16 @@ class Curve:
 
     @classmethod
     def from_beta(cls, beta: float, r0: float, t0: float) -> Curve:
-        """The curve of a beta in K through r0 in Ω at t0 in °C."""
+        """Return the curve of a beta in K through r0 in Ω at t0 in °C."""
         return cls(1.0 / (t0 + ZERO_CELSIUS) - log(r0) / beta, 1.0 / beta, 0.0)
 
     def celsius(self, ohms: float) -> float:
-        """Temperature of a resistance, °C."""
+        """Return the temperature at a resistance, °C."""
         x = log(ohms)
         return 1.0 / (self.a + self.b * x + self.c * x**3) - ZERO_CELSIUS
 
     def ohms(self, celsius: float) -> float:
-        """Resistance at a temperature, Ω: the cubic's one real root, by Cardano's formula."""
+        """Return the resistance at a temperature, Ω: the real root of the cubic, by Cardano's formula."""
         rest = self.a - 1.0 / (celsius + ZERO_CELSIUS)
         if self.c == 0.0:
             return exp(-rest / self.b)
@@ -103,7 +103,7 @@ class Divider:
     fixed : float
         Ω.
     grounded : bool
-        Whether the thermistor is tied to ground, and not to the supply.
+        Whether the thermistor is tied to ground and not to the supply.
     """
 
     curve: Curve
@@ -111,23 +111,23 @@ class Divider:
     grounded: bool
 
     def share(self, celsius: float) -> float:
-        """What it puts out at a temperature, as a share of its supply."""
+        """Return the output at a temperature, as a share of the supply."""
         ohms = self.curve.ohms(celsius)
         return (ohms if self.grounded else self.fixed) / (ohms + self.fixed)
 
     def celsius(self, share: float) -> float:
-        """The temperature at which it puts out this share of its supply, °C.
+        """Return the temperature for an output as a share of the supply, °C.
 
         Raises
         ------
         DeviceFault
-            So near to either end that the thermistor or its wire is open or shorted.
+            The thermistor or its wire is open or shorted.
         """
         if not SHORTED < share < OPEN:
             found = "shorted" if (share <= SHORTED) == self.grounded else "open, or not connected"
             raise DeviceFault(
-                f"the divider puts out {100 * share:.1f} % of its supply, so the thermistor is {found}: check it, its "
-                "wires and the fixed resistor"
+                f"the divider output is {100 * share:.1f} % of its supply, so the thermistor is {found}: check it, "
+                "its wires and the fixed resistor"
             )
         ratio = share / (1.0 - share)
         return self.curve.celsius(self.fixed * (ratio if self.grounded else 1.0 / ratio))
@@ -135,7 +135,7 @@ class Divider:
 
 @dataclass(frozen=True)
 class WiredThermistor:
-    """How a thermistor is wired to a converter.
+    """The wiring of a thermistor to a converter.
 
     Attributes
     ----------
@@ -153,20 +153,14 @@ class WiredThermistor:
 
 
 class Thermistor:
-    """The driver of a thermistor, whatever the converter.
-
-    Parameters
-    ----------
-    wired : WiredThermistor
-    converter : Converter
-    """
+    """The driver of a thermistor behind any converter."""
 
     def __init__(self, wired: WiredThermistor, converter: Converter) -> None:
         self._wired = wired
         self._converter = converter
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the thermometer answers sanely.
+        """Check that the thermometer answers plausibly.
 
         Returns
         -------
@@ -184,11 +178,11 @@ class Thermistor:
         return {
             "temperature": f"{celsius:.2f} °C",
             "supply": self._wired.supply.said(supply),
-            "converter": self._wired.front_end.says,
+            "converter": self._wired.front_end.description,
         }
 
     def read(self) -> Reading:
-        """Take one sample: no values, the temperature alone.
+        """Take one sample: only the temperature, no values.
 
         Raises
         ------
@@ -200,7 +194,7 @@ class Thermistor:
         return Reading((), self._sample()[0])
 
     def discard(self) -> None:
-        """Nothing queues up: every read is a new conversion."""
+        """Do nothing: every read is a new conversion."""
 
     def _sample(self) -> tuple[float, float]:
         """Temperature in °C and supply in V."""
@@ -209,7 +203,7 @@ class Thermistor:
 
 
 def _curve(address: Address) -> Curve:
-    """The curve as an address tells it; only a virtual thermistor has one by default."""
+    """Return the curve of an address; only a virtual thermistor has a default."""
     hart = [name for name in ("a", "b", "c") if name in address.options]
     if hart:
         if "beta" in address.options:
@@ -226,11 +220,11 @@ def _curve(address: Address) -> Curve:
 
 
 def _wire(address: Address) -> WiredThermistor:
-    """The wiring as an address tells it."""
+    """Return the wiring of an address."""
     front_end = find_front_end(address)
     tied = address.text("to", "ground")
     if tied not in ("ground", "supply"):
-        address.refuse(f"option to={tied} is neither ground nor supply: where is the thermistor tied?")
+        address.refuse(f"option to={tied} is neither ground nor supply")
     fixed = address.number("fixed", 10_000.0 if address.simulated else None, low=1.0)
     number = take_input(address, "channel", front_end, 3)
     supply = take_supply(address, front_end, *SUPPLY)
@@ -250,20 +244,20 @@ def _twin(wired: WiredThermistor, truth: Truth, fixture: HeldPose, clock: Clock)
 
 
 def _default_truth(seed: int) -> Truth:
-    """A thermistor that is right; its jig and chamber are those of the virtual sensors."""
+    """Return an ideal thermistor; its jig and chamber are those of the virtual sensors."""
     from tiltcal.drivers.twin.truth import Truth
 
     return Truth(channels=(), offset={}, sensitivity={}, seed=seed, jig=0.01, ambient=24.0, time_constant=20.0)
 
 
 def _model(address: Address) -> Model:
-    """The thermistor as it is wired at an address."""
+    """Return the thermistor as it is connected at an address."""
     wired = _wire(address)
     front_end = wired.front_end
     chooses = ("adc",) if address.simulated else ()
     return Model(
         name="thermistor",
-        title="NTC thermistor in a divider behind a converter, a thermometer alone",
+        title="NTC thermistor in a divider behind a converter, temperature only",
         channels=(),
         unit="°C",
         schemes=front_end.schemes,
@@ -271,7 +265,7 @@ def _model(address: Address) -> Model:
             "ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&supply=2&beta=3950&r0=10000&t0=25&fixed=10000",
             "mcp3208+spi:///dev/spidev0.1?channel=3&vref=5.0&beta=3950&r0=10000&t0=25&fixed=10000",
         ),
-        # It has no channel, so nothing is compared with these.
+        # It has no channel, so these values have no effect.
         offset=0.0,
         sensitivity=1.0,
         offset_spread=0.0,

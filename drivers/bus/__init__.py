@@ -21,33 +21,29 @@ _OPENERS = {
     "gpio": "tiltcal.drivers.bus.edges:open_gpio",
     "vcd": "tiltcal.drivers.bus.vcd:open_vcd",
 }
-"""What opens an address whose scheme ends so: ``opener(address, model)`` returns the link."""
+"""By the last part of a scheme: ``opener(address, model)`` returns the link."""
 
 
 def link_letter(address: Address, model: Model) -> str:
-    """The letter that stands for a device's bus in a journal; a twin answers on the bus its model is first known by."""
+    """Return the letter of a device's bus in a journal; a twin has the first bus of its model."""
     scheme = model.schemes[0] if address.simulated else address.scheme
     return _LETTERS[scheme.rpartition("+")[2]]
 
 
 def open_link(address: Address, model: Model) -> Link:
-    """Open the bus that an address names, for one device; only that bus's library is imported.
+    """Open the bus of an address for one device, and import only that bus's library.
 
     Parameters
     ----------
     address : Address
-        Of a real bus. A ``sim:`` address has no bus: its link is the twin, ``model.twin(truth, fixture, clock)``.
+        Of a real bus. The link of a ``sim:`` address is the twin, ``model.twin(truth, fixture, clock)``.
     model : Model
-        What is connected there: its facts bound the options.
-
-    Returns
-    -------
-    Link
+        What is connected there; its facts limit the options.
 
     Raises
     ------
     UsageError
-        The model is not reached by this scheme, or an option is wrong.
+        The model does not have this scheme, or an option is wrong.
     HardwareError
         The bus's library is not installed.
     BusError

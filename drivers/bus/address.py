@@ -1,4 +1,4 @@
-"""Addresses: where a sensor is connected, as one line of text.
+"""Addresses: one line of text that states where a sensor is connected.
 
 ::
 
@@ -31,7 +31,7 @@ _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 SCHEMES = ("spi", "i2c", "serial", "gpio", "vcd", "sim")
-"""Last part of every scheme that is understood; a front end stands before it, as in ``ads1115+i2c``."""
+"""Last part of every known scheme; a converter may stand before it, as in ``ads1115+i2c``."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Address:
     scheme : str
         ``spi``, ``i2c``, ``ads1115+i2c``, ...
     path : str
-        The device or file; for ``serial`` whatever pyserial opens; empty where the scheme needs none.
+        The device or file; for ``serial`` what pyserial opens; empty if the scheme needs none.
     options : dict of str to str
         In the order written, each at most once.
     """
@@ -60,7 +60,7 @@ class Address:
 
     @property
     def simulated(self) -> bool:
-        """Whether a virtual twin stands in for the sensor."""
+        """Whether the address is that of a virtual twin."""
         return self.scheme == "sim"
 
     def allow(self, *names: str) -> None:
@@ -77,13 +77,13 @@ class Address:
                 self.refuse(f"unknown option {name!r} ({_near(name, names) or known})")
 
     def text(self, name: str, default: str | None = None) -> str:
-        """The text of an option.
+        """Return the text of an option.
 
         Parameters
         ----------
         name : str
         default : str, optional
-            Where the option is left out; without it the option is required.
+            Value if the option is left out; without it the option is required.
 
         Raises
         ------
@@ -98,13 +98,13 @@ class Address:
         return value
 
     def integer(self, name: str, default: int | None = None, *, low: int | None = None, high: int | None = None) -> int:
-        """A whole number, decimal or hexadecimal (``0x1d``).
+        """Return a whole number, decimal or hexadecimal (``0x1d``).
 
         Parameters
         ----------
         name : str
         default : int, optional
-            Where the option is left out; without it the option is required.
+            Value if the option is left out; without it the option is required.
         low, high : int, optional
             Smallest and largest number that is accepted.
 
@@ -125,13 +125,13 @@ class Address:
     def number(
         self, name: str, default: float | None = None, *, low: float | None = None, high: float | None = None
     ) -> float:
-        """A finite number such as ``5``, ``4.98`` or ``5e-3``.
+        """Return a finite number such as ``5``, ``4.98`` or ``5e-3``.
 
         Parameters
         ----------
         name : str
         default : float, optional
-            Where the option is left out; without it the option is required.
+            Value if the option is left out; without it the option is required.
         low, high : float, optional
             Smallest and largest number that is accepted.
 
@@ -161,7 +161,7 @@ class Address:
 
 
 def parse_address(text: str) -> Address:
-    """Take an address apart.
+    """Parse an address.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def parse_address(text: str) -> Address:
     Raises
     ------
     UsageError
-        What is wrong, with the address quoted. Which options a scheme takes is checked by the bus that opens it.
+        The address is malformed. The bus that opens it checks the options.
     """
     scheme, colon, rest = text.partition(":")
     if not colon:
@@ -189,7 +189,7 @@ def parse_address(text: str) -> Address:
 
 
 def _path(text: str, scheme: str, place: str) -> str:
-    """The place without the empty authority of ``scheme:///path``."""
+    """Return the place without the empty authority of ``scheme:///path``."""
     if place.startswith("//") and not place.startswith("///"):
         host = place[2:].partition("/")[0]
         advice = f"{scheme}:///{place[2:]}" if scheme != "serial" else f"serial:{place[2:]}"

@@ -1,4 +1,4 @@
-"""Session time, passed in wherever something waits or is stamped."""
+"""The clock of a session, passed in wherever the program waits or takes the time."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Nanoseconds since the session began."""
+    """The interface of a clock: nanoseconds since the session began."""
 
     @property
     def real(self) -> bool:
-        """Whether waiting on it takes time."""
+        """Whether waiting takes real time."""
         ...
 
     def now_ns(self) -> int:
@@ -19,7 +19,7 @@ class Clock(Protocol):
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Let at least ``seconds`` pass."""
+        """Wait for at least ``seconds``."""
         ...
 
     def seek(self, now_ns: int) -> None:
@@ -55,7 +55,7 @@ class SystemClock:
 
 
 class VirtualClock:
-    """A clock that moves only when someone sleeps on it: a night in the chamber takes no time."""
+    """A clock that moves only in ``sleep``: a night in the chamber takes no real time."""
 
     real = False
 

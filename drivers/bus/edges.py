@@ -1,4 +1,4 @@
-"""Edges of two digital lines: their records, and the GPIO lines of a Linux board that give them.
+"""Edges of two digital lines: their records, and the GPIO lines of a Linux board.
 
 Every edge travels as one record of 14 bytes, little-endian::
 
@@ -18,7 +18,7 @@ from struct import Struct
 from time import sleep
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
-from tiltcal.drivers.bus.permission import no_permission
+from tiltcal.drivers.bus.os_errors import no_permission
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
@@ -31,10 +31,10 @@ TIMEOUT = 2.0
 """Seconds without an edge that are an error: two hundred of the part's longest periods."""
 
 GATHER = 0.005
-"""Seconds for which edges are gathered into one answer: 20 of them at 4,000 a second."""
+"""Seconds for which edges are collected into one answer: 20 edges at 4,000 per second."""
 
 KERNEL_BUFFER = 1024
-"""Edges that the kernel may hold for two lines before the oldest is lost; it allows no more."""
+"""Edges that the kernel buffers for two lines before the oldest is lost; this is its maximum."""
 
 CONSUMER = "tiltcal"
 
@@ -50,7 +50,7 @@ class Edge(NamedTuple):
         0 is x, 1 is y.
     rising : bool
     number : int
-        Of the edges of both lines, as they were captured.
+        Counts the edges of both lines in the order of capture.
     """
 
     time_ns: int
@@ -65,7 +65,7 @@ def pack_edges(edges: Iterable[Edge]) -> bytes:
 
 
 def unpack_edges(records: bytes) -> Iterator[Edge]:
-    """The edges in a link's answer, the inverse of :func:`pack_edges`.
+    """Iterate over the edges in a link's answer, the inverse of :func:`pack_edges`.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def open_gpio(address: Address, model: Model) -> GpioLink:
         The path is a GPIO chip; options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge that
         are an error.
     model : Model
-        Its options are let through.
+        Its own options are allowed too.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def open_gpio(address: Address, model: Model) -> GpioLink:
 
 
 class GpioLink:
-    """Both lines of one sensor on one GPIO chip, time-stamped by the kernel on its monotonic clock.
+    """Both lines of one sensor on one GPIO chip, with the kernel's monotonic timestamps.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class GpioLink:
     HardwareError
         The gpiod package is not installed, or is older than version 2.
     BusError
-        The lines cannot be had.
+        The lines cannot be requested.
     """
 
     letter = "e"
@@ -157,7 +157,7 @@ class GpioLink:
         out : bytes
             Unused: nothing is sent over these lines.
         count : int
-            The most bytes of records to take. With 0, the edges that have arrived are dropped instead.
+            The largest number of bytes of records to take. With 0, the edges that have arrived are discarded.
 
         Returns
         -------
@@ -167,7 +167,7 @@ class GpioLink:
         Raises
         ------
         BusError
-            No edge for as long as the address allows, or the chip has gone.
+            No edge within the timeout, or the chip is unplugged.
         """
         try:
             if not count:
@@ -199,7 +199,7 @@ class GpioLink:
 
 
 def _gpiod() -> Any:
-    """The gpiod package in its second version, whose requests carry both lines and the event clock."""
+    """Import gpiod; version 2 is needed to request both lines with an event clock."""
     advice = "install it with  pip install 'tiltcal[gpio]'"
     try:
         import gpiod
@@ -211,7 +211,7 @@ def _gpiod() -> Any:
 
 
 def _why(chip: str, cause: Exception) -> str:
-    """What an error of the operating system means at a bench, and what to try."""
+    """Return the message for an error of the operating system: the cause and what to try."""
     number = cause.errno if isinstance(cause, OSError) else None
     if number == errno.ENOENT:
         present = ", ".join(sorted(map(str, Path("/dev").glob("gpiochip*"))))
@@ -223,6 +223,6 @@ def _why(chip: str, cause: Exception) -> str:
     if number == errno.EINVAL or isinstance(cause, ValueError):
         return f"{chip} refuses the lines ({cause}): does it have them?"
     if number in (errno.ENODEV, errno.EIO, errno.ENXIO):
-        return f"{chip} has gone: plug it in again, then resume"
+        return f"{chip} is gone: plug it in again, then resume"
     reason = os.strerror(number) if number is not None else str(cause)
     return f"{chip} failed ({reason}): check the wiring, then resume"

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.permission import no_permission
+from tiltcal.drivers.bus.os_errors import node_error
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from tiltcal.drivers.device import Model
 
 LOWEST, HIGHEST = 0x08, 0x77
-"""The 7-bit addresses that a device may have; the I2C specification keeps the others for itself."""
+"""The 7-bit addresses that a device may have; the I2C specification reserves the others."""
 
 
 def open_i2c(address: Address, model: Model) -> I2cLink:
@@ -26,7 +25,7 @@ def open_i2c(address: Address, model: Model) -> I2cLink:
     address : Address
         Option ``address``, the device's 7-bit address, is required.
     model : Model
-        What is connected there, with options of its own.
+        What is connected there; its own options are allowed too.
 
     Raises
     ------
@@ -44,8 +43,7 @@ def open_i2c(address: Address, model: Model) -> I2cLink:
 class I2cLink:
     """One device on one I2C bus.
 
-    Each exchange is one transaction with one stop condition at its end, so no other master comes between what is
-    written and what is read.
+    Each exchange is one transaction with one stop condition at its end, so no other master can interrupt it.
 
     Parameters
     ----------
@@ -78,7 +76,7 @@ class I2cLink:
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Write ``out``, then read ``count`` bytes after a repeated start; either part may be empty.
 
-        With both empty the device is only asked to acknowledge its address. See
+        With both empty, the exchange only tests whether the device acknowledges its address. See
         :class:`~tiltcal.drivers.bus.link.Link`.
         """
         message = self._library.i2c_msg
@@ -94,12 +92,12 @@ class I2cLink:
         return bytes(messages[-1]) if count else b""
 
     def close(self) -> None:
-        """Release the device node; a new link may open it then, also after an error."""
+        """Release the device node, so that a new link can open it."""
         self._bus.close()
 
 
 def _smbus2() -> Any:
-    """The smbus2 package, which exists where the operating system has fcntl."""
+    """Import smbus2, which needs an operating system with fcntl."""
     try:
         import smbus2
     except ImportError as cause:
@@ -110,32 +108,22 @@ def _smbus2() -> Any:
 
 
 def _why_not_opened(device: str, cause: OSError) -> str:
-    """Why a bus cannot be opened, and what to try."""
-    if cause.errno == errno.ENOENT:
-        present = ", ".join(sorted(map(str, Path("/dev").glob("i2c-*"))))
-        advice = f"present: {present}" if present else "no I2C bus is present; switch I2C on in the board's settings"
-        return f"{device} does not exist ({advice})"
-    if cause.errno in (errno.EACCES, errno.EPERM):
-        return no_permission(device, "i2c-dev")
-    if cause.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
-        return f"{device} has gone: plug the I2C adapter in again, then resume"
-    if cause.errno in (errno.ENOTTY, errno.EINVAL):
-        return f"{device} refuses an I2C request ({os.strerror(cause.errno)}): is it an I2C bus, as /dev/i2c-1 is?"
+    """Return the message for a bus that cannot be opened."""
+    known = node_error(device, cause, "an I2C bus", subsystem="i2c-dev", pattern="i2c-*", example="/dev/i2c-1")
     reason = cause.strerror or str(cause)
-    return f"{device} cannot be opened ({reason}): check the adapter, then resume"
+    return known or f"{device} cannot be opened ({reason}): check the adapter, then resume"
 
 
 def _why_not_exchanged(device: str, address: int, cause: OSError) -> str:
-    """Why a transaction failed, and what to try.
+    """Return the message for a failed transaction.
 
-    The kernel's list of fault codes leaves adapters a choice: a missing acknowledge is ENXIO for some, EREMOTEIO for
-    many, EIO for others.
+    Adapters report a missing acknowledge as ENXIO, EREMOTEIO or EIO.
     """
     number = _bus_number(device)
     if cause.errno in (errno.ENXIO, errno.EREMOTEIO, errno.EIO):
         return (
-            f"nobody acknowledges at address 0x{address:02x} on {device} ({os.strerror(cause.errno)}): check the "
-            f"sensor's supply, SDA, SCL and the address ('i2cdetect -y {number}' shows who is there)"
+            f"no device acknowledges at address 0x{address:02x} on {device} ({os.strerror(cause.errno)}): check the "
+            f"sensor's supply, SDA, SCL and the address ('i2cdetect -y {number}' lists the devices)"
         )
     if cause.errno == errno.ETIMEDOUT:
         return (
@@ -148,10 +136,10 @@ def _why_not_exchanged(device: str, address: int, cause: OSError) -> str:
             "the wiring, then resume"
         )
     if cause.errno in (errno.ENODEV, errno.ESHUTDOWN):
-        return f"{device} has gone: plug the I2C adapter in again, then resume"
+        return f"{device} is gone: plug the I2C adapter in again, then resume"
     if cause.errno == errno.EOPNOTSUPP:
         return (
-            f"the adapter of {device} speaks SMBus only and cannot write and read in one transaction: use an adapter "
+            f"the adapter of {device} supports SMBus only and cannot write and read in one transaction: use an adapter "
             "with plain I2C"
         )
     reason = cause.strerror or str(cause)
@@ -159,6 +147,6 @@ def _why_not_exchanged(device: str, address: int, cause: OSError) -> str:
 
 
 def _bus_number(device: str) -> str:
-    """The number that the i2c-tools call a bus by; the node itself where its name has none."""
+    """Return the bus number for the i2c-tools, or the device node if its name has no number."""
     tail = device.rpartition("-")[2]
     return tail if tail.isdigit() else device

@@ -1,4 +1,4 @@
-"""What every bus looks like to a driver: bytes out, bytes in."""
+"""The interface of every bus to a driver: bytes out, bytes in."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ class Link(Protocol):
             SPI: the frame shifted out while chip select is low. I2C: the bytes written, may be empty.
             Serial: the bytes sent, may be empty.
         count : int
-            I2C: bytes to read after a repeated start. Serial and edges: the most bytes to take of what has arrived,
-            waiting for the first; with 0 and nothing to send, what has arrived is dropped. SPI: unused, a frame reads
+            I2C: bytes to read after a repeated start. Serial and edges: the largest number of bytes to take,
+            waiting for the first; with 0 and nothing to send, what has arrived is discarded. SPI: unused, a frame reads
             as many bytes as it writes.
 
         Returns
         -------
         bytes
-            What the device answered.
+            The answer of the device.
 
         Raises
         ------
         BusError
-            The transaction failed; the message says why and what to try.
+            The transaction failed; the message states the cause and what to try.
         """
         ...
 
@@ -46,12 +46,12 @@ class Link(Protocol):
 
 @runtime_checkable
 class Recalling(Protocol):
-    """A virtual link that keeps what was written to it, as a part keeps its registers.
+    """A virtual link with registers that keep what was written to them.
 
-    A session that is resumed has new twins, while a real part has been there all the time: such a twin hears again
-    what was sent before.
+    A resumed session has new twins, while a real part keeps its registers; so such a twin receives again what was sent
+    before.
     """
 
     def recall(self, out: bytes, now_ns: int) -> None:
-        """Take what was sent at an earlier session time, in nanoseconds, and answer nothing."""
+        """Take what was sent at an earlier session time, in nanoseconds, without an answer."""
         ...

@@ -1,4 +1,4 @@
-"""Serial lines, through whatever pyserial opens: ports, sockets, RFC 2217 servers, loops."""
+"""Serial lines through pyserial: ports, sockets, RFC 2217 servers, loops."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from tiltcal.drivers.bus.permission import no_permission
+from tiltcal.drivers.bus.os_errors import no_permission
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from tiltcal.drivers.device import Model
 
 BAUDRATE = 115_200
-"""Where the address names none, baud."""
+"""Default, baud."""
 
 TIMEOUT = 5.0
 """Seconds of silence that are an error. Opening the port resets many boards, whose boot loader then takes two."""
 
 GATHER = 0.010
-"""Seconds for which what arrives is gathered into one answer, so that a fast talker costs few transactions."""
+"""Seconds for which data are collected into one answer, so that a fast sensor needs few transactions."""
 
 _PORT_ERRORS: tuple[type[Exception], ...] = (OSError, ValueError, TypeError)
-"""What pyserial lets pass. A TypeError is a port that another error has closed beneath it."""
+"""Errors that pyserial does not wrap. A TypeError means that another error has closed the port."""
 with suppress(ImportError):  # not on Windows
     import termios
 
@@ -42,10 +42,10 @@ def open_serial(address: Address, model: Model) -> SerialLink:
     Parameters
     ----------
     address : Address
-        The path is what pyserial's ``serial_for_url`` takes. Options ``baudrate``, ``parity`` (N, E, O, M, S),
+        The path is a URL of pyserial's ``serial_for_url``. Options ``baudrate``, ``parity`` (N, E, O, M, S),
         ``stopbits`` (1, 1.5, 2) and ``timeout`` (seconds of silence that are an error).
     model : Model
-        Its options are let through.
+        Its own options are allowed too.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def open_serial(address: Address, model: Model) -> SerialLink:
     HardwareError
         The pyserial package is not installed.
     BusError
-        No such port, no permission, nobody listens, or in use.
+        No such port, no permission, no server, or in use.
     """
     address.allow(*dict.fromkeys(("baudrate", "parity", "stopbits", "timeout", *model.options)))
     parity, stop_bits = address.text("parity", "N").upper(), address.text("stopbits", "1")
@@ -115,7 +115,7 @@ class SerialLink:
         out : bytes
             May be empty.
         count : int
-            The most bytes to take. With 0 and nothing to send, what has arrived is dropped instead.
+            The largest number of bytes to take. With 0 and nothing to send, what has arrived is discarded.
 
         Returns
         -------
@@ -125,7 +125,7 @@ class SerialLink:
         Raises
         ------
         BusError
-            Silence for as long as the address allows, or the port has gone.
+            No data within the timeout, or the port is unplugged.
         """
         try:
             if out:
@@ -146,7 +146,7 @@ class SerialLink:
             if time.monotonic() > deadline:
                 raise BusError(
                     f"{self._place} was silent for {self._timeout:g} s: is the device powered, is its transmit wire on "
-                    "this port's receive pin, and does it talk at this baudrate?"
+                    "this port's receive pin, and is this its baud rate?"
                 )
         return arrived
 
@@ -165,7 +165,7 @@ def _pyserial() -> Any:
 
 
 def _why(place: str, cause: Exception) -> str:
-    """What an error of pyserial or of the operating system means at a bench, and what to try."""
+    """Return the message for an error of pyserial or the operating system: the cause and what to try."""
     number = _errno(cause)
     if number == errno.ENOENT:
         present = ", ".join(sorted(str(path) for kind in ("ttyUSB*", "ttyACM*") for path in Path("/dev").glob(kind)))
@@ -176,16 +176,18 @@ def _why(place: str, cause: Exception) -> str:
     if number in (errno.EBUSY, errno.EAGAIN):
         return f"{place} is in use by another program: stop that one first"
     if number in (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT):
-        return f"nobody listens at {place} ({os.strerror(number)}): is the server running, and the port number right?"
+        return (
+            f"no server answers at {place} ({os.strerror(number)}): is the server running, and the port number right?"
+        )
     if number in (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF) or "disconnected" in str(cause):
-        return f"{place} has gone: plug it in again, then resume"
+        return f"{place} is gone: plug it in again, then resume"
     if number in (errno.ENOTTY, errno.EINVAL):
         return f"{place} is no serial port, or does not take these settings ({os.strerror(number)})"
     return f"{place} failed ({cause}): check the cable and the adapter, then resume"
 
 
 def _errno(cause: BaseException) -> int | None:
-    """The number of the operating system's error beneath an error of pyserial."""
+    """Return the errno of the operating system's error behind an error of pyserial."""
     under: BaseException | None = cause
     while under is not None:
         if isinstance(under, _PORT_ERRORS) and under.args and isinstance(under.args[0], int):

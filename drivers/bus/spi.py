@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import errno
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.permission import no_permission
+from tiltcal.drivers.bus.os_errors import node_error
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
@@ -22,14 +20,14 @@ def open_spi(address: Address, model: Model) -> SpiLink:
     Parameters
     ----------
     address : Address
-        Options ``mode`` (0 to 3) and ``speed`` (Hz); the model's preferred ones where they are left out.
+        Options ``mode`` (0 to 3) and ``speed`` (Hz); the default is what the model prefers.
     model : Model
-        Its :attr:`~tiltcal.drivers.device.Model.spi` bounds them.
+        Its :attr:`~tiltcal.drivers.device.Model.spi` limits them.
 
     Raises
     ------
     UsageError
-        An unknown option, or a mode or speed that the part does not take.
+        An unknown option, or a mode or speed that the part does not support.
     HardwareError
         The spidev package is not installed.
     BusError
@@ -97,12 +95,12 @@ class SpiLink:
         return bytes(answer)
 
     def close(self) -> None:
-        """Release the device node; a new link may open it then, also after an error."""
+        """Release the device node, so that a new link can open it."""
         self._bus.close()
 
 
 def _spidev() -> Any:
-    """The spidev package, which exists for Linux only."""
+    """Import spidev, which exists for Linux only."""
     try:
         import spidev
     except ImportError as cause:
@@ -113,20 +111,9 @@ def _spidev() -> Any:
 
 
 def _why(device: str, cause: OSError) -> str:
-    """What an error of the operating system means at a bench, and what to try."""
-    if cause.errno == errno.ENOENT:
-        present = ", ".join(sorted(map(str, Path("/dev").glob("spidev*"))))
-        advice = f"present: {present}" if present else "no SPI device is present; switch SPI on in the board's settings"
-        return f"{device} does not exist ({advice})"
-    if cause.errno in (errno.EACCES, errno.EPERM):
-        return no_permission(device, "spidev")
-    if cause.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
-        return f"{device} has gone: plug the SPI adapter in again, then resume"
-    if cause.errno in (errno.ENOTTY, errno.EINVAL):
-        return (
-            f"{device} refuses an SPI request ({os.strerror(cause.errno)}): is it an SPI device, as /dev/spidev0.0 is?"
-        )
+    """Return the message for an error of the operating system: the cause and what to try."""
     if cause.errno == errno.EBUSY:
         return f"{device} is in use by another program: stop that one first"
+    known = node_error(device, cause, "an SPI device", subsystem="spidev", pattern="spidev*", example="/dev/spidev0.0")
     reason = cause.strerror or str(cause)
-    return f"transfer on {device} failed ({reason}): check the wiring and the adapter, then resume"
+    return known or f"transfer on {device} failed ({reason}): check the wiring and the adapter, then resume"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 PREFACE = 20
-"""Lines before the header that are let pass."""
+"""Lines before the header that are skipped."""
 
 
 def open_vcd(address: Address, model: Model) -> VcdLink:
@@ -27,10 +27,10 @@ def open_vcd(address: Address, model: Model) -> VcdLink:
     Parameters
     ----------
     address : Address
-        The path is the capture; options ``x`` and ``y`` name its signals, ``top.D0`` where ``D0`` alone is in several
-        scopes.
+        The path is the capture. Options ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several scopes
+        have the name.
     model : Model
-        Its options are let through.
+        Its own options are allowed too.
 
     Raises
     ------
@@ -81,8 +81,8 @@ class VcdLink:
         out : bytes
             Unused.
         count : int
-            The most bytes of records to take. With 0 nothing is taken; where the file was written anew since it was
-            opened, reading starts again with the new capture.
+            The largest number of bytes of records to take. With 0 nothing is taken, and if the file has changed since
+            it was opened, reading starts again with the new capture.
 
         Raises
         ------
@@ -134,17 +134,17 @@ def _identity(status: os.stat_result) -> tuple[int, int, int]:
 
 
 def _skip_preface(path: str, file: BufferedReader) -> None:
-    """Go to the first line of the header: sigrok-cli prints a line of its own before it where it writes to a pipe."""
+    """Go to the first line of the header: sigrok-cli prints a line before it when it writes to a pipe."""
     for _ in range(PREFACE):
         start = file.tell()
         if file.readline(4096).lstrip().startswith(b"$"):
             file.seek(start)
             return
-    raise BusError(f"{path}: it is no value change dump: none of its first lines begins with $")
+    raise BusError(f"{path}: it is not a value change dump: none of its first lines begins with $")
 
 
 def _tokens(path: str, file: BufferedReader) -> Iterator[Any]:
-    """The file's tokens; whatever the reader says of damage, as our error."""
+    """Iterate over the tokens of the file, and raise damage as a BusError."""
     try:
         from vcd.reader import VCDParseError, tokenize
     except ImportError as cause:
@@ -156,15 +156,15 @@ def _tokens(path: str, file: BufferedReader) -> Iterator[Any]:
         try:
             yield from tokenize(file)
         except VCDParseError as cause:
-            raise BusError(f"{path}: it is no value change dump, or is damaged: {cause}") from cause
+            raise BusError(f"{path}: it is not a value change dump, or is damaged: {cause}") from cause
         except (ValueError, AssertionError) as cause:
-            raise BusError(f"{path}: it is no value change dump, or is damaged ({cause})") from cause
+            raise BusError(f"{path}: it is not a value change dump, or is damaged ({cause})") from cause
 
     return checked()
 
 
 def _edges(path: str, tokens: Iterator[Any], names: tuple[str, str]) -> Iterator[Edge]:
-    """The edges of the named signals; the header is read at once, the rest as it is asked for."""
+    """Iterate over the edges of the named signals; the header is read at once."""
     signals, scale = _header(path, tokens)
     lines = {_code(path, signals, name): line for line, name in enumerate(names)}
     if len(lines) < len(names):
@@ -173,7 +173,7 @@ def _edges(path: str, tokens: Iterator[Any], names: tuple[str, str]) -> Iterator
 
 
 def _header(path: str, tokens: Iterator[Any]) -> tuple[dict[str, str], Fraction]:
-    """Identifier of each signal by its full name, and the nanoseconds of one time step."""
+    """Return the identifier of each signal by its full name, and the duration of a time step, ns."""
     from vcd.reader import TokenKind
 
     signals: dict[str, str] = {}
@@ -195,7 +195,7 @@ def _header(path: str, tokens: Iterator[Any]) -> tuple[dict[str, str], Fraction]
 
 
 def _code(path: str, signals: dict[str, str], name: str) -> str:
-    """The identifier of a signal by its name, with or without its scopes."""
+    """Return the identifier of a signal by its name, with or without its scopes."""
     found = {full: code for full, code in signals.items() if full == name or full.endswith(f".{name}")}
     if not found:
         known = ", ".join(full.rpartition(".")[2] for full in signals) or "none of one bit"
@@ -206,7 +206,7 @@ def _code(path: str, signals: dict[str, str], name: str) -> str:
 
 
 def _changes(tokens: Iterator[Any], lines: dict[str, int], scale: Fraction) -> Iterator[Edge]:
-    """A signal's first value is where it stands, no edge; so is a value after x or z."""
+    """Iterate over the edges; a signal's first value, and a value after x or z, is not an edge."""
     from vcd.reader import TokenKind
 
     time, number = 0, 0

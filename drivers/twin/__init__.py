@@ -1,1 +1,1 @@
-"""Virtual sensors that answer bytes as the parts would."""
+"""Virtual sensors that answer the bytes of the real parts."""

@@ -1,4 +1,4 @@
-"""The virtual ADS1115: a link that answers as its registers would."""
+"""The virtual ADS1115: a link that answers with the registers of the part."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SLOWEST, FASTEST = 1.1, 0.9
 """Duration of a conversion over its nominal one: the converter's clock is within 10 %."""
 
 GROUND = 4
-"""From this input code on one input is measured against ground; below it the difference of two is."""
+"""From this input code on, one input is measured against ground; below it, the difference of two."""
 
 DIFFERENCES = ((0, 1), (0, 3), (1, 3), (2, 3))
 """By the lower input codes."""
@@ -27,13 +27,7 @@ DIFFERENCES = ((0, 1), (0, 3), (1, 3), (2, 3))
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """A conversion: its result, and when it is there.
-
-    Attributes
-    ----------
-    code : int
-    done_ns : int
-    """
+    """A conversion: its result and the time when it is done."""
 
     code: int
     done_ns: int
@@ -42,15 +36,15 @@ class Conversion:
 class Ads1115Twin:
     """An ADS1115 on the I2C bus, bit by bit.
 
-    It holds what a part holds: the pointer, the config register, and the conversion that was started last. All three
-    come from what was written to it; :meth:`recall` hands them to the twin of a resumed session.
+    Its state is that of the part: the pointer, the config register, and the last conversion. All three follow from what
+    was written; :meth:`recall` restores them in the twin of a resumed session.
 
     Parameters
     ----------
     wiring : Wiring
-        The voltages at its inputs, taken when a conversion starts.
+        The voltages at its inputs, sampled when a conversion starts.
     clock : Clock
-        Session time; each transaction lets it advance by its bits at 100 kHz.
+        Session time; each transaction advances it by its bits at 100 kHz.
     """
 
     letter = "i"
@@ -64,9 +58,9 @@ class Ads1115Twin:
         self._former = 0
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Write, then read from the register that is pointed to; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        """Write, then read the register of the pointer; see :class:`~tiltcal.drivers.bus.link.Link`."""
         if self._wiring.silent():
-            raise BusError("nobody acknowledges, a fault that the virtual sensor's truth asks for")
+            raise BusError("no device acknowledges, a fault that the virtual sensor's truth sets")
         # Each byte has a ninth bit for its acknowledge, and each direction begins with the device's address.
         self._clock.sleep(9 * (1 + len(out)) * BIT_SECONDS)
         self._write(out)
@@ -76,14 +70,14 @@ class Ads1115Twin:
         return (answer * (count // 2 + 1))[:count]
 
     def recall(self, out: bytes, now_ns: int) -> None:
-        """Take what was written at an earlier time, as the part did that has been there ever since."""
+        """Repeat a write of an earlier time, whose effect a real part would have kept."""
         present_ns = self._clock.now_ns()
         self._clock.seek(now_ns)
         self._write(out)
         self._clock.seek(present_ns)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
     def _write(self, out: bytes) -> None:
         if out:
@@ -96,7 +90,7 @@ class Ads1115Twin:
                 self._conversion = self._converted()
 
     def _register(self) -> int:
-        """What the register that is pointed to holds; the thresholds are not modelled."""
+        """Return the register of the pointer; the thresholds are not modelled."""
         if self._pointer == CONFIG:
             return self._config | (0 if self._busy() else DONE)
         if self._pointer == CONVERSION:
@@ -107,7 +101,7 @@ class Ads1115Twin:
         return self._clock.now_ns() < self._conversion.done_ns
 
     def _converted(self) -> Conversion:
-        """The conversion that the config register asks for, started now."""
+        """Start the conversion of the config register now, and return it."""
         now_ns = self._clock.now_ns()
         full_scale = (*RANGES, RANGES[-1], RANGES[-1])[self._config >> 9 & 0b111]
         seconds = FASTEST + (SLOWEST - FASTEST) * uniform(self._wiring.seed, "oscillator", 0)

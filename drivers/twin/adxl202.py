@@ -1,4 +1,4 @@
-"""The virtual ADXL202: sentences of a microcontroller that times its pulses, or the edges of the pulses themselves."""
+"""The virtual ADXL202: sentences of a microcontroller that times its pulses, or the edges of the pulses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 LEVEL: Vector = (0.0, 0.0, 1.0)
 
 PERIOD = 0.010
-"""T2 with a set resistor of 1.25 MΩ, seconds: the longest, so the finest."""
+"""T2 with a set resistor of 1.25 MΩ, seconds: the longest period, with the finest resolution."""
 
 TIMER = 8_000_000
 """Ticks a second of the virtual microcontroller's timer."""
@@ -27,14 +27,7 @@ BAUDRATE = 115_200
 
 
 class Pulses:
-    """Duty cycles and period of a virtual part, cycle by cycle.
-
-    Parameters
-    ----------
-    truth : Truth
-    fixture : HeldPose
-    clock : Clock
-    """
+    """Duty cycles and period of a virtual part, cycle by cycle."""
 
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         self._truth = truth
@@ -43,16 +36,16 @@ class Pulses:
 
     @property
     def period(self) -> float:
-        """T2 at the reference temperature, seconds: up to 5 % beside nominal, since resistors and parts vary."""
+        """T2 at the reference temperature, seconds: within 5 % of nominal, because resistors and parts vary."""
         return PERIOD * (1.0 + 0.05 * (2.0 * uniform(self._truth.seed, "period", 0) - 1.0))
 
     @property
     def warm_period(self) -> float:
-        """T2 now, seconds: 0.1 % longer for each °C, so that T1 alone would be wrong."""
+        """T2 now, seconds: 0.1 % longer per °C, so that T1 alone is wrong."""
         return self.period * (1.0 + 1e-3 * (self._fixture.temperature() - self._truth.reference))
 
     def duty(self, channel: str, number: int) -> float:
-        """T1/T2 of one axis in one cycle, between 0 and 1."""
+        """Return T1/T2 of one axis in one cycle, between 0 and 1."""
         truth = self._truth
         fault = truth.fault(self._clock.now_ns() / 1e9)
         if fault is not None and fault.kind == "stuck":
@@ -64,13 +57,13 @@ class Pulses:
 
 
 def sentences_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTwin:
-    """A microcontroller that times both pulses and sends a hundred sentences a second.
+    """Return a microcontroller that times both pulses and sends 100 sentences per second.
 
     Parameters
     ----------
     truth : Truth
     fixture : HeldPose
-        Holds the sensor; its frame is the sensor's.
+        Holds the sensor, in the sensor frame.
     clock : Clock
         Session time.
     """
@@ -89,15 +82,15 @@ def sentences_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTw
 class EdgesTwin:
     """Both outputs of a virtual part on two captured lines, the pulses of x and y with common centres.
 
-    What an exchange returns depends on the time alone: the edges of the next whole period. An edge that came while
-    nobody listened is gone, and missing from the numbers.
+    The answer depends on the time alone: the edges of the next whole period. An edge that was not read at once is lost,
+    and leaves a gap in the numbers.
 
     Parameters
     ----------
     truth : Truth
     fixture : HeldPose
     clock : Clock
-        Goes on to the end of that period.
+        Advances to the end of that period.
     """
 
     letter = "e"
@@ -115,16 +108,16 @@ class EdgesTwin:
             return b""
         now_ns = self._clock.now_ns()
         cycle = -(-now_ns // self._period_ns)
-        # To the period's end and not to its last edge, which moves a little while the chamber changes its temperature.
+        # To the end of the period, not to its last edge, which moves while the temperature of the chamber changes.
         self._clock.sleep(((cycle + 1) * self._period_ns - now_ns) / 1e9)
         edges = self._edges(cycle)[: max(count // RECORD.size, 1)]
         return pack_edges(edges)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
     def _edges(self, cycle: int) -> list[Edge]:
-        """The four edges of a period in the order of time."""
+        """Return the four edges of a period in the order of time."""
         centre = cycle * self._period_ns + self._period_ns // 2
         found = []
         for line, channel in enumerate(("x", "y")):
@@ -134,7 +127,7 @@ class EdgesTwin:
 
 
 def draw_truth(variant: Adxl202Variant, seed: int) -> Truth:
-    """A plausible part.
+    """Return a plausible part.
 
     Parameters
     ----------
@@ -147,7 +140,7 @@ def draw_truth(variant: Adxl202Variant, seed: int) -> Truth:
     Truth
         Sensitivity within the part's spread; offset within ±0.4 g, a cross-axis sensitivity within 2 %, drifts within
         the typical 2 mg/°C and 0.02 %/°C, noise at 10 Hz of bandwidth, a jig of 0.01° and a chamber with a time
-        constant of 20 s. Where no note gives a number, these are ours.
+        constant of 20 s. Where no note states a number, these are ours.
     """
     channels = ("x", "y")
 

@@ -1,4 +1,4 @@
-"""The voltages at the inputs of a virtual converter: what virtual analog sensors and thermistors put out."""
+"""The voltages at the inputs of a virtual converter, from virtual analog sensors and thermistors."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ LEVEL: Vector = (0.0, 0.0, 1.0)
 
 
 class Wiring(ABC):
-    """What is wired to the inputs of a virtual converter; all of it depends on the truth, the pose and the time alone.
+    """The wiring of a virtual converter; its voltages depend on the truth, the pose and the time alone.
 
     Parameters
     ----------
     truth : Truth
     clock : Clock
-        Session time; it names the noise.
+        Session time; it numbers the noise.
     supply : Supply
-        Where the sensor's supply is wired to; how large it is, the truth says.
+        The input of the sensor's supply; the truth states its voltage.
     """
 
     def __init__(self, truth: Truth, clock: Clock, supply: Supply) -> None:
@@ -40,26 +40,26 @@ class Wiring(ABC):
 
     @property
     def seed(self) -> int:
-        """Of whatever the converter draws at random."""
+        """Seed of the random numbers of the converter."""
         return self._truth.seed
 
     @property
     def reference(self) -> float:
-        """What is really at the converter's reference pin, V."""
+        """The true voltage at the converter's reference pin, V."""
         return self._truth.supply if self._supply.reference is None else self._supply.reference
 
     def volts(self, number: int) -> float:
-        """What is at an input now, V."""
+        """Return the voltage at an input now, V."""
         if number == self._supply.number:
             return self._truth.supply
         return min(max(self.share(number, self._clock.now_ns()), 0.0), 1.0) * self._truth.supply
 
     @abstractmethod
     def share(self, number: int, now_ns: int) -> float:
-        """What is at an input, as a share of the supply."""
+        """Return the voltage at an input, as a share of the supply."""
 
     def silent(self) -> bool:
-        """Whether the converter keeps silent now, a fault that the truth asks for.
+        """Return whether the converter does not answer now, a fault that the truth sets.
 
         Raises
         ------
@@ -68,9 +68,7 @@ class Wiring(ABC):
         """
         fault = self._fault()
         if fault is not None and fault.kind == "unplugged":
-            raise BusError(
-                "the virtual converter is unplugged, a fault that its truth asks for: resume the session later"
-            )
+            raise BusError("the virtual converter is unplugged, a fault that its truth sets: resume the session later")
         return fault is not None and fault.kind == "silent"
 
     def _fault(self) -> Fault | None:
@@ -85,10 +83,10 @@ class SensorWiring(Wiring):
     truth : Truth
         In V referred to a supply of 5 V.
     fixture : HeldPose
-        Holds the sensor; its frame is the sensor's.
+        Holds the sensor, in the sensor frame.
     clock : Clock
     numbers : sequence of int
-        The inputs that x and y are wired to.
+        The inputs of x and y.
     supply : Supply
     """
 
@@ -105,7 +103,7 @@ class SensorWiring(Wiring):
         self._channels = dict(zip(numbers, truth.channels, strict=True))
 
     def share(self, number: int, now_ns: int) -> float:
-        """What is at an input, as a share of the supply."""
+        """Return the voltage at an input, as a share of the supply."""
         channel = self._channels.get(number)
         if channel is None:
             return 0.0
@@ -113,8 +111,7 @@ class SensorWiring(Wiring):
         if fault is not None and fault.kind == "parity":
             return 0.05 * uniform(self._truth.seed, f"parity {channel}", now_ns)
         if fault is not None and fault.kind == "stuck":
-            # Held at what it would be in the level position: a function of the fault alone, so a resumed session finds
-            # the same voltage.
+            # Held at its level value: a function of the fault alone, so a resumed session reads the same voltage.
             return self._truth.reading(channel, LEVEL, self._truth.ambient) / NOMINAL
         reading = self._truth.reading(channel, self._fixture.gravity, self._fixture.temperature())
         noise = self._truth.noise.get(channel, 0.0)
@@ -129,14 +126,14 @@ class ThermistorWiring(Wiring):
     Parameters
     ----------
     truth : Truth
-        Of it only seed, supply, the thermometer's error and faults matter.
+        Only its seed, supply, thermometer error and faults are used.
     fixture : HeldPose
-        The chamber that it is in.
+        The chamber around it.
     clock : Clock
     number : int
-        The input that it is wired to.
+        Its input.
     divided : callable
-        The share of the supply that its divider puts out at a temperature in °C.
+        The output of its divider at a temperature in °C, as a share of the supply.
     supply : Supply
     """
 
@@ -155,7 +152,7 @@ class ThermistorWiring(Wiring):
         self._divided = divided
 
     def share(self, number: int, now_ns: int) -> float:
-        """What is at an input, as a share of the supply."""
+        """Return the voltage at an input, as a share of the supply."""
         if number != self._number:
             return 0.0
         fault = self._fault()
@@ -165,7 +162,7 @@ class ThermistorWiring(Wiring):
 
 
 def draw_truth(part: AnalogPart, seed: int) -> Truth:
-    """A plausible part: what its digital port would show, in V referred to a supply of 5 V, and not rounded.
+    """Return a plausible part: that of its digital port, in V referred to a supply of 5 V.
 
     Parameters
     ----------
@@ -176,7 +173,7 @@ def draw_truth(part: AnalogPart, seed: int) -> Truth:
     Raises
     ------
     UsageError
-        Nothing is known of how the part's errors spread.
+        The tolerances of the part are unknown.
     """
     digital = part.digital
     if digital.default_truth is None:

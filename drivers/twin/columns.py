@@ -1,4 +1,4 @@
-"""A virtual device that prints numbers on a line, a hundred lines a second."""
+"""A virtual device that prints numbers on a line, 100 lines per second."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 LEVEL: Vector = (0.0, 0.0, 1.0)
 
 PERIOD = 0.010
-"""Seconds from line to line."""
+"""Time between two lines, s."""
 
 BAUDRATE = 115_200
 
 
 def columns_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTwin:
-    """A device that prints the columns of an address; one that is skipped there reads 0.
+    """Return a device that prints the columns of an address; a skipped column is 0.
 
     Parameters
     ----------
     columns : ColumnLayout
     truth : Truth
     fixture : HeldPose
-        Holds the sensor; its frame is the sensor's.
+        Holds the sensor, in the sensor frame.
     clock : Clock
         Session time.
     """
@@ -54,7 +54,7 @@ def columns_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: 
 
 
 def draw_truth(channels: tuple[str, ...], offset: float, sensitivity: float, seed: int) -> Truth:
-    """A device near its nominal coefficients; every spread is ours.
+    """Return a device near its nominal coefficients; the tolerances are ours.
 
     Parameters
     ----------

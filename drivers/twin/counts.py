@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 LEVEL: Vector = (0.0, 0.0, 1.0)
 
 REFERENCE = 25.0
-"""Where a drawn part's errors are meant, °C."""
+"""Temperature of the errors of a simulated part, °C."""
 
 SPI_BIT_SECONDS = 1.0 / 500_000
 I2C_BIT_SECONDS = 1.0 / 100_000
@@ -35,7 +35,7 @@ class Conversions:
     ----------
     truth : Truth
     fixture : HeldPose
-        Holds the sensor; its frame is the sensor's.
+        Holds the sensor, in the sensor frame.
     clock : Clock
         Session time.
     """
@@ -55,7 +55,7 @@ class Conversions:
         """
         fault = self._truth.fault(self._clock.now_ns() / 1e9)
         if fault is not None and fault.kind == "unplugged":
-            raise BusError("the virtual sensor is unplugged, a fault that its truth asks for: resume the session later")
+            raise BusError("the virtual sensor is unplugged, a fault that its truth sets: resume the session later")
         return fault
 
     def word(self, channel: str, rate: float, low: int, high: int, scale: float = 1.0) -> int:
@@ -75,8 +75,7 @@ class Conversions:
         now = self._clock.now_ns() / 1e9
         fault = self.fault()
         if fault is not None and fault.kind == "stuck":
-            # Held at what it would be in the level position: a function of the fault alone, so a resumed session finds
-            # the same words.
+            # Held at its level value: a function of the fault alone, so a resumed session reads the same words.
             gravity, temperature, now = LEVEL, self._truth.ambient, fault.start
         reading = self._truth.reading(channel, gravity, temperature)
         noise = self._truth.noise.get(channel, 0.0)
@@ -144,7 +143,7 @@ class SpiTwin:
         if fault is not None and fault.kind == "silent":
             answer = b"\xff" * len(out)
         else:
-            # What the part sends under the command byte is not known, so it is left to chance.
+            # It is unknown what the part sends during the command byte, so it is random here.
             filler = bytes([self._registers.conversions.filler()])
             register, writing = self._decode(out[0])
             if writing:
@@ -165,13 +164,13 @@ class SpiTwin:
             at_time(self._clock, now_ns, lambda: self._registers.write(register, out[-1]))
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
 
 class I2cTwin:
     """A part with registers on the I2C bus.
 
-    The clock advances by each transaction's bits at 100 kHz. The register pointer lives from the write to the read of
+    The clock advances by each transaction's bits at 100 kHz. The register pointer is kept from the write to the read of
     one transaction.
 
     Parameters
@@ -195,7 +194,7 @@ class I2cTwin:
         """Answer one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
         fault = self._registers.conversions.fault()
         if fault is not None and fault.kind == "silent":
-            raise BusError("nobody acknowledges, a fault that the virtual sensor's truth asks for")
+            raise BusError("no device acknowledges, a fault that the virtual sensor's truth sets")
         register = self._decode(out[0]) if out else 0
         if len(out) > 1:
             self._registers.write(register, out[1])
@@ -214,7 +213,7 @@ class I2cTwin:
             at_time(self._clock, now_ns, lambda: self._registers.write(self._decode(out[0]), out[1]))
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
 
 def at_time(clock: Clock, now_ns: int, act: Callable[[], object]) -> None:

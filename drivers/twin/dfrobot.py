@@ -1,4 +1,4 @@
-"""The virtual DFRobot module: a virtual SCA100T, asked over SPI, answered over the serial line."""
+"""The virtual DFRobot module: a virtual SCA100T behind a serial line."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class DfrobotTwin:
     ----------
     truth : Truth
     fixture : HeldPose
-        Holds the module; its frame is the sensor's.
+        Holds the module, in the sensor frame.
     clock : Clock
-        Goes on by the bytes of request and answer.
+        Advances by the bytes of request and answer.
     """
 
     letter = "r"
@@ -37,7 +37,7 @@ class DfrobotTwin:
         self._sensor = Sca100tTwin(truth, fixture, clock)
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Answer a request; anything else meets silence. See :class:`~tiltcal.drivers.bus.link.Link`."""
+        """Answer a request; other bytes get no answer. See :class:`~tiltcal.drivers.bus.link.Link`."""
         answer_in_line(self._truth, self._clock, silent=count > 0)
         if out != REQUEST:
             return b""
@@ -50,7 +50,7 @@ class DfrobotTwin:
         return answer[:count]
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
     def _read(self, frame: tuple[int, ...]) -> bytes:
         self._clock.sleep(RELOAD_NS / 1e9)

@@ -1,4 +1,4 @@
-"""The virtual jig and chamber: where the virtual sensors are held, and how warm it is there."""
+"""The virtual jig and chamber: the attitude and the temperature of the virtual sensors."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Vector = tuple[float, float, float]
 
 
 class HeldPose(Protocol):
-    """What a twin feels of where it is held."""
+    """The attitude and temperature of a twin."""
 
     @property
     def gravity(self) -> Vector:
-        """Up in the sensor's frame, g."""
+        """Up in the sensor frame, g."""
         ...
 
     def temperature(self) -> float:
@@ -30,21 +30,21 @@ class HeldPose(Protocol):
 class Fixture:
     """A jig that takes positions with an angle error, inside a chamber that follows its set point.
 
-    All virtual sensors of one bench share one fixture. Everything drawn at random is a function of the seed and of how
-    many positions were taken before, so a resumed session finds the fixture as it was.
+    All virtual sensors of one bench share one fixture. Its random numbers are functions of the seed and of the number
+    of positions before, so a resumed session continues with the same fixture.
 
     Parameters
     ----------
     clock : Clock
         Session time; the chamber approaches its set point along it.
     seed : int
-        Of the angle errors.
+        Seed of the angle errors.
     jig : float
         Standard deviation of each angle error, degrees.
     ambient : float
         Temperature at the start, °C.
     time_constant : float
-        Of the chamber's approach to its set point, seconds; 0 is at once.
+        Time constant of the chamber, s; 0 is an immediate change.
     """
 
     def __init__(
@@ -60,16 +60,16 @@ class Fixture:
         self.gravity: Vector = (0.0, 0.0, 1.0)
 
     def move(self, gravity: Vector, temperature: float | None = None) -> None:
-        """Take a position, a little wrong, and set the chamber.
+        """Take a position with an angle error, and set the chamber.
 
-        A position that is held already is not set anew: its angle error stays as it is.
+        If the position is the present one, its angle error stays the same.
 
         Parameters
         ----------
         gravity : tuple of float
-            Up in the fixture's frame, a unit vector.
+            Up in the fixture frame, a unit vector.
         temperature : float, optional
-            New set point, °C; the old one stays where it is left out.
+            New set point, °C; without it the set point stays the same.
         """
         if gravity != self._asked:
             self._set(gravity)
@@ -85,17 +85,17 @@ class Fixture:
         self.gravity = _rotated(gravity, errors)
 
     def turned(self, seen: Callable[[Vector], Vector]) -> Pose:
-        """The fixture as a sensor sees it that does not sit straight on it.
+        """Return the pose of a sensor that is rotated on the fixture.
 
         Parameters
         ----------
         seen : callable
-            Takes a vector of the fixture's frame into the sensor's.
+            Converts a vector of the fixture frame to the sensor frame.
         """
         return Pose(self, seen)
 
     def temperature(self) -> float:
-        """Temperature of the chamber now, °C."""
+        """Return the temperature of the chamber now, °C."""
         if self._time_constant == 0.0:
             return self._target
         elapsed = (self._clock.now_ns() - self._start_ns) / 1e9
@@ -103,13 +103,13 @@ class Fixture:
 
 
 class Pose:
-    """A sensor's place on a fixture: gravity in its own frame, the chamber's temperature.
+    """The pose of a sensor on a fixture: gravity in the sensor frame, and the temperature of the chamber.
 
     Parameters
     ----------
     fixture : Fixture
     seen : callable
-        Takes a vector of the fixture's frame into the sensor's.
+        Converts a vector of the fixture frame to the sensor frame.
     """
 
     def __init__(self, fixture: Fixture, seen: Callable[[Vector], Vector]) -> None:
@@ -118,16 +118,16 @@ class Pose:
 
     @property
     def gravity(self) -> Vector:
-        """Up in the sensor's frame, g."""
+        """Up in the sensor frame, g."""
         return self._seen(self._fixture.gravity)
 
     def temperature(self) -> float:
-        """Temperature of the chamber now, °C."""
+        """Return the temperature of the chamber now, °C."""
         return self._fixture.temperature()
 
 
 def _rotated(vector: Vector, angles: list[float]) -> Vector:
-    """``vector`` turned about x, then y, then z by small angles in radians."""
+    """Return the vector rotated about x, then y, then z by small angles in radians."""
     x, y, z = vector
     (c, s) = cos(angles[0]), sin(angles[0])
     y, z = c * y - s * z, s * y + c * z

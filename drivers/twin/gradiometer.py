@@ -1,12 +1,12 @@
-"""The twin of four accelerometers on an inclined rotary stage: rows of a log, sample by sample.
+"""The twin of four accelerometers on an inclined rotary stage, sample by sample.
 
-Each accelerometer feels, along its own tangent at θ + φ,
+Each accelerometer measures, along its tangent at θ + φ,
 
     a (sin + δP cos) + R (Γxx - Γyy) / 2 sin 2(θ + φ) + R Γxy cos 2(θ + φ) + noise
 
-and answers with scale * (that + second_order * that²) + offset + drift * time. The common acceleration a comes of the
-inclination of the stage and may wander. Every number is a function of the seed and the sample's number: a stream
-can be begun anywhere. Source: Misalignment Angle Compensation during Scale Factor Matching (2018), eq. 1, 3 and 4.
+and reads scale * (that + second_order * that²) + offset + drift * time. The common acceleration a results from the
+inclination of the stage and may vary. Every number is a function of the seed and the sample's number, so a stream can
+start anywhere. Source: Misalignment Angle Compensation during Scale Factor Matching (2018), eq. 1, 3 and 4.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Accelerometer:
     misalignment : float
         δP, radians.
     phase_error : float
-        By which its place on the disk is off, radians.
+        Error of its angular place on the disk, radians.
     offset : float
         Unit.
     drift : float
@@ -69,7 +69,7 @@ class Disk:
     rate : float
         Samples per second.
     wander : float
-        Of the common acceleration, relative: its largest excursion.
+        Largest relative change of the common acceleration.
     gradient : tuple of float
         R (Γxx - Γyy) and R Γxy, g.
     noise : float
@@ -100,7 +100,7 @@ class Disk:
 
 @dataclass(frozen=True)
 class DiskSample:
-    """One row: seconds, stage angle in degrees (0 to 360) as the encoder tells it, and the four readings."""
+    """One row: seconds, the stage angle of the encoder in degrees (0 to 360), and the four readings."""
 
     time: float
     theta: float
@@ -108,13 +108,7 @@ class DiskSample:
 
 
 class Gradiometer:
-    """Four accelerometers that turn.
-
-    Parameters
-    ----------
-    disk : Disk
-    seed : int
-    """
+    """Four accelerometers on a rotating disk."""
 
     def __init__(self, disk: Disk, seed: int = 0) -> None:
         self._disk = disk
@@ -125,7 +119,7 @@ class Gradiometer:
         self._held: dict[tuple[str, int], tuple[int, float]] = {}
 
     def sample(self, number: int) -> DiskSample:
-        """The sample of a number, counted from 0."""
+        """Return the sample with this number, counted from 0."""
         disk = self._disk
         time = number / disk.rate
         turned = disk.spin * time % 1.0
@@ -139,12 +133,12 @@ class Gradiometer:
         return DiskSample(time, theta % 360.0, readings)
 
     def samples(self, count: int, start: int = 0) -> Iterator[DiskSample]:
-        """A stream of samples."""
+        """Return a stream of samples."""
         for number in range(start, start + count):
             yield self.sample(number)
 
     def lines(self, count: int) -> Iterator[str]:
-        """A log in CSV, line by line: ``time,theta,a1,a2,a3,a4``."""
+        """Return a log in CSV, line by line: ``time,theta,a1,a2,a3,a4``."""
         yield f"time,theta,{','.join(CHANNELS)}\n"
         for sample in self.samples(count):
             yield ",".join(map(repr, (sample.time, sample.theta, *sample.readings))) + "\n"
@@ -165,7 +159,7 @@ class Gradiometer:
         return noise
 
     def _octave(self, channel: str, number: int, octave: int) -> float:
-        """A normal number that changes every 2**octave samples."""
+        """Return a normal number that changes every 2**octave samples."""
         block = number >> octave
         held = self._held.get((channel, octave))
         if held is None or held[0] != block:
@@ -175,5 +169,5 @@ class Gradiometer:
 
 
 def _wander(time: float) -> float:
-    """Slow, within ±1."""
+    """Return a slow variation within ±1."""
     return 0.5 * sum(sin(2.0 * pi * time / period) for period in _WANDER_PERIODS)

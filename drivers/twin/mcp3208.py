@@ -1,4 +1,4 @@
-"""The virtual MCP3208: a link that answers the bits the part would send."""
+"""The virtual MCP3208: a link that answers the bits of the part."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ SAMPLING_BITS = 1
 
 
 class Mcp3208Twin:
-    """An MCP3208 on the SPI bus, bit by bit; it keeps nothing from frame to frame.
+    """An MCP3208 on the SPI bus, bit by bit, without state between frames.
 
     Parameters
     ----------
     wiring : Wiring
         The voltages at its inputs.
     clock : Clock
-        Session time; each frame lets it advance by its bits at 1 MHz.
+        Session time; each frame advances it by its bits at 1 MHz.
     """
 
     letter = "s"
@@ -48,10 +48,10 @@ class Mcp3208Twin:
         return int(answer or "0", 2).to_bytes(len(out), "big")
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
     def _answered(self, bits: str) -> str:
-        """The bits that come back; while the part does not drive the line they are left to chance."""
+        """Return the answer bits; they are random while the part does not drive the line."""
         chance = int(uniform(self._wiring.seed, "filler", self._clock.now_ns()) * 2**48)
         floating = f"{chance:048b}" * (len(bits) // 48 + 1)
         start = bits.find("1")
@@ -59,7 +59,7 @@ class Mcp3208Twin:
         if start < 0 or len(command) < COMMAND_BITS or command[1] == "0":
             return floating[: len(bits)]
         result = f"{self._code(int(command[2:], 2)):012b}"
-        # Clocked on, the part sends its result again, the last bit first, and then zeros.
+        # With more clocks the part sends its result again, the last bit first, and then zeros.
         driven = f"0{result}{result[-2::-1]}"
         behind = start + COMMAND_BITS + SAMPLING_BITS
         return (floating[:behind] + driven).ljust(len(bits), "0")[: len(bits)]

@@ -1,7 +1,6 @@
-"""Random numbers that have no state: each is a function of a seed, a name and a number.
+"""Random numbers without state: each is a function of a seed, a name and a number.
 
-A twin that draws its noise this way has nothing to lose when a session is killed: sample number n is the same however
-often the program was started in between.
+So a session that is killed and resumed has the same noise: sample number n does not depend on the samples before it.
 """
 
 from __future__ import annotations
@@ -13,11 +12,11 @@ _STANDARD = NormalDist()
 
 
 def uniform(seed: int, name: str, number: int) -> float:
-    """A number evenly distributed over the open interval (0, 1)."""
+    """Return a number that is uniformly distributed over the open interval (0, 1)."""
     digest = blake2b(f"{seed}/{name}/{number}".encode(), digest_size=8).digest()
     return ((int.from_bytes(digest, "big") >> 11) + 0.5) / 2**53
 
 
 def normal(seed: int, name: str, number: int) -> float:
-    """A standard normal number."""
+    """Return a standard normal number."""
     return _STANDARD.inv_cdf(uniform(seed, name, number))

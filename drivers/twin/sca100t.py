@@ -1,4 +1,4 @@
-"""The virtual SCA100T: a link that answers the bytes the part would send."""
+"""The virtual SCA100T: a link that answers the bytes of the part."""
 
 from __future__ import annotations
 
@@ -41,23 +41,23 @@ RELOAD_NS = 150_000
 BIT_SECONDS = 1.0 / 500_000
 
 POINTS_DOWN = -0.065
-"""Below this many g an axis no longer counts as level for the self-test; the datasheet names no number."""
+"""Below this acceleration, in g, an axis does not count as level for the self-test; the datasheet states no number."""
 
 
 class Sca100tTwin:
     """An SCA100T on the SPI bus, bit by bit.
 
     The answer to a frame depends on the truth, the pose, the temperature and the time alone, so a session that is
-    killed and resumed goes on with the bytes it would have had. Two things are remembered for a short while: when chip
-    select last rose, since the registers are not fresh sooner than 150 µs after it, and a self-test in progress.
+    killed and resumed continues with the same bytes. There is a short-term state: the time when chip select last rose,
+    because the registers need 150 µs to reload, and a self-test in progress.
 
     Parameters
     ----------
     truth : Truth
     fixture : HeldPose
-        Holds the sensor; its frame is the sensor's.
+        Holds the sensor, in the sensor frame.
     clock : Clock
-        Session time; each frame lets it advance by its bits at 500 kHz.
+        Session time; each frame advances it by its bits at 500 kHz.
     """
 
     letter = "s"
@@ -74,7 +74,7 @@ class Sca100tTwin:
         """Answer one frame; see :class:`~tiltcal.drivers.bus.link.Link`."""
         fault = self._truth.fault(self._clock.now_ns() / 1e9)
         if fault is not None and fault.kind == "unplugged":
-            raise BusError("the virtual sensor is unplugged, a fault that its truth asks for: resume the session later")
+            raise BusError("the virtual sensor is unplugged, a fault that its truth sets: resume the session later")
         self._reload()
         floating = b"\xff" * len(out)
         driven = b"" if fault is not None and fault.kind == "silent" else self._driven(out, fault)
@@ -83,10 +83,10 @@ class Sca100tTwin:
         return (driven + floating)[: len(out)]
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
     def _reload(self) -> None:
-        """Renew the registers, unless chip select rose too short a time ago for a reload to be sure."""
+        """Reload the registers, unless chip select rose too recently."""
         if self._released_ns is None or self._clock.now_ns() - self._released_ns >= RELOAD_NS:
             self._latched = self._instant()
 
@@ -94,7 +94,7 @@ class Sca100tTwin:
         return Instant(self._clock.now_ns(), self._fixture.gravity, self._fixture.temperature())
 
     def _driven(self, out: bytes, fault: Fault | None) -> bytes:
-        """The bytes that the part drives; none where the command is invalid, and the line floats."""
+        """Return the bytes that the part drives; none for an invalid command, where the line floats."""
         command = out[0] if out else None
         now_ns = self._clock.now_ns()
         filler = int(uniform(self._truth.seed, "filler", now_ns) * 2**24).to_bytes(3, "big")
@@ -110,17 +110,16 @@ class Sca100tTwin:
         return b""
 
     def _word(self, channel: str, fault: Fault | None) -> int:
-        """What the output register of a channel holds, count."""
+        """Return the output register of a channel, count."""
         if fault is not None and fault.kind == "parity":
             return int(uniform(self._truth.seed, f"parity {channel}", self._latched.conversion) * LOWEST_SANE_WORD)
         if fault is not None and fault.kind == "stuck":
-            # Held at what it would be in the level position: a function of the fault alone, so a resumed session finds
-            # the same word.
+            # Held at its level value: a function of the fault alone, so a resumed session reads the same word.
             return self._converted(channel, Instant(round(fault.start * 1e9), LEVEL, self._truth.ambient))
         return self._converted(channel, self._latched)
 
     def _converted(self, channel: str, instant: Instant) -> int:
-        """The reading of an instant with its noise, rounded, and clipped to 11 bits."""
+        """Return the reading of an instant with its noise, rounded, and clipped to 11 bits."""
         reading = self._truth.reading(channel, instant.gravity, instant.temperature)
         reading += self._reach(channel, instant) * self._pushes[channel].at(instant.now_ns)
         noise = self._truth.noise.get(channel, 0.0)
@@ -129,27 +128,27 @@ class Sca100tTwin:
         return min(max(round(reading), 0), FULL_SCALE)
 
     def _reach(self, channel: str, instant: Instant) -> float:
-        """How far a full push moves the reading, count: past the rail, or by 1 g where the axis points down."""
+        """Return the change of the reading by a full push, count: past the rail, or 1 g if the axis points down."""
         if instant.gravity["xyz".index(channel)] < POINTS_DOWN:
             return self._truth.sensitivity[channel][channel]
         return 0.75 * FULL_SCALE
 
     def _thermometer(self) -> int:
-        """The temperature register, by the datasheet's line."""
+        """Return the temperature register, by the datasheet's formula."""
         seen = self._latched.temperature + self._truth.thermometer_error
         return min(max(round(197.0 - 1.083 * seen), 0), 255)
 
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """What the converter saw when the registers were loaded.
+    """The input of the converter when the registers were loaded.
 
     Attributes
     ----------
     now_ns : int
         Session time.
     gravity : tuple of float
-        Up in the sensor's frame, g.
+        Up in the sensor frame, g.
     temperature : float
         °C.
     """
@@ -160,21 +159,21 @@ class Instant:
 
     @property
     def conversion(self) -> int:
-        """The number of the conversion, one each 150 µs; it names the noise."""
+        """The number of the conversion, one per 150 µs; it numbers the noise."""
         return self.now_ns // RELOAD_NS
 
 
 @dataclass(frozen=True, slots=True)
 class Push:
-    """How far the self-test electrode holds the proof mass of one axis, from 0 (free) to 1.
+    """The deflection of the proof mass of one axis by the self-test electrode, from 0 (free) to 1.
 
     Attributes
     ----------
     on : bool
     since_ns : int or None
-        When it was last switched; None: never.
+        Time of the last switch; None if there was none.
     start : float
-        How far it was then.
+        Deflection at that time.
     """
 
     on: bool = False
@@ -182,16 +181,16 @@ class Push:
     start: float = 0.0
 
     SATURATION: ClassVar[float] = 25e-3
-    """Seconds after which 95 % of the push is there, typically."""
+    """Typical time to 95 % of the deflection, s."""
     RECOVERY: ClassVar[float] = 30e-3
-    """Seconds after which 95 % of the push is gone, typically."""
+    """Typical time to 95 % of the recovery, s."""
 
     def switched(self, on: bool, now_ns: int) -> Push:
-        """The push after a command; one that changes nothing for this axis leaves it as it is."""
+        """Return the deflection after a command; a command without an effect on this axis changes nothing."""
         return self if on == self.on else Push(on, now_ns, self.at(now_ns))
 
     def at(self, now_ns: int) -> float:
-        """How far the mass is pushed now."""
+        """Return the deflection now."""
         if self.since_ns is None:
             return 0.0
         goal, typical = (1.0, self.SATURATION) if self.on else (0.0, self.RECOVERY)
@@ -200,11 +199,11 @@ class Push:
 
 
 REFERENCE = 25.0
-"""Where a drawn part's errors as delivered are meant, °C."""
+"""Temperature of the errors of a simulated part as delivered, °C."""
 
 
 def draw_truth(variant: Sca100tVariant, seed: int) -> Truth:
-    """A plausible part: every error drawn evenly within the datasheet's tolerance.
+    """Return a plausible part, with errors uniformly distributed within the tolerances of the datasheet.
 
     Parameters
     ----------
@@ -241,7 +240,7 @@ def draw_truth(variant: Sca100tVariant, seed: int) -> Truth:
         return tuple(k / (100.0 + mean) for k in percent)
 
     def bend(channel: str) -> Polynomial:
-        # Half of the tolerance to each term, so that both together keep it at the end of the range.
+        # Each term has half of the tolerance, so that their sum keeps it at the end of the range.
         half = sin(radians(variant.nonlinearity)) / 2.0
         return (
             within(half, f"quadratic {channel}") / variant.range**2,
@@ -267,7 +266,7 @@ def draw_truth(variant: Sca100tVariant, seed: int) -> Truth:
 
 
 def recentred(coefficients: Polynomial, centre: float) -> Polynomial:
-    """The same polynomial in powers of (T - centre) instead of T, the constant term first in both."""
+    """Return the same polynomial in powers of (T - centre) instead of T, the constant term first in both."""
     return tuple(
         sum(k * comb(power, n) * centre ** (power - n) for power, k in enumerate(coefficients) if power >= n)
         for n in range(len(coefficients))

@@ -1,4 +1,4 @@
-"""The virtual SCA3000: links that answer the bytes the part would send, over SPI and over I2C."""
+"""The virtual SCA3000: links that answer the bytes of the part, over SPI and over I2C."""
 
 from __future__ import annotations
 
@@ -27,19 +27,13 @@ if TYPE_CHECKING:
     from tiltcal.drivers.twin.truth import Truth
 
 REVISION = 0x21
-"""What REVID holds; which values real parts have is not known."""
+"""Content of REVID; the values of real parts are unknown."""
 
 HIGHEST_REGISTER = 0x3F
 
 
 class Sca3000Registers:
-    """The registers of one virtual part, as they are at a moment.
-
-    Parameters
-    ----------
-    conversions : Conversions
-    part : Sca3000Part
-    """
+    """The registers of one virtual part."""
 
     def __init__(self, conversions: Conversions, part: Sca3000Part) -> None:
         self.conversions = conversions
@@ -63,10 +57,10 @@ class Sca3000Registers:
         """Change nothing: the driver never writes."""
 
     def recalled(self) -> None:
-        """Nothing has been set up."""
+        """Do nothing: the part has no settings."""
 
     def _data(self) -> dict[int, int]:
-        """The six data registers."""
+        """Return the six data registers."""
         low, high = map(int, OVERFLOW)
         held = {}
         for place, channel in enumerate("xyz"):

@@ -52,7 +52,7 @@ class Scl3300Twin:
     truth : Truth
         In counts of ``measuring``.
     fixture : HeldPose
-        Holds the sensor; its frame is the sensor's.
+        Holds the sensor, in the sensor frame.
     clock : Clock
         Session time; each frame lets it advance by its bits at 2 MHz.
     part : Scl3300Part
@@ -95,7 +95,7 @@ class Scl3300Twin:
         counts.at_time(self._clock, now_ns, lambda: self._take(out))
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
     def _reset(self) -> None:
         """Be as after switching on: mode 1, bank 0, angles off, the flag of the supply set."""
@@ -135,7 +135,7 @@ class Scl3300Twin:
             self._angles = True
 
     def _register(self, address: int) -> int:
-        """What a register holds, 16 bits."""
+        """Return what a register holds, 16 bits."""
         axis = address - (ACC_X[0] >> 2)
         if 0 <= axis <= 2:
             return self._acceleration("xyz"[axis]) & 0xFFFF

@@ -1,4 +1,4 @@
-"""The virtual rotary stage: the twin of four accelerometers, printing its lines as time goes by."""
+"""The virtual rotary stage: prints the lines of four accelerometers in real time."""
 
 from __future__ import annotations
 
@@ -21,34 +21,29 @@ TIME, THETA = "time", "theta"
 BAUDRATE = 921_600
 
 FASTEST = 400.0
-"""Lines a second that fit on the line, the longest of them."""
+"""Largest number of lines per second at the baud rate."""
 
 
 @dataclass(frozen=True)
 class StageTruth(Truth):
-    """What a virtual stage really is: a disk in place of a tilt sensor's coefficients.
-
-    Attributes
-    ----------
-    disk : Disk
-    """
+    """The true state of a virtual stage: a disk in place of the coefficients of a tilt sensor."""
 
     disk: Disk = field(default_factory=Disk)
 
     @classmethod
     def of(cls, disk: Disk, seed: int) -> StageTruth:
-        """The truth of a disk; its channels are all that it can print."""
+        """Return the truth of a disk, with all channels that it can print."""
         return cls((TIME, THETA, *CHANNELS), {}, {}, seed=seed, disk=disk)
 
 
 def stage_twin(columns: ColumnLayout, truth: Truth, clock: Clock) -> StreamingTwin:
-    """A stage that prints the columns of an address; one that is skipped there, or that it has not, reads 0.
+    """Return a stage that prints the columns of an address; a skipped or unknown column is 0.
 
     Parameters
     ----------
     columns : ColumnLayout
     truth : StageTruth
-        While its fault ``stuck`` lasts, the line of its beginning is printed again and again.
+        During its fault ``stuck``, it repeats the first line of the fault.
     clock : Clock
         Session time.
     """
@@ -67,7 +62,7 @@ def stage_twin(columns: ColumnLayout, truth: Truth, clock: Clock) -> StreamingTw
 
 
 def draw_truth(seed: int) -> StageTruth:
-    """Accelerometers near those of the source; the spreads are ours.
+    """Return accelerometers near those of the source; the tolerances are ours.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A virtual device that talks by itself on a serial line, message after message, as time goes by."""
+"""A virtual device that streams messages on a serial line."""
 
 from __future__ import annotations
 
@@ -12,27 +12,26 @@ if TYPE_CHECKING:
     from tiltcal.drivers.twin.truth import Truth
 
 SILENCE = 5.0
-"""Seconds of silence after which a virtual line gives up."""
+"""Timeout of a virtual line, s."""
 
 
 class StreamingTwin:
-    """Says message number n from ``n * period`` on.
+    """Sends message number n at ``n * period``.
 
-    What an exchange returns depends on the time alone: the next message that begins. What was said while nobody
-    listened is gone.
+    The answer depends on the time alone: the next message that begins. A message that was not read at once is lost.
 
     Parameters
     ----------
     truth : Truth
-        Its faults: ``unplugged`` and ``silent`` are the line's.
+        Its faults ``unplugged`` and ``silent`` affect the line.
     clock : Clock
-        Goes on to the arrival of the last byte that is returned.
+        Advances to the arrival of the last returned byte.
     message : callable
-        ``message(number)`` returns what is said, shorter in time than the period.
+        ``message(number)`` returns the bytes; they take less time than the period.
     period : float
         Seconds.
     baudrate : int
-        Of ten bits to the byte.
+        With ten bits per byte.
     """
 
     letter = "r"
@@ -58,20 +57,20 @@ class StreamingTwin:
         return arrived
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
 
 def answer_in_line(truth: Truth, clock: Clock, *, silent: bool = True) -> None:
-    """Let the faults of the line happen that the truth asks for now.
+    """Raise the faults of the line that the truth sets now.
 
     Raises
     ------
     BusError
-        The virtual sensor is unplugged, or, where ``silent`` matters, says nothing.
+        The virtual sensor is unplugged, or sends nothing while ``silent`` is set.
     """
     fault = truth.fault(clock.now_ns() / 1e9)
     if fault is not None and fault.kind == "unplugged":
-        raise BusError("the virtual sensor is unplugged, a fault that its truth asks for: resume the session later")
+        raise BusError("the virtual sensor is unplugged, a fault that its truth sets: resume the session later")
     if fault is not None and fault.kind == "silent" and silent:
         clock.sleep(SILENCE)
-        raise BusError(f"the virtual sensor was silent for {SILENCE:g} s, a fault that its truth asks for")
+        raise BusError(f"the virtual sensor was silent for {SILENCE:g} s, a fault that its truth sets")

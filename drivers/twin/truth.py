@@ -1,4 +1,4 @@
-"""What a virtual sensor really is: the coefficients that a calibration should find."""
+"""The true coefficients of a virtual sensor, which a calibration should find."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ Polynomial = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that goes wrong for a while.
+    """A fault of a virtual sensor, with its start and end.
 
     Attributes
     ----------
     kind : str
-        ``parity`` (the part's own memory error), ``stuck`` (the reading holds), ``silent`` (the data line floats high),
-        ``unplugged`` (every transaction fails).
+        ``parity`` (memory error of the part), ``stuck`` (the reading does not change), ``silent`` (the data line floats
+        high), ``unplugged`` (every transaction fails).
     start, end : float
         Seconds after the session began.
     """
@@ -46,14 +46,14 @@ class Truth:
     noise : mapping of str to float
         Per channel, white, standard deviation of one sample, unit.
     thermometer_error : float
-        What the sensor's own thermometer reads too high, °C.
+        Error of the sensor's own thermometer, positive if it reads too high, °C.
     supply : float
-        What an analog sensor is supplied with, V; its coefficients are referred to 5 V whatever the supply.
+        Supply of an analog sensor, V; its coefficients always refer to 5 V.
     mounting : tuple of float
-        How the sensor sits on the fixture: roll, pitch, yaw, degrees.
+        Rotation of the sensor on the fixture: roll, pitch, yaw, degrees.
     seed : int
     jig, ambient, time_constant : float
-        Of the fixture that holds it: see :class:`tiltcal.drivers.twin.fixture.Fixture`.
+        Of its fixture: see :class:`tiltcal.drivers.twin.fixture.Fixture`.
     faults : tuple of Fault
     """
 
@@ -75,7 +75,7 @@ class Truth:
     faults: tuple[Fault, ...] = ()
 
     def reading(self, channel: str, gravity: tuple[float, float, float], temperature: float) -> float:
-        """What ``channel`` reads without noise, in its unit.
+        """Return the reading of ``channel`` without noise, in its unit.
 
         Parameters
         ----------
@@ -96,5 +96,5 @@ class Truth:
         return self.offset[channel] + drift + (1.0 + gain) * (signal + bend)
 
     def fault(self, seconds: float) -> Fault | None:
-        """The fault that is present ``seconds`` after the session began, if any."""
+        """Return the fault that is present ``seconds`` after the session began, if any."""
         return next((fault for fault in self.faults if fault.start <= seconds < fault.end), None)

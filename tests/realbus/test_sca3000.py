@@ -161,7 +161,7 @@ def test_nobody_acknowledges_at_another_address() -> None:
     with run_on_i2c([*I2C.program[:3], I2C.program[3].replace("0x1d", "0x1e")], QUIET, CHIP) as bench:
         failed = bench.ask("probe")
     assert failed["error"] == "BusError"
-    assert f"nobody acknowledges at address 0x1e on {I2C_BUS}" in failed["message"]
+    assert f"no device acknowledges at address 0x1e on {I2C_BUS}" in failed["message"]
 
 
 def test_a_bus_that_does_not_exist_names_the_one_that_does() -> None:

@@ -106,7 +106,7 @@ def test_unplugged_and_faulty_in_mid_session_and_then_well_again(tmp_path: Path)
         assert told(bench)["event"] == "accepted"
         bench.fail(errno.EREMOTEIO)
         take(bench)
-        assert "nobody acknowledges at address 0x48" in str(told(bench)["why"])
+        assert "no device acknowledges at address 0x48" in str(told(bench)["why"])
         bench.fail(0)
         bench.break_part()
         take(bench)
@@ -125,7 +125,7 @@ def refused(address: str, part: PartFacts, folder: Path, at: int) -> str:
 @pytest.mark.parametrize(
     ("part", "at", "why"),
     [
-        (Ads1115Sca100t(), 0x49, "nobody acknowledges at address 0x48"),
+        (Ads1115Sca100t(), 0x49, "no device acknowledges at address 0x48"),
         (Ads1115Sca100t(supply=3.3), 0x48, "where the sensor needs 4.75 to 5.25 V"),
     ],
 )

@@ -75,7 +75,7 @@ def test_unplugged_on_i2c_in_mid_session_and_plugged_in_again(tmp_path: Path) ->
         take_position(bench)
         refused = read_line(bench)
         assert refused["event"] == "refused"
-        assert "nobody acknowledges at address 0x1d on /dev/i2c-1" in str(refused["why"])
+        assert "no device acknowledges at address 0x1d on /dev/i2c-1" in str(refused["why"])
         bench.fail(0)
         assert bench.lead()[-1]["event"] == "done"
         assert bench.exit_code == 0, bench.errors()
@@ -88,7 +88,7 @@ def test_a_faulty_part_is_told_before_the_first_prompt(tmp_path: Path) -> None:
     with run_on_i2c(program("sca3000-i2c", address, tmp_path), Sca3000(), 0x1D) as bench:
         assert bench.lead() == []
         assert bench.exit_code == 3
-        assert "nobody acknowledges at address 0x1e" in bench.errors()
+        assert "no device acknowledges at address 0x1e" in bench.errors()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -113,7 +113,7 @@ def test_a_stuck_bus(held: str, level: str) -> None:
 @pytest.mark.parametrize("held", ["85 83", "05 83"])
 def test_a_converter_that_lost_its_supply(held: str) -> None:
     converter, _ = driver("01 C1 83 /", f"01 / {held}")
-    with pytest.raises(DeviceFault, match="without supply for a moment"):
+    with pytest.raises(DeviceFault, match="its supply failed for a moment"):
         converter.volts(0)
 
 
@@ -140,8 +140,8 @@ def test_a_short_answer_is_a_bus_error() -> None:
     ("options", "why"),
     [
         ("address=0x4c", "an ADS1115 is at 0x48, 0x49, 0x4a or 0x4b, not at 0x4c"),
-        ("address=0x48&range=5", "range=5 is no full scale of an ADS1115"),
-        ("address=0x48&rate=100", "rate=100 is no rate of an ADS1115"),
+        ("address=0x48&range=5", "range=5 is not a full scale of an ADS1115"),
+        ("address=0x48&rate=100", "rate=100 is not a rate of an ADS1115"),
     ],
 )
 def test_settings_that_it_does_not_have(options: str, why: str) -> None:
@@ -238,7 +238,7 @@ def test_a_twin_made_anew_recalls_what_was_written() -> None:
     assert kept.read("00") == anew.read("00") == "14 D5"
 
 
-@pytest.mark.parametrize(("kind", "why"), [("silent", "nobody acknowledges"), ("unplugged", "is unplugged")])
+@pytest.mark.parametrize(("kind", "why"), [("silent", "no device acknowledges"), ("unplugged", "is unplugged")])
 def test_faults_of_the_twin(kind: str, why: str) -> None:
     bench = Bench(faults=(Fault(kind, 0.0, 1.0),))
     with pytest.raises(BusError, match=why):

@@ -174,7 +174,7 @@ def test_missing_sentences(before: int, now: int, lost: int) -> None:
 
 
 def test_a_device_that_says_something_else_is_named() -> None:
-    with pytest.raises(BusError, match=r"50 lines .* the last was 'hello'.*baudrate"):
+    with pytest.raises(BusError, match=r"50 lines .* the last was 'hello'.*baud rate"):
         sentences(b"hello\r\n" * 60).read()
     with pytest.raises(BusError, match=r"without a line end.*baudrate"):
         sentences(b"\xf0" * 2000).read()

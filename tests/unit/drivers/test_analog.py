@@ -79,7 +79,7 @@ def test_a_supply_that_the_sensor_cannot_work_with(supply: float) -> None:
 
 def test_a_supply_beyond_the_converters_full_scale_is_not_known() -> None:
     """At a reference of 5 V the uppermost of 4096 steps stands for 4.9988 V and all above, 5.2 V as well."""
-    with pytest.raises(DeviceFault, match=r"reads 4.999 V, the most that this converter can tell"):
+    with pytest.raises(DeviceFault, match=r"reads 4.999 V, the full scale of this converter"):
         Bench(nominal(supply=5.2), "sim:adc=mcp3208&vref=5.0&supply=7").sensor.read()
 
 
@@ -90,14 +90,14 @@ def test_a_supply_beyond_the_converters_full_scale_is_not_known() -> None:
         ("ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=4&supply=2", "y=4 is too large .at most 3"),
         ("ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=0&supply=2", "'x' and 'y' name the same input 0"),
         ("ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=1", "'y' and 'supply' name the same input 1"),
-        ("ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1", "wire its supply to an input and add supply=N, or state"),
+        ("ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1", "wire it to an input and add supply=N, or state"),
         (f"{WIRED}&vdd=5", "'supply' and 'vdd' exclude each other"),
         (f"{WIRED}&range=4.096", r"ADS1115, ±4.096 V.* cannot measure a supply of 4.75 V or more"),
         ("ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&vdd=3.3", "vdd=3.3 is too small"),
         ("mcp3208+spi:///dev/spidev0.1?x=0&y=1", "option 'vref' is missing"),
         ("mcp3208+spi:///dev/spidev0.1?x=0&y=1&vref=4.096", "reference of 4.096 V is not its supply"),
-        ("i2c:///dev/i2c-1?address=0x48&x=0&y=1", r"'i2c' is no converter that tiltcal knows .*ads1115\+i2c: or"),
-        ("sim:adc=ads1015", "'ads1015' is no converter"),
+        ("i2c:///dev/i2c-1?address=0x48&x=0&y=1", r"'i2c' is not a known converter .*ads1115\+i2c: or"),
+        ("sim:adc=ads1015", "'ads1015' is not a known converter"),
     ],
 )
 def test_a_wiring_that_cannot_be(address: str, why: str) -> None:

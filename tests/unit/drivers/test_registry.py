@@ -88,7 +88,7 @@ def test_two_plug_ins_cannot_share_a_name(install) -> None:
         ("acme-7 = acme_sensors:MODEL", "1 / 0", "ZeroDivisionError: division by zero"),
         ("acme-7 = acme_sensors:ABSENT", PLUGIN, "AttributeError"),
         ("acme-7 = acme_sensors:NO_MODEL", PLUGIN, "is a int, not a tiltcal.drivers.device.Model"),
-        ("acme-7x = acme_sensors:MODEL", PLUGIN, "calls itself 'acme-7'"),
+        ("acme-7x = acme_sensors:MODEL", PLUGIN, "is named 'acme-7'"),
     ],
 )
 def test_a_broken_plug_in_is_named_with_its_cause(install, entry: str, module: str, why: str) -> None:

@@ -208,7 +208,7 @@ def test_the_self_test_refuses_an_axis_that_points_down() -> None:
 
 def test_the_self_test_knows_two_channels() -> None:
     sensor, _ = driver()
-    with pytest.raises(UsageError, match="channels x and y, no 'z'"):
+    with pytest.raises(UsageError, match="channels x and y, not 'z'"):
         sensor.self_test("z")
 
 

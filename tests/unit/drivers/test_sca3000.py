@@ -180,7 +180,7 @@ def test_a_checksum_error_of_the_eeprom_is_a_device_fault(letter: str, probe) ->
 
 def test_a_broken_spi_frame_asks_for_a_slower_clock() -> None:
     sensor, _ = scripted(E02, "s", *spi_probe(status="01"))
-    with pytest.raises(BusError, match=r"previous SPI frame broken .* speed=100000"):
+    with pytest.raises(BusError, match=r"previous SPI frame was damaged .* speed=100000"):
         sensor.probe()
     sensor, _ = scripted(I2C, "i", *i2c_probe(status="01"))
     assert sensor.probe()["mode"] == "normal", "on I2C the bit speaks of no frame of ours"
@@ -439,7 +439,7 @@ def test_a_killed_session_goes_on_with_the_bytes_it_would_have_had(model: Model)
     ("kind", "error", "why"),
     [
         ("parity", DeviceFault, "EEPROM"),
-        ("silent", BusError, "stuck high|nobody acknowledges"),
+        ("silent", BusError, "stuck high|no device acknowledges"),
         ("unplugged", BusError, "unplugged"),
     ],
 )

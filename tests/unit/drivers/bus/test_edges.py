@@ -173,7 +173,7 @@ def test_what_each_error_means(request_lines, number: int, why: str) -> None:
 def test_an_unplugged_chip(request_lines) -> None:
     link = opened()
     request_lines.request.error = OSError(errno.ENODEV, "No such device")
-    with pytest.raises(BusError, match="has gone: plug it in again, then resume"):
+    with pytest.raises(BusError, match="is gone: plug it in again, then resume"):
         link.exchange(b"", 14)
 
 

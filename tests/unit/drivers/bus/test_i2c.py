@@ -165,14 +165,14 @@ def test_an_error_on_opening_says_what_to_try(smbus2, number: int, advice: str) 
 @pytest.mark.parametrize(
     ("number", "advice"),
     [
-        (errno.EREMOTEIO, r"nobody acknowledges at address 0x1d on /dev/i2c-1 .*'i2cdetect -y 1'"),
-        (errno.ENXIO, "nobody acknowledges at address 0x1d"),
-        (errno.EIO, "nobody acknowledges at address 0x1d"),
+        (errno.EREMOTEIO, r"no device acknowledges at address 0x1d on /dev/i2c-1 .*'i2cdetect -y 1'"),
+        (errno.ENXIO, "no device acknowledges at address 0x1d"),
+        (errno.EIO, "no device acknowledges at address 0x1d"),
         (errno.ETIMEDOUT, "time-out at address 0x1d .* pull-up resistors"),
         (errno.EAGAIN, "another master has it"),
         (errno.EBUSY, "SDA or SCL is held low"),
         (errno.ENODEV, "plug the I2C adapter in again"),
-        (errno.EOPNOTSUPP, "speaks SMBus only"),
+        (errno.EOPNOTSUPP, "supports SMBus only"),
         (errno.EPROTO, r"failed \(Protocol error\): check the wiring"),
     ],
 )

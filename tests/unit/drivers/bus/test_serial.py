@@ -76,7 +76,7 @@ def test_what_queued_up_can_be_dropped(pty, link) -> None:
 
 
 def test_silence_is_an_error_that_says_what_to_try(pty, link) -> None:
-    with pytest.raises(BusError, match=r"silent for 0\.1 s.*powered.*baudrate"):
+    with pytest.raises(BusError, match=r"silent for 0\.1 s.*powered.*baud rate"):
         link.exchange(b"", 1)
     # An error of the line is no error of the link: the device may begin to talk.
     os.write(pty[0], b"x")
@@ -89,9 +89,9 @@ def test_an_unplugged_adapter_is_told_and_a_plugged_one_goes_on() -> None:
     link = opened(f"serial://{os.ttyname(slave)}?timeout=0.1")
     os.close(slave)
     os.close(master)
-    with pytest.raises(BusError, match=r"has gone: plug it in again, then resume"):
+    with pytest.raises(BusError, match=r"is gone: plug it in again, then resume"):
         link.exchange(b"", 1)
-    with pytest.raises(BusError, match="has gone"):
+    with pytest.raises(BusError, match="is gone"):
         link.exchange(b"", 0)
     link.close()
     link.close()
@@ -119,11 +119,11 @@ def test_a_device_behind_a_socket() -> None:
         assert received(link, 5) == b"hello"
         link.exchange(b"!")
         talker.join()
-        with pytest.raises(BusError, match="has gone"):
+        with pytest.raises(BusError, match="is gone"):
             link.exchange(b"", 1)
         link.close()
 
-    with pytest.raises(BusError, match=r"nobody listens at socket://127\.0\.0\.1"):
+    with pytest.raises(BusError, match=r"no server answers at socket://127\.0\.0\.1"):
         opened(f"serial:socket://127.0.0.1:{port}")
 
 

@@ -136,10 +136,10 @@ def test_a_capture_that_is_written_anew_is_read_from_its_start(hand_written: Pat
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("time,x,y\n1,2,3\n", "no value change dump"),
+        ("time,x,y\n1,2,3\n", "not a value change dump"),
         ("$timescale 1 ns $end $scope module m $end", "header does not end"),
         (HAND_WRITTEN.replace("D1", "CLK"), r"no signal is called 'D1' \(it has D0, CLK\)"),
-        ("", "no value change dump"),
+        ("", "not a value change dump"),
     ],
 )
 def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, why: str) -> None:

@@ -1,0 +1,68 @@
+"""Messages for errors of the operating system on device nodes: the cause, and what to try."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+
+def no_permission(device: str, subsystem: str) -> str:
+    """Return the message for a device node that this user may not open.
+
+    Parameters
+    ----------
+    device : str
+        The node, such as ``/dev/spidev0.0``.
+    subsystem : str
+        Its name in udev, such as ``spidev``; the usual group has this name without a trailing ``dev``.
+    """
+    import grp
+
+    try:
+        group = grp.getgrgid(os.stat(device).st_gid).gr_name
+    except (KeyError, OSError):
+        return f"no permission to use {device}: ask the owner of this machine for it"
+    if group == "root":
+        usual = subsystem.removesuffix("dev").removesuffix("-")
+        return (
+            f"no permission to use {device}, which belongs to root alone: give it to a group with the udev rule  "
+            f'SUBSYSTEM=="{subsystem}", GROUP="{usual}", MODE="0660"  and join that group'
+        )
+    return (
+        f"no permission to use {device}, which belongs to group {group}: add yourself to group {group} with  "
+        f"sudo usermod -aG {group} $USER  and log in again"
+    )
+
+
+def node_error(device: str, cause: OSError, bus: str, *, subsystem: str, pattern: str, example: str) -> str | None:
+    """Return the message for an error that every bus node has in common; None for another error.
+
+    Parameters
+    ----------
+    device : str
+        The node, such as ``/dev/spidev0.0``.
+    cause : OSError
+        What the operating system reported.
+    bus : str
+        The bus with its article, such as ``an SPI device``.
+    subsystem : str
+        Its name in udev, for :func:`no_permission`.
+    pattern : str
+        The names of such nodes in ``/dev``, such as ``spidev*``.
+    example : str
+        A node of this kind.
+    """
+    name = bus.split()[1]
+    if cause.errno == errno.ENOENT:
+        present = ", ".join(sorted(map(str, Path("/dev").glob(pattern))))
+        kind = bus.partition(" ")[2]
+        advice = f"present: {present}" if present else f"no {kind} is present; switch {name} on in the board's settings"
+        return f"{device} does not exist ({advice})"
+    if cause.errno in (errno.EACCES, errno.EPERM):
+        return no_permission(device, subsystem)
+    if cause.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
+        return f"{device} is gone: plug the {name} adapter in again, then resume"
+    if cause.errno in (errno.ENOTTY, errno.EINVAL):
+        return f"{device} refuses an {name} request ({os.strerror(cause.errno)}): is it {bus}, as {example} is?"
+    return None
