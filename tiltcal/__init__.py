@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration, read
     from tiltcal.calibration.comparison import compare
     from tiltcal.calibration.pair_calibration import PairCalibration
+    from tiltcal.logs.apply import apply_log
     from tiltcal.logs.fit import fit
 
 __version__ = "0.1.0"
@@ -34,6 +35,7 @@ __version__ = "0.1.0"
 _HOME = {
     "Calibration": "tiltcal.calibration.calibration",
     "PairCalibration": "tiltcal.calibration.pair_calibration",
+    "apply_log": "tiltcal.logs.apply",
     "compare": "tiltcal.calibration.comparison",
     "fit": "tiltcal.logs.fit",
     "measure": "tiltcal.bench.measure",
@@ -57,6 +59,7 @@ __all__ = [
     "TiltcalError",
     "UsageError",
     "__version__",
+    "apply_log",
     "compare",
     "fit",
     "measure",

@@ -22,6 +22,7 @@ NAMES = [
     "TiltcalError",
     "UsageError",
     "__version__",
+    "apply_log",
     "compare",
     "fit",
     "measure",

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tiltcal.calibration.summary import mounting_lines, summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, calibration_of, write_calibration
+from tiltcal.files.calibration import (
+    CalibrationRecord,
+    SensorIdentity,
+    calibration_of,
+    dump_calibration,
+    write_calibration,
+)
 from tiltcal.files.document import checked_kind, read_document
 from tiltcal.files.records import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty
@@ -20,7 +27,7 @@ if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """The calibration of one tilt sensor.
 
@@ -125,6 +132,57 @@ class Calibration:
         """
         return Compensation(self.coefficients, self.limits, first_order=first_order)
 
+    def apply(
+        self,
+        frame: Any,
+        *,
+        columns: Mapping[str, str] | str = "",
+        uncertainty: bool = False,
+        first_order: bool = False,
+        reading_noise: float | None = None,
+        unit: str | None = None,
+    ) -> Any:
+        """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
+
+        Parameters
+        ----------
+        frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
+            A column for each reading, and for the temperature in °C where there is one.
+        columns : mapping of str to str, or str
+            The column of each reading, such as ``{"x": "VoutX"}``; without it, the column of its name.
+        uncertainty : bool
+            Add the standard uncertainty of every angle and half of its 95 % interval, degrees.
+        first_order : bool
+            Use Cross-axis Compensation, eq. 6, in place of the whole matrix.
+        reading_noise : float, optional
+            Standard uncertainty of a reading of the frame, in its unit, in place of that of a sample at the bench.
+        unit : str, optional
+            Of the readings; an xarray Dataset states it itself. One that is not the calibration's is refused.
+
+        Returns
+        -------
+        frame
+            The same kind, with ``g_x`` and ``tilt_x`` (degrees) of each axis, ``flag`` and ``reason`` behind its own
+            columns.
+
+        Raises
+        ------
+        UsageError
+            The frame is of no known kind, or has a column of a name that the result needs.
+        InputError
+            A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
+        """
+        from tiltcal.logs.frames import apply_frame
+
+        return apply_frame(
+            *(self, frame),
+            columns=columns,
+            uncertainty=uncertainty,
+            first_order=first_order,
+            reading_noise=reading_noise,
+            unit=unit,
+        )
+
     def save(self, path: str | Path) -> None:
         """Write the calibration file, whole or not at all.
 
@@ -134,6 +192,25 @@ class Calibration:
             The file cannot be written there.
         """
         write_calibration(path, self.record)
+
+    def report(self, path: str | Path) -> None:
+        """Write the HTML page that is filed with the sensor; it needs nothing but itself, and prints on A4.
+
+        Raises
+        ------
+        UsageError
+            The extra ``report`` is not installed, or the page cannot be written there.
+        """
+        from tiltcal.report.tilt_page import write_tilt_page
+
+        write_tilt_page(path, self.record)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both give the same file."""
+        return isinstance(other, Calibration) and dump_calibration(self.record) == dump_calibration(other.record)
+
+    def __hash__(self) -> int:
+        return hash(dump_calibration(self.record))
 
     def __str__(self) -> str:
 

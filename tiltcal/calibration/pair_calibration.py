@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed
-from tiltcal.files.pair import PairRecord, write_pair
+from tiltcal.files.pair import PairRecord, dump_pair, write_pair
 from tiltcal.files.records import PairProvenance
 
 HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PairCalibration:
     """The matching of one or two accelerometer pairs on a rotary stage.
 
@@ -51,6 +52,30 @@ class PairCalibration:
         """Return the matched sums and the gradient signal of readings in arrays."""
         return PairCompensation(self.matchings, self.phase)
 
+    def apply(self, frame: Any) -> Any:
+        """Add the matched sum of each pair to a frame and, with both pairs, the gradient signal.
+
+        Parameters
+        ----------
+        frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
+            A column for each accelerometer by its name in the pairs, and for the stage angle in degrees.
+
+        Returns
+        -------
+        frame
+            The same kind, with the new columns, ``flag`` and ``reason`` behind its own.
+
+        Raises
+        ------
+        UsageError
+            The frame is of no known kind, or has a column of a name that the result needs.
+        InputError
+            A column is not there or holds no numbers.
+        """
+        from tiltcal.logs.frames import apply_frame
+
+        return apply_frame(self, frame)
+
     def save(self, path: str | Path) -> None:
         """Write the pair file, whole or not at all.
 
@@ -60,6 +85,25 @@ class PairCalibration:
             The file cannot be written there.
         """
         write_pair(path, self.record)
+
+    def report(self, path: str | Path) -> None:
+        """Write the HTML page that is filed with the accelerometers; it needs nothing but itself, and prints on A4.
+
+        Raises
+        ------
+        UsageError
+            The extra ``report`` is not installed, or the page cannot be written there.
+        """
+        from tiltcal.report.pair_page import write_pair_page
+
+        write_pair_page(path, self.record)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both give the same file."""
+        return isinstance(other, PairCalibration) and dump_pair(self.record) == dump_pair(other.record)
+
+    def __hash__(self) -> int:
+        return hash(dump_pair(self.record))
 
     def __str__(self) -> str:
         return "\n\n".join(pair_summary(matching) for matching in self.matchings)

@@ -4,13 +4,43 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import StringIO
+from pathlib import Path
+from typing import Any
 
 from tiltcal.errors import InputError
-from tiltcal.files.node import Node, Scalar
+from tiltcal.files.document import parse_document, read_text
+from tiltcal.files.node import Node, Scalar, document_of
 
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+
+
+def table_records(
+    table: str | Path | Sequence[Mapping[str, Any]], file: str | Path, required: Sequence[str], optional: Sequence[str]
+) -> Iterable[Node]:
+    """Return the rows of a small table as mappings.
+
+    Parameters
+    ----------
+    table : str, Path or sequence of mapping
+        A file of CSV, or of a JSON list of objects; or the rows.
+    file : str or Path
+        What messages call it.
+    required, optional : sequence of str
+        The columns that a header of CSV must and may have; the keys of other rows are for the caller to check.
+
+    Raises
+    ------
+    InputError
+        The text is neither CSV nor a JSON list, or its header is wrong.
+    """
+    if not isinstance(table, str | Path):
+        return document_of(list(table), str(file)).items()
+    text = read_text(table)
+    if text.lstrip().startswith(("[", "{")):  # a CSV header begins with a name
+        return parse_document(text, str(file)).items()
+    return csv_records(text, str(file), required=required, optional=optional)
 
 
 def csv_records(text: str, file: str, *, required: Sequence[str], optional: Sequence[str] = ()) -> Iterator[Node]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tiltcal.core.frames import Vector
 from tiltcal.errors import InputError
-from tiltcal.files.csv_tables import csv_records
-from tiltcal.files.document import parse_document, read_text
+from tiltcal.files.csv_tables import table_records
 from tiltcal.files.node import Node
 from tiltcal.files.procedure import ABSOLUTE_ZERO
 from tiltcal.files.segments import DIRECTION, direction_of
@@ -46,15 +46,15 @@ class TabledPosition:
     line: int | None
 
 
-def read_positions(path: str | Path, channels: Sequence[str]) -> list[TabledPosition]:
+def read_positions(table: str | Path | Sequence[Mapping[str, Any]], channels: Sequence[str]) -> list[TabledPosition]:
     """Read and check a table of positions.
 
     Parameters
     ----------
-    path : str or Path
+    table : str, Path or sequence of mapping
         CSV with the columns ``position``, a mean for each channel (``x``, ...), and optionally a direction (``gx``,
         ``gy``, ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``; or a JSON list of
-        objects with these keys.
+        objects with these keys; or such rows.
     channels : sequence of str
 
     Returns
@@ -67,14 +67,10 @@ def read_positions(path: str | Path, channels: Sequence[str]) -> list[TabledPosi
     InputError
         Anything in it is wrong; the message names file, line and column.
     """
-    text = read_text(path)
     required = ("position", *channels)
     optional = (*DIRECTION, *(f"u{channel}" for channel in channels), "n", "temperature")
-    records = (
-        parse_document(text, str(path)).items()
-        if text.lstrip().startswith(("[", "{"))
-        else csv_records(text, str(path), required=required, optional=optional)
-    )
+    path = table if isinstance(table, str | Path) else "the table"
+    records = table_records(table, path, required, optional)
     positions = [_position(record, channels, required, optional) for record in records]
     if not positions:
         raise InputError("the table has no position", file=path)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from tiltcal.core.frames import Vector, normalised
 from tiltcal.errors import InputError
-from tiltcal.files.csv_tables import csv_records
-from tiltcal.files.document import parse_document, read_text
+from tiltcal.files.csv_tables import table_records
 from tiltcal.files.node import Node
 
 DIRECTION = ("gx", "gy", "gz")
@@ -41,14 +41,14 @@ class Segment:
     line: int | None
 
 
-def read_segments(path: str | Path) -> list[Segment]:
+def read_segments(segments: str | Path | Sequence[Mapping[str, Any]]) -> list[Segment]:
     """Read and check a segments file.
 
     Parameters
     ----------
-    path : str or Path
+    segments : str, Path or sequence of mapping
         CSV with the columns ``position,start,end`` and, all three or none, ``gx,gy,gz``; or a JSON list of objects with
-        these keys.
+        these keys; or such rows.
 
     Returns
     -------
@@ -61,19 +61,12 @@ def read_segments(path: str | Path) -> list[Segment]:
     InputError
         Anything in it is wrong; the message names file, line and column.
     """
-    text = read_text(path)
-    # A CSV header begins with a name; a JSON list with its bracket.
-    is_json = text.lstrip().startswith(("[", "{"))
-    records = (
-        parse_document(text, str(path)).items()
-        if is_json
-        else csv_records(text, str(path), required=_REQUIRED, optional=DIRECTION)
-    )
-    segments = [_segment_of(record) for record in records]
-    if not segments:
+    path = segments if isinstance(segments, str | Path) else "the segments"
+    found = [_segment_of(record) for record in table_records(segments, path, _REQUIRED, DIRECTION)]
+    if not found:
         raise InputError("the file has no segment", file=path)
-    _refuse_overlap(segments, path)
-    return segments
+    _refuse_overlap(found, path)
+    return found
 
 
 def _segment_of(record: Node) -> Segment:

@@ -147,8 +147,8 @@ class CompensatedLog:
             yield block, table
 
 
-def require_unit(log: LogReader, columns: Sequence[int], unit: str) -> None:
-    """Refuse a log whose columns state another unit.
+def require_unit(log: LogReader, columns: Sequence[int], unit: str, whose: str = "the calibration") -> None:
+    """Refuse a log whose columns state another unit than ``whose`` (what messages call it).
 
     Raises
     ------
@@ -158,6 +158,6 @@ def require_unit(log: LogReader, columns: Sequence[int], unit: str) -> None:
         stated = log.unit(column)
         if stated is not None and not same_unit(stated, unit):
             raise InputError(
-                f"column {log.names[column]!r} is in {stated}, and the calibration in {unit}: convert the readings",
+                f"column {log.names[column]!r} is in {stated}, and {whose} in {unit}: convert the readings",
                 file=log.name,
             )

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import tiltcal
 from tiltcal.calibration.calibrate import base_of, calibrate
@@ -23,7 +23,8 @@ from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.records import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.segments import read_segments
-from tiltcal.logs.columns import parse_columns
+from tiltcal.logs.columns import named_columns
+from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.static_detection import WINDOWS, find_still, still_segments, told
 from tiltcal.logs.static_intervals import (
     RecordedReadings,
@@ -44,14 +45,14 @@ FOUND_ONLY = "--window and --segments-out are for `tiltcal fit free` without --s
 
 def fit(
     procedure: str,
-    data: str | Path,
+    data: Any,
     *,
     serial: str,
     unit: str | None = None,
     sensor: str | None = None,
-    segments: str | Path | None = None,
-    table: bool = False,
-    columns: str = "",
+    segments: Any = None,
+    table: bool | None = None,
+    columns: Mapping[str, str] | str = "",
     jig: float | None = None,
     thermometer: float | None = None,
     tilt: float | None = None,
@@ -66,22 +67,25 @@ def fit(
     ----------
     procedure : str
         Its name, or the path of your own. With ``free`` the positions need not be known: gravity is 1 g in each.
-    data : str or Path
-        A log (CSV, Parquet or NetCDF-4), or a table of positions.
+    data : str, Path or frame
+        A log (CSV, Parquet or NetCDF-4), or a table of positions; or a frame of either: polars, pandas, pyarrow, an
+        xarray Dataset, a dict of arrays.
     serial : str
         The sensor's serial number.
     unit : str, optional
         Of the readings, such as ``m/s2``, ``V`` or ``count``; a known ``sensor`` has its own.
     sensor : str, optional
         The sensor's model, where it is one of ``tiltcal devices``.
-    segments : str or Path, optional
+    segments : str, Path, frame or sequence of mapping, optional
         Which rows were taken in which position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz where
         the position is not the procedure's. With ``free`` the static intervals are found where it is left out.
-    table : bool
+    table : bool, optional
         ``data`` is a table of positions already averaged: position, x, y, z, and where known gx, gy, gz, ux, uy, uz
-        (the means' standard uncertainties), n, temperature.
-    columns : str
-        Which column holds which reading, such as ``x=acc_x,y=acc_y``; without a header by number from 1.
+        (the means' standard uncertainties), n, temperature. Of a frame without segments it is taken to be one where it
+        has a column ``position``.
+    columns : mapping of str to str, or str
+        Which column holds which reading, such as ``{"x": "acc_x"}`` or ``"x=acc_x,y=acc_y"``; in a log without a header
+        by number from 1.
     jig : float, optional
         Standard uncertainty of a set angle, degrees; where it is not stated, the positions' scatter shows it.
     thermometer : float, optional
@@ -113,7 +117,7 @@ def fit(
     """
     steps = find_procedure(procedure, tilt)
     steps.require_positions()
-    source = FitSource(data, segments, table, columns, window)
+    source = FitSource(data, segments, _is_table(data, segments) if table is None else table, columns, window)
     source.require_sound(free=steps.determines.free)
     require_no_jig(steps, jig)
     model = find_model(sensor) if sensor else None
@@ -129,7 +133,7 @@ def fit(
         thermometer=None if model is None else model.thermometer_rounding,
     )
     bench = BenchUncertainty(jig, thermometer)
-    (found,) = calibrate([measured], steps, bench, base=known, table=table, gravity=gravity)
+    (found,) = calibrate([measured], steps, bench, base=known, table=source.table, gravity=gravity)
     return Calibration(replace(found, provenance=positions.provenance))
 
 
@@ -152,10 +156,10 @@ class FitPositions:
 class FitSource:
     """Recorded data as the user names them; the attributes are the arguments of :func:`fit`."""
 
-    data: str | Path
-    segments: str | Path | None
+    data: Any
+    segments: Any
     table: bool
-    columns: str
+    columns: Mapping[str, str] | str
     window: int | None
 
     @property
@@ -190,8 +194,8 @@ class FitSource:
         InputError
             A file is wrong; the message names file and line.
         """
-        holds, provenance = self._given(sensor.channels)
-        return FitPositions(placed(holds, procedure, file=str(self.segments or self.data)), provenance)
+        holds, provenance = self._given(sensor)
+        return FitPositions(placed(holds, procedure, file=self._name), provenance)
 
     def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
         """Positions of a sensor of three channels in the directions that its readings show.
@@ -205,14 +209,14 @@ class FitSource:
         """
         channels = sensor.channels
         if not self.finds:
-            holds, provenance = self._given(channels)
+            holds, provenance = self._given(sensor)
             return FitPositions(oriented(holds, directions([hold.summaries for hold in holds])), provenance)
-        record = self._record(channels)
+        record = self._record(sensor)
         windows = WINDOWS if self.window is None else (self.window,)
         chosen, tried = find_still(record.readings(channels), windows)
         say(told(chosen, tried, sensor.unit))
         found = still_segments(chosen)
-        holds = holds_of(record, found, file=str(self.data))
+        holds = holds_of(record, found, file=record.name)
         attitudes = directions([hold.summaries for hold in holds])
         for hold, (x, y, z) in zip(holds, attitudes.tolist(), strict=True):
             rows = [segment for segment in found if segment.name == hold.position]
@@ -226,32 +230,53 @@ class FitSource:
         )
         return FitPositions(oriented(holds, attitudes), self._provenance(record, how))
 
-    def _given(self, channels: Sequence[str]) -> tuple[list[StaticInterval], Provenance]:
+    @property
+    def _name(self) -> str:
+        """Where the positions are named, for messages."""
+        if self.segments is not None:
+            return str(self.segments) if isinstance(self.segments, str | Path) else "the segments"
+        return str(self.data) if isinstance(self.data, str | Path) else "the table"
+
+    def _given(self, sensor: SensorIdentity) -> tuple[list[StaticInterval], Provenance]:
         """What the sensor read in the segments or the table that were given, and where these come from."""
         if self.segments is None:
-            holds = holds_of_table(read_positions(self.data, channels))
+            holds = holds_of_table(read_positions(_path_or_rows(self.data, "the table"), sensor.channels))
             return holds, self._provenance()
-        segments = read_segments(self.segments)
-        record = self._record(channels)
-        holds = holds_of(record, segments, file=str(self.segments))
+        segments = read_segments(_path_or_rows(self.segments, "the segments"))
+        record = self._record(sensor)
+        holds = holds_of(record, segments, file=self._name)
         return holds, self._provenance(record, _origin(self.segments, SegmentsRecord))
 
-    def _record(self, channels: Sequence[str]) -> RecordedReadings:
-        return read_record(Path(self.data), channels, parse_columns(self.columns, channels))
+    def _record(self, sensor: SensorIdentity) -> RecordedReadings:
+        return read_record(self.data, sensor.channels, named_columns(self.columns, sensor.channels), sensor.unit)
 
     def _provenance(self, record: RecordedReadings | None = None, segments: SegmentsRecord | None = None) -> Provenance:
+        log = None if record is None else _origin(self.data, LogRecord)
         return Provenance(
             made_by=f"fit of a {'table of positions' if self.table else 'recorded log'}",
-            log=None if record is None else replace(_origin(self.data, LogRecord), rows=record.rows),
+            log=None if record is None or log is None else replace(log, rows=record.rows),
             table=_origin(self.data, FileRecord) if self.table else None,
             segments=segments,
             software=f"tiltcal {tiltcal.__version__}",
         )
 
 
-def _origin(path: str | Path, record: type[R]) -> R:
-    """Name and checksum of a file."""
-    return record(name=Path(path).name, sha256=sha256_of(Path(path)))
+def _is_table(data: Any, segments: Any) -> bool:
+    """Whether a frame is one of positions."""
+    if segments is not None or isinstance(data, str | Path):
+        return False
+    return "position" in FrameReader(data).names
+
+
+def _path_or_rows(table: Any, name: str) -> str | Path | list[dict[str, Any]]:
+    return table if isinstance(table, str | Path) else rows_of(table, name)
+
+
+def _origin(source: Any, record: type[R]) -> R | None:
+    """Name and checksum of a file; None of a frame."""
+    if not isinstance(source, str | Path):
+        return None
+    return record(name=Path(source).name, sha256=sha256_of(Path(source)))
 
 
 def _identity(

@@ -138,6 +138,30 @@ class FrameReader(LogReader):
         return self._frame.with_columns(table, [self.names[index] for index in channels])
 
 
+def rows_of(frame: Any, name: str) -> list[dict[str, Any]]:
+    """Return the rows of a frame, or of a sequence of mappings, without the cells that are empty.
+
+    Parameters
+    ----------
+    frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, mapping of str to array_like, or sequence of mapping
+    name : str
+        What messages call it.
+
+    Raises
+    ------
+    UsageError
+        The frame is of no known kind.
+    """
+    if isinstance(frame, Mapping):
+        columns = [np.asarray(values).tolist() for values in frame.values()]
+        rows = [dict(zip(frame, cells, strict=True)) for cells in zip(*columns, strict=True)]
+    elif isinstance(frame, Sequence):
+        rows = [dict(row) for row in frame]
+    else:
+        rows = list(_eager(frame, name).rows(named=True))
+    return [{key: cell for key, cell in row.items() if cell is not None and cell == cell} for row in rows]
+
+
 class _Columns(Protocol):
     """A frame of any kind: its columns by name; numbers or times are None where a column holds something else."""
 
@@ -159,10 +183,15 @@ def _columns_of(frame: Any, name: str) -> _Columns:
         return _Dataset(frame, name)
     if isinstance(frame, Mapping):
         return _Arrays(frame)
+    return _Table(_eager(frame, name))
+
+
+def _eager(frame: Any, name: str) -> Any:
+    """A polars, pandas or pyarrow frame as narwhals takes it."""
     import narwhals.stable.v2 as nw
 
     try:
-        return _Table(nw.from_native(frame, eager_only=True))
+        return nw.from_native(frame, eager_only=True)
     except TypeError:
         raise UsageError(
             f"{name} is a {type(frame).__module__.partition('.')[0]}.{type(frame).__name__}: give a polars, pandas or "

@@ -21,6 +21,7 @@ from tiltcal.errors import InputError
 from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
+from tiltcal.logs.apply import require_unit
 from tiltcal.logs.columns import TEMPERATURE, locate_columns
 from tiltcal.logs.formats import open_log
 
@@ -93,7 +94,7 @@ class StaticInterval:
     where: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_record(log: object, channels: Sequence[str], named: Mapping[str, str]) -> RecordedReadings:
+def read_record(log: object, channels: Sequence[str], named: Mapping[str, str], unit: str) -> RecordedReadings:
     """Read the readings of a log.
 
     Parameters
@@ -102,14 +103,17 @@ def read_record(log: object, channels: Sequence[str], named: Mapping[str, str]) 
     channels : sequence of str
     named : mapping of str to str
         Column name by role, from ``--columns``.
+    unit : str
+        Of the readings.
 
     Raises
     ------
     InputError
-        A column is missing, or a row cannot be parsed.
+        A column is missing or in another unit, or a row cannot be parsed.
     """
     with open_log(log) as reader:
         where = locate_columns(reader.names, channels, named, file=reader.name, line=reader.header_line)
+        require_unit(reader, [where[channel] for channel in channels], unit, "the --unit")
         blocks = [block.values for block in reader.rows(sorted(set(where.values())))]
     return RecordedReadings(
         reader.name, {role: np.concatenate([block[index] for block in blocks]) for role, index in where.items()}

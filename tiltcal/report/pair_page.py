@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +14,11 @@ from numpy.typing import NDArray
 from tiltcal.calibration.pair_calibration import HEADINGS, suppressed
 from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
-from tiltcal.files.pair import PairRecord
+from tiltcal.files.pair import PairRecord, dump_pair
+from tiltcal.files.whole import check_writable, write_whole
 from tiltcal.report.figure import SvgFigure, picture
 from tiltcal.report.number_format import AlignedNumber, column, grouped, measured, plain
-from tiltcal.report.page import render
+from tiltcal.report.page import render, require_extra
 from tiltcal.report.pair_figures import PairDrawing, draw_spectra
 from tiltcal.report.provenance import Fact, FileFacts, notice, provenance_facts
 
@@ -96,6 +98,20 @@ class PairSection:
     q: AlignedNumber
     suppression: str
     rows: Sequence[ComponentRow]
+
+
+def write_pair_page(path: str | Path, calibration: PairRecord) -> None:
+    """Write the page of a calibration that is at hand and not in a file.
+
+    Raises
+    ------
+    UsageError
+        The libraries of the extra ``report`` are not installed, or the page cannot be written there.
+    """
+    require_extra()
+    check_writable(path)
+    name = "pairs.yaml"
+    write_whole(path, pair_page(calibration, FileFacts.of_text(name, dump_pair(calibration))))
 
 
 def pair_page(calibration: PairRecord, source: FileFacts, spectra: Sequence[Spectrum] = ()) -> str:

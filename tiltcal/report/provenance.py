@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Any
 
 from tiltcal.files.calibration import CalibrationRecord
@@ -40,6 +41,11 @@ class FileFacts:
 
     name: str
     sha256: str
+
+    @classmethod
+    def of_text(cls, name: str, text: str) -> FileFacts:
+        """The facts of a file that has this text."""
+        return cls(name, sha256(text.encode()).hexdigest())
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
-from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.calibration import CalibrationRecord, dump_calibration
+from tiltcal.files.whole import check_writable, write_whole
 from tiltcal.report.coefficients_section import (
     SOURCES,
     budget,
@@ -16,12 +18,26 @@ from tiltcal.report.coefficients_section import (
 from tiltcal.report.drift import drift
 from tiltcal.report.fit_section import position_table, remarks, verdict
 from tiltcal.report.log_section import ReportedLog, log_section
-from tiltcal.report.page import render
+from tiltcal.report.page import render, require_extra
 from tiltcal.report.provenance import FileFacts, facts, notice, procedure_facts
 from tiltcal.report.residual_figure import residual_figure
 from tiltcal.report.temperature_figure import temperature_figure
 from tiltcal.report.tilt_figure import tilt_figure
 from tiltcal.report.validity import covered, not_covered
+
+
+def write_tilt_page(path: str | Path, calibration: CalibrationRecord) -> None:
+    """Write the page of a calibration that is at hand and not in a file.
+
+    Raises
+    ------
+    UsageError
+        The libraries of the extra ``report`` are not installed, or the page cannot be written there.
+    """
+    require_extra()
+    check_writable(path)
+    name = f"{calibration.sensor.serial}.yaml"
+    write_whole(path, certificate(calibration, FileFacts.of_text(name, dump_calibration(calibration))))
 
 
 def certificate(

@@ -1,0 +1,136 @@
+"""The same calibration from the command line and from Python, and from every kind of data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+import xarray as xr
+from support.command import tiltcal as command
+
+import tiltcal
+
+FACES = {
+    "x-up": (1, 0, 0),
+    "x-down": (-1, 0, 0),
+    "y-up": (0, 1, 0),
+    "y-down": (0, -1, 0),
+    "z-up": (0, 0, 1),
+    "z-down": (0, 0, -1),
+}
+ROWS = 60
+OFFSET, SENSITIVITY = np.array([0.1, -0.2, 0.05]), np.diag([9.7, 9.8, 9.9])
+
+
+@pytest.fixture(scope="module")
+def columns() -> dict[str, Any]:
+    """Readings in the six faces one after the other, m/s²."""
+    rng = np.random.default_rng(7)
+    up = np.repeat(np.array(list(FACES.values()), dtype=float), ROWS, axis=0)
+    read = OFFSET + up @ SENSITIVITY.T + rng.normal(0.0, 0.01, up.shape)
+    return {f"acc_{axis}": np.round(read[:, k], 6) for k, axis in enumerate("xyz")}
+
+
+@pytest.fixture(scope="module")
+def segments() -> list[dict[str, Any]]:
+    return [{"position": name, "start": k * ROWS, "end": (k + 1) * ROWS} for k, name in enumerate(FACES)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, columns: dict[str, Any], segments: list[dict[str, Any]]) -> Path:
+    folder = tmp_path_factory.mktemp("library")
+    pl.DataFrame(columns).write_csv(folder / "log.csv")
+    pl.DataFrame(segments).write_csv(folder / "segments.csv")
+    return folder
+
+
+NAMED = {"x": "acc_x", "y": "acc_y", "z": "acc_z"}
+SENSOR: dict[str, Any] = {"serial": "IMU1", "unit": "m/s2"}
+
+
+def test_a_log_gives_the_same_file(folder: Path) -> None:
+    result = command(
+        *("fit", "six-face", "log.csv", "--segments", "segments.csv", "--columns", "x=acc_x,y=acc_y,z=acc_z"),
+        *("--unit", "m/s2", "--serial", "IMU1", "--jig", "0.1", "-o", "command.yaml"),
+        cwd=folder,
+    )
+    assert result.returncode == 0, result.stderr
+    found = tiltcal.fit(
+        "six-face", folder / "log.csv", segments=folder / "segments.csv", columns=NAMED, jig=0.1, **SENSOR
+    )
+    found.save(folder / "library.yaml")
+    assert (folder / "library.yaml").read_bytes() == (folder / "command.yaml").read_bytes()
+    assert result.stdout == f"{found}\n"
+    assert tiltcal.read(folder / "command.yaml") == found
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [pl.DataFrame, pd.DataFrame, pa.table, dict, lambda data: xr.Dataset({k: ("row", v) for k, v in data.items()})],
+    ids=["polars", "pandas", "pyarrow", "dict", "xarray"],
+)
+def test_a_frame_gives_the_calibration_of_its_log(
+    frame: Any, folder: Path, columns: dict[str, Any], segments: list[dict[str, Any]]
+) -> None:
+    of_log = tiltcal.fit("six-face", folder / "log.csv", segments=folder / "segments.csv", columns=NAMED, **SENSOR)
+    found = tiltcal.fit("six-face", frame(columns), segments=segments, columns=NAMED, **SENSOR)
+    assert _without_provenance(found) == _without_provenance(of_log)
+
+
+def test_free_positions_are_found_in_a_frame() -> None:
+    """Eighteen directions by a golden spiral, each held for 80 rows."""
+    rng = np.random.default_rng(3)
+    number = np.arange(18)
+    height, angle = 1 - (2 * number + 1) / 18, number * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - height**2)
+    up = np.repeat(np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1), 80, axis=0)
+    read = OFFSET + up @ SENSITIVITY.T + rng.normal(0.0, 0.005, up.shape)
+    found = tiltcal.fit("free", {axis: read[:, k] for k, axis in enumerate("xyz")}, gravity=9.81744, **SENSOR)
+    assert list(found.offset.values()) == pytest.approx(OFFSET.tolist(), abs=0.01)
+    assert found.derived.gravity_m_s2 == 9.81744
+
+
+def test_a_frame_of_positions_is_a_table(folder: Path) -> None:
+    means = np.array([OFFSET + SENSITIVITY @ up for up in FACES.values()])
+    table = {
+        "position": list(FACES),
+        **{axis: means[:, k].tolist() for k, axis in enumerate("xyz")},
+        **{f"u{axis}": [0.01] * 6 for axis in "xyz"},
+    }
+    pl.DataFrame(table).write_csv(folder / "means.csv")
+    of_file = tiltcal.fit("six-face", folder / "means.csv", table=True, **SENSOR)
+    for frame in (pl.DataFrame(table), pd.DataFrame(table), table):
+        found = tiltcal.fit("six-face", frame, **SENSOR)
+        assert (found.offset, found.sensitivity) == (of_file.offset, of_file.sensitivity)
+        assert found.uncertainty == of_file.uncertainty
+
+
+def test_another_unit_is_refused(columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:
+    data = xr.Dataset({name: ("row", values, {"units": "V"}) for name, values in columns.items()})
+    with pytest.raises(tiltcal.InputError, match="is in V, and the --unit in m/s2"):
+        tiltcal.fit("six-face", data, segments=segments, columns=NAMED, **SENSOR)
+
+
+def test_apply_and_apply_log_agree(folder: Path, columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:
+    found = tiltcal.fit("six-face", columns, segments=segments, columns=NAMED, **SENSOR)
+    assert isinstance(found, tiltcal.Calibration)
+    frame = pl.read_csv(folder / "log.csv")
+    tilted = found.apply(frame, columns=NAMED, uncertainty=True)
+    tiltcal.apply_log(found, folder / "log.csv", folder / "tilt.parquet", columns=NAMED, uncertainty=True)
+    assert tilted.equals(pl.read_parquet(folder / "tilt.parquet"))
+    assert tilted["pitch"][0] == pytest.approx(90.0, abs=0.5)
+    with pytest.raises(tiltcal.InputError, match="in g"):
+        found.apply(frame, columns=NAMED, unit="g")
+
+
+def _without_provenance(calibration: tiltcal.Calibration) -> str:
+    from tiltcal.files.calibration import dump_calibration
+    from tiltcal.files.records import Provenance
+
+    return dump_calibration(replace(calibration.record, provenance=Provenance()))
