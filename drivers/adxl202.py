@@ -111,7 +111,7 @@ class Adxl202Sentences:
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
-        self._lines = LineBuffer(link)
+        self._lines = LineBuffer(link, clock)
         self._number: int | None = None
         self._damaged_since = 0
         self._used = self._damaged = self._lost = self._restarts = 0

@@ -112,7 +112,7 @@ class ColumnsSensor:
 
     def __init__(self, columns: ColumnLayout, link: Link, clock: Clock) -> None:
         self._columns = columns
-        self._lines = LineBuffer(link)
+        self._lines = LineBuffer(link, clock)
         self._used = self._damaged = 0
 
     def probe(self) -> Mapping[str, str]:

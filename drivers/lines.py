@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
 
 CHUNK = 4096
@@ -16,6 +17,9 @@ CHUNK = 4096
 
 LONGEST = 1024
 """Longest line; a longer one means a wrong baud rate, or a device that sends no text."""
+
+PATIENCE = 10.0
+"""Seconds in which a line must be complete; a device that sends byte by byte is no excuse to wait for ever."""
 
 UNUSABLE = 50
 """Unusable lines in a row before a driver raises an error."""
@@ -32,10 +36,13 @@ class LineBuffer:
     ----------
     link : Link
         Serial.
+    clock : Clock, optional
+        Says how long a line takes; without one a line may take any time.
     """
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: Link, clock: Clock | None = None) -> None:
         self._link = link
+        self._clock = clock
         self._ready: deque[bytes] = deque()
         self._rest = b""
         self._begun = False
@@ -55,8 +62,11 @@ class LineBuffer:
             Silence, or bytes without a line end.
         """
         while True:
+            began_ns = 0 if self._clock is None else self._clock.now_ns()
             while not self._ready:
                 self._listen()
+                if self._clock is not None and not self._ready:
+                    self._require_soon(began_ns, self._clock.now_ns())
             line, whole = self._ready.popleft(), self._begun
             self._begun = True
             if line:
@@ -71,6 +81,15 @@ class LineBuffer:
         self._ready.clear()
         self._rest = b""
         self._begun = False
+
+    def _require_soon(self, began_ns: int, now_ns: int) -> None:
+        if now_ns - began_ns > PATIENCE * 1e9:
+            piece = self._rest
+            self._restart()
+            raise BusError(
+                f"no whole line came in {PATIENCE:g} s, only {shown(piece)}: does the device end its lines, and is "
+                "this its baud rate?"
+            )
 
     def _listen(self) -> None:
         try:

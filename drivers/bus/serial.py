@@ -33,6 +33,8 @@ with suppress(ImportError):  # not on Windows
     _PORT_ERRORS += (termios.error,)
 
 PARITIES = ("N", "E", "O", "M", "S")
+HANDLERS = ("socket", "rfc2217", "hwgrep", "loop")
+"""pyserial's URL handlers that can be used. Others do more than open a line: ``spy://`` writes to any file."""
 STOP_BITS = {"1": 1.0, "1.5": 1.5, "2": 2.0}
 
 
@@ -42,8 +44,8 @@ def open_serial(address: Address, model: Model) -> SerialLink:
     Parameters
     ----------
     address : Address
-        The path is a URL of pyserial's ``serial_for_url``. Options ``baudrate``, ``parity`` (N, E, O, M, S),
-        ``stopbits`` (1, 1.5, 2) and ``timeout`` (seconds of silence that are an error).
+        The path is a port, or a URL of pyserial's with one of :data:`HANDLERS`. Options ``baudrate``, ``parity`` (N,
+        E, O, M, S), ``stopbits`` (1, 1.5, 2) and ``timeout`` (seconds of silence that are an error).
     model : Model
         Its own options are allowed too.
 
@@ -67,6 +69,9 @@ def open_serial(address: Address, model: Model) -> SerialLink:
         "parity": parity,
         "stopbits": STOP_BITS[stop_bits],
     }
+    handler, url, _ = address.path.partition("://")
+    if url and handler.lower() not in HANDLERS:
+        address.refuse(f"{handler}:// cannot be used: name a port, or {', '.join(f'{one}://' for one in HANDLERS)}")
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=3600.0)
     serial = _pyserial()
     try:

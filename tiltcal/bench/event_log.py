@@ -36,7 +36,7 @@ class Interruption(BusError):
     """A bus transaction that never took place, because the session was interrupted there."""
 
     def __init__(self) -> None:
-        super().__init__("the session was interrupted here; the bench may have been touched since")
+        super().__init__("the session was interrupted here")
 
 
 class EventLog:

@@ -92,7 +92,8 @@ def measure(
     journal : str or Path, optional
         Where the session is captured; by default beside the output.
     resume : str or Path, optional
-        The journal of an interrupted session, to go on with; the other arguments are then those of its start.
+        The journal of an interrupted session, to go on with. All but the operator is then as at its start; with
+        ``output`` the calibration goes there, which it must where the journal names a file outside its own folder.
     plain : bool
         Whether the terminal prints lines only.
     remark : callable
@@ -113,7 +114,9 @@ def measure(
         The operator stopped; the message says how to go on.
     """
     if resume is not None and Path(resume).exists():
-        session = Session.of_journal(Path(resume), remark)
+        session = Session.of_journal(Path(resume), remark, None if output is None else Path(output))
+        if len(session.outputs) > 1 and output is not None and not Path(output).is_dir():
+            raise UsageError(f"the session has {len(session.outputs)} sensors: name a folder instead of {output}")
         operator = operator or session.plan.lead
     else:
         operator = operator or "terminal"

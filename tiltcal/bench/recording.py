@@ -6,6 +6,7 @@ nothing that was shown.
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -20,6 +21,7 @@ from tiltcal.bench.session_plan import stamp
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Reading
 from tiltcal.errors import HardwareError, UsageError
+from tiltcal.files.journal import write_all
 
 SECURE_NS = 1_000_000_000
 """How long a row may wait for the disk."""
@@ -60,20 +62,53 @@ class CsvRecorder:
             raise UsageError(f"{path} exists; a recording never replaces one: name another file") from None
         except OSError as error:
             raise UsageError(f"cannot write {path}: {error.strerror}") from None
+        self._path = path
+        self._size = 0
         self.write(header)
 
     def write(self, cells: Sequence[str]) -> None:
-        """Append one row."""
-        os.write(self._descriptor, (",".join(cells) + "\n").encode())
+        """Append one row, whole or not at all.
+
+        Raises
+        ------
+        UsageError
+            The disk is full or fails; the rows before are kept.
+        """
+        row = (",".join(cells) + "\n").encode()
+        try:
+            write_all(self._descriptor, row)
+        except OSError as error:
+            with suppress(OSError):
+                os.ftruncate(self._descriptor, self._size)
+            raise self._failed(error) from error
+        self._size += len(row)
 
     def secure(self) -> None:
-        """Have all rows on the disk."""
-        os.fdatasync(self._descriptor)
+        """Have all rows on the disk.
+
+        Raises
+        ------
+        UsageError
+            The disk fails.
+        """
+        try:
+            os.fdatasync(self._descriptor)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.EROFS):  # a pipe or a device has nothing to secure
+                raise self._failed(error) from error
 
     def close(self) -> None:
         """Secure the rows and let the file go."""
-        self.secure()
-        os.close(self._descriptor)
+        try:
+            self.secure()
+        finally:
+            os.close(self._descriptor)
+
+    def _failed(self, error: OSError) -> UsageError:
+        return UsageError(
+            f"cannot write {self._path}: {error.strerror}; the rows before are kept, go on with another file on a disk "
+            "that has room"
+        )
 
 
 def column_name(serial: str, channel: str, *, alone: bool) -> str:

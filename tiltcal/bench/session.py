@@ -22,7 +22,7 @@ from tiltcal.bench.verification import VerifiedPosition, verify_positions
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import StreamingSensor
-from tiltcal.errors import HardwareError, Stopped, TiltcalError
+from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
 from tiltcal.files.whole import check_writable, write_whole
@@ -88,6 +88,8 @@ class Session:
         The journal.
     journal : Journal, optional
         What was captured before.
+    output : Path, optional
+        Where the calibration files go, in place of what the plan says: a file, or of several sensors the folder.
 
     Attributes
     ----------
@@ -96,8 +98,11 @@ class Session:
         Whether the journal has its end, so that there is nothing to resume.
     """
 
-    def __init__(self, plan: SessionPlan, path: Path, journal: Journal | None = None) -> None:
+    def __init__(
+        self, plan: SessionPlan, path: Path, journal: Journal | None = None, output: Path | None = None
+    ) -> None:
         self.plan = plan
+        self._named = output
         self.path = path
         self.finished = False
         self.journal = journal
@@ -105,7 +110,9 @@ class Session:
         self._virtual = VirtualBench(self._clock, plan.devices)
 
     @classmethod
-    def of_journal(cls, path: Path, remark: Callable[[str], None] = lambda line: None) -> Session:
+    def of_journal(
+        cls, path: Path, remark: Callable[[str], None] = lambda line: None, output: Path | None = None
+    ) -> Session:
         """Return the session of a journal, to be resumed or replayed; a torn last line is a remark.
 
         Raises
@@ -116,7 +123,7 @@ class Session:
         journal = read_journal(path)
         if journal.torn:
             remark(f"{path}: the last line was torn off and is dropped")
-        return cls(SessionPlan.from_journal(journal), path, journal)
+        return cls(SessionPlan.from_journal(journal), path, journal, output)
 
     @contextmanager
     def resumable(self, command: str, remark: Callable[[str], None]) -> Iterator[None]:
@@ -129,7 +136,11 @@ class Session:
         remark : callable
             Gets the line where the error's own message is about something else.
         """
-        go_on = f"what was measured is kept; go on with: tiltcal {command} --resume {self.path}"
+        named = self._named
+        if named is None and self._outside:
+            named = self.outputs[0] if len(self.outputs) == 1 else self.outputs[0].parent
+        where = "" if named is None else f" -o {named}"
+        go_on = f"what was measured is kept; go on with: tiltcal {command} --resume {self.path}{where}"
         try:
             yield
         except KeyboardInterrupt:
@@ -149,16 +160,27 @@ class Session:
         """Where the calibration files go, one per sensor, or one for all pairs of a stage."""
         return [self._output(device) for device in self.plan.sensors if device.output]
 
+    @property
+    def _outside(self) -> list[Path]:
+        """The calibration files that lie outside the journal's folder."""
+        folder = os.path.realpath(self.path.parent)
+        return [path for path in self.outputs if os.path.commonpath((folder, os.path.realpath(path))) != folder]
+
     def preflight(self) -> None:
         """Check before the operator starts that the files can be written, and that every device answers.
 
         Raises
         ------
         UsageError
-            A path that cannot be written.
+            A path that cannot be written, or that a journal names outside its own folder.
         HardwareError
             A device that does not answer.
         """
+        if self.journal is not None and self._named is None and self._outside:
+            # The journal may be somebody else's.
+            raise UsageError(
+                f"the journal names {self._outside[0]}, outside its own folder: say with -o where the calibration goes"
+            )
         for path in (*self.outputs, self.path):
             check_writable(path)
         for device in self.plan.devices:
@@ -278,7 +300,10 @@ class Session:
         return SessionEnd(ended, sha256, opened.sensors.lost, statistics)
 
     def _output(self, device: DeviceSetup) -> Path:
-        return Path(os.path.normpath(self.path.parent / device.output))
+        planned = Path(os.path.normpath(self.path.parent / device.output))
+        if self._named is None:
+            return planned
+        return self._named / planned.name if self._named.is_dir() else self._named
 
 
 def _text(record: CalibrationRecord | PairRecord) -> str:

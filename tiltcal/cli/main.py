@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from importlib import import_module
 
 import click
 
 from tiltcal import __version__
-from tiltcal.errors import TiltcalError
+from tiltcal.errors import TiltcalError, UsageError
 
 COMMANDS = {
     "devices": "list the sensor models, their addresses and what their twins leave out",
@@ -84,11 +85,15 @@ def run(args: list[str] | None = None) -> int:
     """
     try:
         result = group.main(args=args, prog_name="tiltcal", standalone_mode=False)
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except click.ClickException as error:
         error.show()
         return error.exit_code
     except TiltcalError as error:
-        click.echo(f"tiltcal: {error}", err=True)
+        # The message may quote a file: control characters in it could be escape sequences.
+        message = "".join(one if one.isprintable() or one == "\n" else "?" for one in str(error))
+        click.echo(f"tiltcal: {message}", err=True)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         click.echo("tiltcal: interrupted", err=True)
@@ -97,4 +102,10 @@ def run(args: list[str] | None = None) -> int:
         # The reader of our output is gone, as with `| head`; what Python would still flush has nowhere to go.
         sys.stdout = None
         return 0
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+            raise
+        sys.stdout = None
+        click.echo(f"tiltcal: the output cannot be written: {error.strerror}", err=True)
+        return UsageError.exit_code
     return result if isinstance(result, int) else 0

@@ -23,6 +23,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -135,9 +136,10 @@ class JournalWriter:
     Use :meth:`create` or :meth:`resume`.
     """
 
-    def __init__(self, path: Path, descriptor: int, crc: int, events: int, digest: hashlib._Hash) -> None:
+    def __init__(self, path: Path, descriptor: int, crc: int, events: int, digest: hashlib._Hash, size: int) -> None:
         self.path = path
         self._descriptor = descriptor
+        self._size = size
         self._crc = crc
         self._events = events
         self._digest = digest
@@ -160,13 +162,14 @@ class JournalWriter:
         whole = path.with_name(f".{path.name}.new")
         try:
             descriptor = os.open(whole, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC, 0o644)
-            os.write(descriptor, line)
+            write_all(descriptor, line)
             os.fsync(descriptor)
             os.rename(whole, path)
         except OSError as error:
+            whole.unlink(missing_ok=True)
             raise UsageError(f"{path}: the journal cannot be made: {error.strerror}") from None
         _lock(descriptor, path)
-        return cls(path, descriptor, crc, 0, hashlib.sha256(line))
+        return cls(path, descriptor, crc, 0, hashlib.sha256(line), len(line))
 
     @classmethod
     def resume(cls, journal: Journal) -> JournalWriter:
@@ -185,20 +188,42 @@ class JournalWriter:
         os.ftruncate(descriptor, journal.size)
         digest = hashlib.sha256()
         digest.update(journal.path.read_bytes()[: journal.size])
-        return cls(journal.path, descriptor, journal.crc, len(journal.events), digest)
+        return cls(journal.path, descriptor, journal.crc, len(journal.events), digest, journal.size)
 
     def append(self, dt_ns: int, kind: str, *payload: Any) -> None:
-        """Write one event."""
+        """Write one event, whole or not at all.
+
+        Raises
+        ------
+        JournalError
+            The disk is full or fails; the journal ends with the event before.
+        """
         body = _dumps([dt_ns, kind, *payload]).encode()
-        self._crc = crc32(body, self._crc)
-        line = body[:-1] + f',"{self._crc:08x}"]\n'.encode()
-        os.write(self._descriptor, line)
+        crc = crc32(body, self._crc)
+        line = body[:-1] + f',"{crc:08x}"]\n'.encode()
+        try:
+            write_all(self._descriptor, line)
+        except OSError as error:
+            with suppress(OSError):
+                os.ftruncate(self._descriptor, self._size)
+            raise self._failed(error) from error
+        self._size += len(line)
+        self._crc = crc
         self._digest.update(line)
         self._events += 1
 
     def secure(self) -> None:
-        """Have what was written so far on the disk."""
-        os.fdatasync(self._descriptor)
+        """Have what was written so far on the disk.
+
+        Raises
+        ------
+        JournalError
+            The disk is full or fails.
+        """
+        try:
+            os.fdatasync(self._descriptor)
+        except OSError as error:
+            raise self._failed(error) from error
 
     def finish(self, dt_ns: int) -> str:
         """Write the end record and return the SHA-256 of everything before it."""
@@ -212,6 +237,16 @@ class JournalWriter:
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
+
+    def _failed(self, error: OSError) -> JournalError:
+        return JournalError(f"cannot be written: {error.strerror}; make room on the disk, then resume", file=self.path)
+
+
+def write_all(descriptor: int, data: bytes) -> None:
+    """Write all of it: the operating system may take a part at a time."""
+    view = memoryview(data)
+    while view:
+        view = view[os.write(descriptor, view) :]
 
 
 def _dumps(value: Any) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,13 +15,37 @@ import pytest
 import tiltcal
 from tiltcal import Calibration, PairCalibration, measure, open_sensor
 from tiltcal.bench import sensor_set
+from tiltcal.bench.event_log import EventLog, RecordedLink
 from tiltcal.bench.operators.rig import RigRotationOperator, understood
 from tiltcal.bench.session import Session
 from tiltcal.cli.main import main
-from tiltcal.errors import InputError, Stopped, UsageError
+from tiltcal.drivers.bus.clock import SystemClock
+from tiltcal.errors import BusError, InputError, Stopped, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor
+from tiltcal.files.journal import JournalWriter, read_journal
 
 SENSOR = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "samples": 4, "settle": 0.2}
+
+
+PLANE = [
+    *("measure", "plane", "--operator=sim", "--output=S-1.yaml"),
+    *(f"--{name}={value}" for name, value in SENSOR.items()),
+]
+
+
+class FixedLink:
+    """A link that always answers the same."""
+
+    letter = "s"
+
+    def __init__(self, answer: bytes) -> None:
+        self._answer = answer
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        return self._answer
+
+    def close(self) -> None:
+        pass
 
 
 class Rig:
@@ -182,20 +208,114 @@ def test_at_the_bus_twelve_frames_of_ours_stand_on_the_stack(monkeypatch: pytest
 
     monkeypatch.setattr(sensor_set, "open_device", Inspected)
     with pytest.raises(SystemExit) as left:
-        main(["measure", "plane", "--operator=sim", "-o=S-1.yaml", *(f"--{name}={v}" for name, v in SENSOR.items())])
+        main(
+            [
+                "measure",
+                "plane",
+                "--operator=sim",
+                "--output=S-1.yaml",
+                *(f"--{name}={v}" for name, v in SENSOR.items()),
+            ]
+        )
     assert left.value.code == 0
     assert depths
     assert max(depths) <= 12, depths
 
 
 def test_measuring_tilt_loads_nothing_of_pairs() -> None:
-    arguments = ["measure", "plane", "--operator=sim", "-o=S-1.yaml", *(f"--{name}={v}" for name, v in SENSOR.items())]
     program = f"""
 import sys
 from tiltcal.cli.main import run
-assert run({arguments!r}) == 0
+assert run({PLANE!r}) == 0
 pair = ("tiltcal.core.pair", "tiltcal.files.pair", "tiltcal.files.rotation", "tiltcal.bench.rotation", "channel_map")
 print([name for name in sys.modules if any(one in name for one in pair)])
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.strip() == "[]"
+
+
+PLANE = [
+    "measure",
+    "plane",
+    "--operator=sim",
+    "--output=S-1.yaml",
+    *(f"--{name}={value}" for name, value in SENSOR.items()),
+]
+
+
+def test_a_full_disk_says_how_to_go_on_and_costs_nothing() -> None:
+    """The operating system itself refuses the bytes beyond a limit of the process."""
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))
+
+    command = [sys.executable, "-m", "tiltcal"]
+    done = subprocess.run([*command, *PLANE], capture_output=True, text=True, preexec_fn=limited, timeout=120)
+    assert done.returncode == 2
+    assert "cannot be written: File too large; make room on the disk, then resume" in done.stderr
+    assert "go on with: tiltcal measure --resume S-1.journal.jsonl" in done.stderr
+    assert "Traceback" not in done.stderr
+    measure(resume="S-1.journal.jsonl")
+    options = {**SENSOR, "output": "whole/S-1.yaml", "journal": "whole/S-1.journal.jsonl"}
+    Path("whole").mkdir()
+    measure("plane", operator="sim", **options)  # type: ignore[arg-type]
+    assert Path("S-1.yaml").read_bytes() == Path("whole/S-1.yaml").read_bytes()
+    log = [*command, "record", "--sensor=sca100t-d02", "--address=sim:", "--rows=1000", "-o", "log.csv"]
+    done = subprocess.run(log, capture_output=True, text=True, preexec_fn=limited, timeout=120)
+    assert done.returncode == 2
+    assert "cannot write log.csv: File too large; the rows before are kept" in done.stderr
+    assert Path("log.csv").read_text().endswith("\n")
+
+
+@pytest.mark.parametrize("name", ["../outside.yaml", "{here}/../outside.yaml"])
+def test_a_journal_of_somebody_else_writes_nowhere_but_beside_it(name: str, tmp_path: Path) -> None:
+    Path("inside").mkdir()
+    measure("plane", operator="sim", output=name.format(here=tmp_path), journal="inside/J.jsonl", **SENSOR)  # type: ignore[arg-type]
+    written = Path(name.format(here=tmp_path))
+    whole = written.read_bytes()
+    written.unlink()
+    with pytest.raises(UsageError, match="outside its own folder: say with -o where the calibration goes"):
+        measure(resume="inside/J.jsonl")
+    assert not written.exists()
+    measure(resume="inside/J.jsonl", output="here.yaml")
+    assert Path("here.yaml").read_bytes() == whole
+
+
+def test_a_link_beside_the_journal_leads_nowhere_else(tmp_path: Path) -> None:
+    measure("plane", operator="sim", output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    Path("S-1.yaml").unlink()
+    Path("S-1.yaml").symlink_to("/tmp/elsewhere.yaml")
+    with pytest.raises(UsageError, match="outside its own folder"):
+        measure(resume="S-1.journal.jsonl")
+
+
+def test_the_session_goes_on_where_the_clock_of_the_machine_went_back(tmp_path: Path) -> None:
+    """A Raspberry Pi without a clock wakes in the past: a pause is then no time, and time goes on from there."""
+    journal = Path("J.jsonl")
+    writer = JournalWriter.create(journal, {})
+    writer.append(3_600_000_000_000, "s", "100000", "008f20")
+    writer.close()
+    before = read_journal(journal)
+    clock = SystemClock(time.time_ns() + 86_400_000_000_000)
+    resumed = JournalWriter.resume(before)
+    log = EventLog(clock, before, resumed)
+    link = RecordedLink(log, lambda: FixedLink(b"abc"), "s", 0)
+    assert link.exchange(bytes.fromhex("100000")) == bytes.fromhex("008f20")
+    with pytest.raises(BusError, match="the session was interrupted here"):
+        link.exchange(b"x")
+    link.exchange(b"x")
+    first = log.now_ns()
+    clock.sleep(0.002)
+    link.exchange(b"x")
+    resumed.close()
+    assert 3_600_000_000_000 <= first < 3_600_000_000_000 + 10_000_000_000
+    assert log.now_ns() - first >= 2_000_000
+    assert [event.kind for event in read_journal(journal).events] == ["s", "resumed", "s", "s"]
+
+
+def test_output_to_a_full_device_is_an_error_in_words() -> None:
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "tiltcal", "procedures"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60
+        )
+    assert (done.returncode, done.stderr) == (2, "tiltcal: the output cannot be written: No space left on device\n")

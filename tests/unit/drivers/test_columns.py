@@ -245,3 +245,23 @@ def test_channels_have_the_names_of_the_address_axes_first() -> None:
 def test_the_virtual_device_has_no_other_readings() -> None:
     with pytest.raises(UsageError, match="the model gradiometer"):
         SERIAL_COLUMNS.at(parse_address("sim:columns=theta,a1"))
+
+
+def test_a_device_that_drips_bytes_is_given_up() -> None:
+    """A digit every four seconds, and never a line: no transaction is silent, and yet nothing comes."""
+    clock = VirtualClock()
+
+    class Dripping:
+        letter = "r"
+
+        def exchange(self, out: bytes, count: int = 0) -> bytes:
+            clock.sleep(4.0)
+            return b"1"
+
+        def close(self) -> None:
+            pass
+
+    model = find_model("serial-columns").at(parse_address("serial:///dev/null?columns=x"))
+    with pytest.raises(BusError, match="no whole line came in 10 s, only '111'"):
+        model.driver(Dripping(), clock).read()
+    assert clock.now_ns() == 12_000_000_000

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import zlib
 from pathlib import Path
 
@@ -130,3 +132,35 @@ def test_what_is_no_journal_is_said_so(path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(JournalError, match=str(path)):
         read_journal(path)
+
+
+def test_a_disk_that_is_full_leaves_the_journal_whole(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The operating system takes a part of a line, and then no more, as write(2) allows; later there is room again."""
+    writer = JournalWriter.create(path, {})
+    writer.append(*EVENTS[0])
+    before, write = path.read_bytes(), os.write
+    room = [7]
+
+    def full(descriptor: int, data: memoryview) -> int:
+        if not room[0]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        taken = write(descriptor, bytes(data[: room[0]]))
+        room[0] -= taken
+        return taken
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(JournalError, match="No space left on device; make room on the disk, then resume"):
+            writer.append(*EVENTS[1])
+    assert path.read_bytes() == before
+    writer.append(*EVENTS[2])
+    writer.finish(0)
+    writer.close()
+    assert [event.kind for event in read_journal(path).events] == ["s", "!"]
+
+
+def test_a_write_that_takes_less_is_gone_on_with(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, write = captured(path), os.write
+    path.unlink()
+    monkeypatch.setattr(os, "write", lambda descriptor, data: write(descriptor, bytes(data[:3])))
+    assert captured(path) == whole

@@ -1,4 +1,4 @@
-"""Lines that someone says: waited for, or taken where they are there already."""
+"""Lines of a text stream: waited for, or taken where they have arrived."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from collections import deque
 from typing import TextIO
 
 CHUNK = 1 << 16
+LONGEST = 1 << 16
+"""Bytes of a line that are kept; the rest of a longer one is dropped, and what is left is no answer."""
+MOST = 1000
+"""Lines that are looked at while more arrive."""
 
 
 class LineReader:
@@ -42,7 +46,7 @@ class LineReader:
 
     def waiting(self) -> list[str]:
         """The lines that are there already; they stay."""
-        while self._descriptor is not None and not self._ended:
+        while self._descriptor is not None and not self._ended and len(self._ready) < MOST:
             if not select.select([self._descriptor], [], [], 0.0)[0]:
                 break
             self._listen(self._descriptor)
@@ -56,8 +60,14 @@ class LineReader:
     def _listen(self, descriptor: int) -> None:
         arrived = os.read(descriptor, CHUNK)
         self._ended = not arrived
-        *lines, self._rest = (self._rest + arrived).split(b"\n")
-        self._ready.extend(line.decode(errors="replace") + "\n" for line in lines)
+        *lines, rest = arrived.split(b"\n")
+        if lines:
+            lines[0] = self._rest + lines[0]
+            self._rest = rest
+        else:
+            self._rest += rest
+        self._rest = self._rest[:LONGEST]
+        self._ready.extend(line[:LONGEST].decode(errors="replace") + "\n" for line in lines)
         if self._ended and self._rest:
             self._ready.append(self._rest.decode(errors="replace"))
             self._rest = b""

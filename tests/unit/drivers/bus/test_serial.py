@@ -9,6 +9,7 @@ import sys
 import threading
 import tty
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -171,7 +172,7 @@ def test_a_file_is_no_serial_port(tmp_path) -> None:
         ("serial:///dev/ttyUSB0?parity=maybe", "none of N, E, O"),
         ("serial:///dev/ttyUSB0?stopbits=3", "none of 1, 1.5, 2"),
         ("serial:///dev/ttyUSB0?timeout=0", "too small"),
-        ("serial:nosuch://somewhere", "pyserial cannot use it"),
+        ("serial:nosuch://somewhere", "cannot be used: name a port"),
     ],
 )
 def test_wrong_addresses(address: str, why: str) -> None:
@@ -183,3 +184,13 @@ def test_without_pyserial_the_package_is_named(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(HardwareError, match="pip install pyserial"):
         opened("serial:///dev/ttyUSB0")
+
+
+def test_only_handlers_that_open_a_line_and_nothing_else_are_used(tmp_path: Path) -> None:
+    """pyserial's spy:// opens any file for writing before anything is known of the port."""
+    kept = tmp_path / "kept"
+    kept.write_text("mine")
+    for url in (f"spy:///dev/null%3Ffile={kept}", "alt:///dev/ttyUSB0", "SPY:///dev/null", "cp2110://0001"):
+        with pytest.raises(UsageError, match="cannot be used: name a port, or socket://"):
+            opened(f"serial:{url}")
+    assert kept.read_text() == "mine"

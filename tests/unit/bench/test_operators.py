@@ -1,0 +1,90 @@
+"""What a person is shown and may type, and when the virtual jig gives up."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+
+import pytest
+from rich.console import Console
+
+from tiltcal.bench.operators.operator import OperatorAnswer
+from tiltcal.bench.operators.sim import SimOperator
+from tiltcal.bench.operators.terminal import TerminalOperator
+from tiltcal.errors import Stopped
+from tiltcal.files.procedure import Position
+
+LEVEL = Position("level", "Lay it level.", (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0})
+
+
+class Typed:
+    """Keys and lines that were typed beforehand."""
+
+    def __init__(self, keys: str, *lines: str) -> None:
+        self._keys, self._lines = list(keys), list(lines)
+
+    def choice(self, timeout: float | None) -> str | None:
+        return self._keys.pop(0)
+
+    def pressed(self, choices: str) -> str | None:
+        return None
+
+    def line(self) -> str:
+        return self._lines.pop(0)
+
+
+@pytest.fixture
+def shown() -> io.StringIO:
+    return io.StringIO()
+
+
+@pytest.fixture
+def person(shown: io.StringIO) -> Callable[..., TerminalOperator]:
+    console = Console(file=shown, force_terminal=True, width=100, color_system=None)
+    return lambda keys, *lines: TerminalOperator(console, Typed(keys, *lines), live=False)
+
+
+def asked(operator: TerminalOperator, position: Position = LEVEL) -> OperatorAnswer:
+    operator.begin("A title", 3, {})
+    return operator.position(position, 1, dict)
+
+
+def test_a_typed_angle_can_be_left_without_a_number(person, shown) -> None:
+    assert asked(person("a\n", "", "")) == OperatorAnswer("ready")
+    assert asked(person("at\n", "1,5", "", "")) == OperatorAnswer("ready", tilt={"x": 1.5})
+
+
+def test_what_is_wrong_with_a_typed_number_is_said_in_plain_words(person, shown) -> None:
+    answer = asked(person("at\n", "lots", "95", "0.5", "-0.25", "warm", "24.5"))
+    assert answer == OperatorAnswer("ready", tilt={"x": 0.5, "y": -0.25}, temperature=24.5)
+    said = shown.getvalue()
+    assert "'lots' will not do: type a number such as" in said
+    assert "'95' will not do: it must be between -90 and 90" in said
+    assert "could not convert" not in said
+
+
+def test_a_direction_is_typed_or_left(person, shown) -> None:
+    free = Position("free-1", "Any attitude.", (0.0, 0.0, 1.0))
+    assert asked(person("a\n", ""), free) == OperatorAnswer("ready")
+    assert asked(person("a\n", "up", "0 0 0", "0 3 4"), free).gravity == pytest.approx((0.0, 0.6, 0.8))
+    assert "type three numbers such as 0 0.5 0.866" in shown.getvalue()
+
+
+def test_no_escape_sequence_and_no_markup_of_a_file_reaches_the_terminal(person, shown) -> None:
+    """ESC ] 0 ; sets a window title, ESC [ 2 J clears the screen; a title [/] closes what rich never opened."""
+    operator = person("\n")
+    operator.begin("a[/]\x1b]0;owned\x07 title", 1, {})
+    operator.position(Position("p\x1b[2J", "Tilt \x9b2J it", (0.0, 0.0, 1.0)), 1, dict)
+    operator.refused(LEVEL, "\x1b[2J[bold]S[/]")
+    said = shown.getvalue()
+    assert "a[/]?]0;owned? title" in said
+    assert not set("\x1b\x07\x9b") & set(said)
+    assert "refused: ?[2J[bold]S[/]" in said
+
+
+def test_the_virtual_jig_gives_up_a_position_that_is_refused_again_and_again() -> None:
+    operator = SimOperator()
+    for _ in range(9):
+        operator.refused(LEVEL, "x is stuck")
+    with pytest.raises(Stopped, match="level was refused 10 times in a row: x is stuck"):
+        operator.refused(LEVEL, "x is stuck")
