@@ -45,6 +45,12 @@ _BUILT_IN = {
     "sca3000-i2c": "tiltcal.drivers.sca3000:I2C",
     "scl3300": "tiltcal.drivers.scl3300:SCL3300",
     "sca3300-d01": "tiltcal.drivers.scl3300:SCA3300",
+    "adxl355": "tiltcal.drivers.adxl355:ADXL355",
+    "sca103t-d04": "tiltcal.drivers.sca103t:SCA103T_D04",
+    "sca103t-d05": "tiltcal.drivers.sca103t:SCA103T_D05",
+    "sca61t-fahh1g": "tiltcal.drivers.sca103t:SCA61T_FAHH1G",
+    "sca61t-fa1h1g": "tiltcal.drivers.sca103t:SCA61T_FA1H1G",
+    "iis2iclx": "tiltcal.drivers.iis2iclx:IIS2ICLX",
 }
 
 

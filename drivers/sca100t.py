@@ -12,11 +12,11 @@ Source: SCA100T Series data sheet, Murata doc. 8261800 Rev. B2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import radians, sin, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from tiltcal.drivers.device import Model, Population, Reading, SpiPort
 from tiltcal.drivers.registers import check_data_line
@@ -76,8 +76,8 @@ class SelfTest:
         return self.deflection_passed and self.recovery_passed
 
 
-class Sca100t:
-    """The driver of an SCA100T, either variant.
+class Inclinometer:
+    """What the drivers of the family share: frames, their waits, and the sane range of a word.
 
     Parameters
     ----------
@@ -87,14 +87,13 @@ class Sca100t:
         Waits between frames.
     """
 
+    COMMANDS: ClassVar[Mapping[str, int]]
+    """What reads each of the part's output registers."""
+
     REFRESH = 150e-6
     """Seconds of chip select high before a read: the output registers reload every 150 µs, but not while it is low."""
     RECOVERY = 15e-6
     """Seconds of chip select high before any other frame."""
-    PUSH = 80e-3
-    """Seconds of self-test: the datasheet allows 20 to 100 ms, saturation takes 25 ms typically."""
-    SETTLING = 150e-3
-    """Seconds after the self-test: typically stable after 55 ms; nearly three times that allows for slow parts."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
@@ -106,7 +105,7 @@ class Sca100t:
         Returns
         -------
         mapping of str to str
-            The words of x and y, and the temperature.
+            The words it sent, and the temperature.
 
         Raises
         ------
@@ -115,36 +114,80 @@ class Sca100t:
         DeviceFault
             The part reports a fault, or a temperature at which it cannot work.
         """
-        reading = self.read()
-        temperature = reading.temperature or 0.0
+        words, temperature = self._sample()
         # The thermometer is not trimmed, so 10 °C are added to both ends of the part's operating range.
         if not -50.0 <= temperature <= 135.0:
             raise DeviceFault(
-                f"the device reports {temperature:.0f} °C, where an SCA100T works from -40 °C to 125 °C: "
+                f"the device reports {temperature:.0f} °C, where such a part works from -40 °C to 125 °C: "
                 "is another device on this chip select?"
             )
-        x, y = reading.values
-        return {"x": f"{x:.0f} count", "y": f"{y:.0f} count", "temperature": f"{temperature:.1f} °C (not trimmed)"}
+        return {**self._said(words), "temperature": f"{temperature:.1f} °C (not trimmed)"}
 
     def read(self) -> Reading:
-        """Take one sample: x and y in counts, 0 to 2047, and the temperature in °C.
+        """Take one sample: the channels in counts, and the temperature in °C.
 
         Raises
         ------
         BusError
             The transaction failed, or every bit of the sample is the same.
         DeviceFault
-            A word below 102.
+            A word that is a fault of the part.
         """
-        x = self._fresh(RDAX, 0, 0)
-        y = self._fresh(RDAY, 0, 0)
-        t = self._fresh(RWTR, 0)
-        # Only once it is sure that a part has sent them are the words looked at.
-        check_data_line(x + y + t)
-        return Reading((float(_checked_word("x", x)), float(_checked_word("y", y))), decode_temperature(t))
+        words, temperature = self._sample()
+        return Reading(self._values(words), temperature)
 
     def discard(self) -> None:
         """Do nothing: every read is a new conversion."""
+
+    def _said(self, words: Mapping[str, int]) -> dict[str, str]:
+        """The words for the operator."""
+        return {channel: f"{word} count" for channel, word in words.items()}
+
+    def _values(self, words: Mapping[str, int]) -> tuple[float, ...]:
+        """The reading of each channel, count."""
+        return tuple(map(float, words.values()))
+
+    def _sample(self) -> tuple[dict[str, int], float]:
+        """Every word in counts and the temperature in °C, once it is sure that a part has sent them."""
+        frames = {channel: self._fresh(command, 0, 0) for channel, command in self.COMMANDS.items()}
+        t = self._fresh(RWTR, 0)
+        check_data_line(b"".join(frames.values()) + t)
+        return {channel: self._checked(channel, frame) for channel, frame in frames.items()}, decode_temperature(t)
+
+    def _checked(self, channel: str, frame: bytes) -> int:
+        """The word of a frame; a fault signal is none."""
+        word = decode_word(frame)
+        if word < LOWEST_SANE_WORD:
+            raise DeviceFault(
+                f"{channel} reads {word} count, and words below {LOWEST_SANE_WORD} are the part's fault signal (memory "
+                "parity error or broken interconnection): switch its supply off and on; if it stays, replace the part"
+            )
+        return word
+
+    def _fresh(self, *frame: int) -> bytes:
+        """Exchange a frame that reads a register, after the reload time of the register."""
+        self._clock.sleep(self.REFRESH)
+        answer = self._link.exchange(bytes(frame))
+        if len(answer) != len(frame):
+            raise BusError(
+                f"a frame of {len(frame)} bytes was answered with {len(answer)}: the SPI adapter is at fault"
+            )
+        return answer
+
+    def _command(self, command: int) -> None:
+        self._clock.sleep(self.RECOVERY)
+        self._link.exchange(bytes([command]))
+
+
+class Sca100t(Inclinometer):
+    """The driver of an SCA100T, either variant: x and y in counts, 0 to 2047."""
+
+    COMMANDS: ClassVar[Mapping[str, int]] = {"x": RDAX, "y": RDAY}
+
+    PUSH = 80e-3
+    """Seconds of self-test: the datasheet allows 20 to 100 ms, saturation takes 25 ms typically."""
+    SETTLING = 150e-3
+    """Seconds after the self-test: typically stable after 55 ms; nearly three times that allows for slow parts."""
 
     def self_test(self, channel: str) -> SelfTest:
         """Push one axis with its electrode, and test whether it moves and returns.
@@ -165,7 +208,10 @@ class Sca100t:
         """
         if channel not in ("x", "y"):
             raise UsageError(f"an SCA100T has channels x and y, not {channel!r}")
-        start, read = (STX, RDAX) if channel == "x" else (STY, RDAY)
+        return self._pushed(channel, STX if channel == "x" else STY, self.COMMANDS[channel])
+
+    def _pushed(self, channel: str, start: int, read: int) -> SelfTest:
+        """Let one element test itself."""
         before = self._word(channel, read)
         if before < 0.95 * ZERO:
             raise UsageError(
@@ -184,21 +230,8 @@ class Sca100t:
     def _word(self, channel: str, command: int) -> int:
         frame = self._fresh(command, 0, 0)
         check_data_line(frame)
-        return _checked_word(channel, frame)
-
-    def _fresh(self, *frame: int) -> bytes:
-        """Exchange a frame that reads a register, after the reload time of the register."""
-        self._clock.sleep(self.REFRESH)
-        answer = self._link.exchange(bytes(frame))
-        if len(answer) != len(frame):
-            raise BusError(
-                f"a frame of {len(frame)} bytes was answered with {len(answer)}: the SPI adapter is at fault"
-            )
-        return answer
-
-    def _command(self, command: int) -> None:
-        self._clock.sleep(self.RECOVERY)
-        self._link.exchange(bytes([command]))
+        # An element that is pushed is at its rail.
+        return Inclinometer._checked(self, channel, frame)
 
 
 def decode_word(frame: bytes) -> int:
@@ -220,16 +253,6 @@ def decode_word(frame: bytes) -> int:
 def decode_temperature(frame: bytes) -> float:
     """Return the temperature of an answer to RWTR, °C, by the datasheet's formula (the part is not trimmed)."""
     return (frame[1] - 197) / -1.083
-
-
-def _checked_word(channel: str, frame: bytes) -> int:
-    word = decode_word(frame)
-    if word < LOWEST_SANE_WORD:
-        raise DeviceFault(
-            f"{channel} reads {word} count, and words below {LOWEST_SANE_WORD} are the part's fault signal (memory "
-            "parity error or broken interconnection): switch its supply off and on; if it stays, replace the part"
-        )
-    return word
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,16 +295,40 @@ _D01 = Sca100tVariant(counts_per_g=1638.0, range=0.5, offset_limit=0.11, nonline
 _D02 = Sca100tVariant(counts_per_g=819.0, range=1.0, offset_limit=0.23, nonlinearity=0.57)
 
 
-def _population(variant: Sca100tVariant) -> Population:
-    """Return the datasheet's curves in this variant's counts."""
-    counts = variant.counts_per_g
+def population(
+    counts: float, drift: Sequence[float], gain: Sequence[float], spread: tuple[float, float], source: str
+) -> Population:
+    """Return the mean temperature curves of a data sheet in counts.
+
+    Parameters
+    ----------
+    counts : float
+        Sensitivity, count/g.
+    drift, gain : sequence of float
+        Mean offset in degrees and mean change of the sensitivity in %, coefficients of 1, T, T², ... with T in °C.
+    spread : tuple of float
+        Standard deviation over parts of the slopes, °/°C and %/°C.
+    source : str
+    """
     return Population(
-        drift=tuple(counts * radians(k) for k in POPULATION_DRIFT),
-        gain=tuple(k / 100.0 for k in POPULATION_GAIN),
-        drift_spread=counts * radians(DRIFT_SPREAD),
-        gain_spread=GAIN_SPREAD / 100.0,
-        source="SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
+        drift=tuple(counts * radians(k) for k in drift),
+        gain=tuple(k / 100.0 for k in gain),
+        drift_spread=counts * radians(spread[0]),
+        gain_spread=spread[1] / 100.0,
+        source=source,
     )
+
+
+NOT_MODELLED = (
+    "response time: a new position and a new temperature take effect at once, without ringing",
+    "bandwidth: the noise of two samples 150 µs apart is independent",
+    "thermometer noise, and a lag between thermometer and sensing element",
+    "supply: start-up time, ratiometric error, brown-out",
+    "long-term drift, temperature hysteresis, shock",
+    "chip select released for less than 15 µs, clock above 500 kHz, bytes damaged by noise",
+    "status register and reload command (RDSR, RLOAD): answered as invalid commands",
+    "self-test of both axes at once, which the datasheet forbids",
+)
 
 
 def _twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
@@ -315,19 +362,16 @@ def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
         interval=0.010,
         thermometer=True,
         thermometer_step=1.0 / 1.083,
-        population=_population(variant),
+        population=population(
+            variant.counts_per_g,
+            POPULATION_DRIFT,
+            POPULATION_GAIN,
+            (DRIFT_SPREAD, GAIN_SPREAD),
+            "SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
+        ),
         driver=Sca100t,
         twin=_twin,
-        not_modelled=(
-            "response time: a new position and a new temperature take effect at once, without ringing",
-            "bandwidth: the noise of two samples 150 µs apart is independent",
-            "thermometer noise, and a lag between thermometer and sensing element",
-            "supply: start-up time, ratiometric error, brown-out",
-            "long-term drift, temperature hysteresis, shock",
-            "chip select released for less than 15 µs, clock above 500 kHz, bytes damaged by noise",
-            "status register and reload command (RDSR, RLOAD): answered as invalid commands",
-            "self-test of both axes at once, which the datasheet forbids",
-        ),
+        not_modelled=NOT_MODELLED,
         default_truth=partial(_default_truth, variant),
         spi=SpiPort(modes=(0, 3), fastest=500_000),
     )

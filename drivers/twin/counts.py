@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import cos, pi, sin
 from typing import TYPE_CHECKING, Protocol
@@ -113,6 +113,58 @@ class Registers(Protocol):
         ...
 
 
+class CountingUp:
+    """Registers whose address counts up in a burst, of a part that tells when a new sample is there.
+
+    Parameters
+    ----------
+    conversions : Conversions
+    clock : Clock
+        Session time.
+    after_reset : mapping of int to int
+        What registers hold after a reset; the others hold 0.
+    set_up : mapping of int to int
+        What the driver sets.
+    """
+
+    def __init__(
+        self, conversions: Conversions, clock: Clock, after_reset: Mapping[int, int], set_up: Mapping[int, int]
+    ) -> None:
+        self.conversions = conversions
+        self._clock = clock
+        self._after_reset = after_reset
+        self._set_up = set_up
+        self._held = dict(after_reset)
+        self._taken = -1
+
+    def read(self, first: int, count: int) -> bytes:
+        """Return ``count`` registers from ``first`` up, all of one moment."""
+        measured = self._measured()
+        return bytes(measured.get(register, self._held.get(register, 0)) for register in range(first, first + count))
+
+    def write(self, register: int, value: int) -> None:
+        """Set a register; those of the data and the identity keep what they hold."""
+        self._held[register] = value
+
+    def recalled(self) -> None:
+        """Be as a part is that its driver has set up."""
+        self._held = {**self._after_reset, **self._set_up}
+
+    def _reset(self) -> None:
+        self._held = dict(self._after_reset)
+
+    def _measured(self) -> dict[int, int]:
+        """Registers that the part itself writes."""
+        raise NotImplementedError
+
+    def _new_sample(self, rate: float) -> bool:
+        """Whether a sample has come since the one that was taken last."""
+        return int(self._clock.now_ns() / 1e9 * rate) > self._taken
+
+    def _take_sample(self, rate: float) -> None:
+        self._taken = int(self._clock.now_ns() / 1e9 * rate)
+
+
 class SpiTwin:
     """A part with registers on the SPI bus.
 
@@ -162,6 +214,8 @@ class SpiTwin:
         register, writing = self._decode(out[0])
         if writing:
             at_time(self._clock, now_ns, lambda: self._registers.write(register, out[-1]))
+        else:
+            at_time(self._clock, now_ns, lambda: self._registers.read(register, len(out) - 1))
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
@@ -211,6 +265,9 @@ class I2cTwin:
             self._recalling = True
         if len(out) > 1:
             at_time(self._clock, now_ns, lambda: self._registers.write(self._decode(out[0]), out[1]))
+        elif out:
+            # How many bytes were read is not told; the first one takes the sample.
+            at_time(self._clock, now_ns, lambda: self._registers.read(self._decode(out[0]), 1))
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""

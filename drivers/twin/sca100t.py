@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import comb, cos, exp, log, pi, radians, sin
 from typing import TYPE_CHECKING, ClassVar
@@ -62,6 +63,9 @@ class Sca100tTwin:
 
     letter = "s"
 
+    ELEMENTS: ClassVar[Mapping[int | None, str]] = {RDAX: "x", RDAY: "y"}
+    """The sensing element behind each command."""
+
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         self._truth = truth
         self._fixture = fixture
@@ -98,8 +102,9 @@ class Sca100tTwin:
         command = out[0] if out else None
         now_ns = self._clock.now_ns()
         filler = int(uniform(self._truth.seed, "filler", now_ns) * 2**24).to_bytes(3, "big")
-        if command in (RDAX, RDAY):
-            word = self._word("x" if command == RDAX else "y", fault)
+        channel = self.ELEMENTS.get(command)
+        if channel is not None:
+            word = self._word(channel, fault)
             return bytes([filler[0], word >> 3, (word & 0b111) << 5 | filler[2] & 0b11111])
         if command == RWTR:
             return bytes([filler[0], self._thermometer()])
@@ -120,12 +125,16 @@ class Sca100tTwin:
 
     def _converted(self, channel: str, instant: Instant) -> int:
         """Return the reading of an instant with its noise, rounded, and clipped to 11 bits."""
-        reading = self._truth.reading(channel, instant.gravity, instant.temperature)
+        reading, noise = self._reading(channel, instant)
         reading += self._reach(channel, instant) * self._pushes[channel].at(instant.now_ns)
-        noise = self._truth.noise.get(channel, 0.0)
         if noise:
             reading += noise * normal(self._truth.seed, f"noise {channel}", instant.conversion)
         return min(max(round(reading), 0), FULL_SCALE)
+
+    def _reading(self, channel: str, instant: Instant) -> tuple[float, float]:
+        """What an element reads, and the standard deviation of its noise, count."""
+        reading = self._truth.reading(channel, instant.gravity, instant.temperature)
+        return reading, self._truth.noise.get(channel, 0.0)
 
     def _reach(self, channel: str, instant: Instant) -> float:
         """Return the change of the reading by a full push, count: past the rail, or 1 g if the axis points down."""

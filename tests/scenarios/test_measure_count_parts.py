@@ -8,7 +8,6 @@ from __future__ import annotations
 import errno
 import json
 import sys
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,13 +15,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.command import tiltcal
-from support.emulated.bench import Bench, PartFacts, Scl3300, run_on_spi
+from support.emulated.bench import Adxl355, Bench, Iis2iclx, PartFacts, Sca103t, Scl3300, run_on_i2c, run_on_spi
 
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.files.calibration import read_calibration
 
 SPI = "spi:///dev/spidev0.0"
+
+FEW = ("--samples", "30")
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,6 @@ class Setup:
     ----------
     sensor, address, procedure : str
     part : PartFacts
-    library : str
-        Python package of the bus.
     options : tuple of str
         Of ``tiltcal measure``.
     """
@@ -43,11 +42,14 @@ class Setup:
     address: str
     procedure: str
     part: PartFacts
-    library: str = "spidev"
-    options: tuple[str, ...] = ()
+    options: tuple[str, ...] = FEW
 
     def run(self, program: list[str]) -> AbstractContextManager[Bench]:
-        pytest.importorskip(self.library, reason=f"the {self.library} package is not installed")
+        address = parse_address(self.address)
+        library = {"spi": "spidev", "i2c": "smbus2"}[address.scheme]
+        pytest.importorskip(library, reason=f"the {library} package is not installed")
+        if address.scheme == "i2c":
+            return run_on_i2c(program, self.part, address.integer("address"))
         return run_on_spi(program, self.part)
 
     def program(self, folder: Path) -> list[str]:
@@ -59,15 +61,22 @@ class Setup:
 
 
 SCL = Setup("scl3300", SPI, "six-face", Scl3300(), options=("--samples", "20"))
+ONE = Sca103t(1638.0, 1, 0.0, noise=0.0008 * np.radians(1) * 18**0.5 + 0.5 / 1638.0)
+I2C = "i2c:///dev/i2c-1?address="
+ADXL = Setup("adxl355", SPI, "six-face", Adxl355())
 SETUPS = [
     SCL,
-    Setup(
-        "sca3300-d01",
-        f"{SPI}?range=1.5g",
-        "six-face",
-        Scl3300(0x51, noise=0.4e-3, corner=70.0, seed=3),
-        options=("--samples", "30"),
-    ),
+    Setup("sca3300-d01", f"{SPI}?range=1.5g", "six-face", Scl3300(0x51, noise=0.4e-3, corner=70.0, seed=3)),
+    ADXL,
+    Setup("adxl355", f"{I2C}0x53&range=4g&rate=250", "six-face", Adxl355(clock=0.96, seed=2)),
+    # A jig that misses 30° by 0.01° misses sin 30° by 0.3 mg/g; the larger the angle, the smaller that is.
+    Setup("iis2iclx", SPI, "cross-axis", Iis2iclx(), (*FEW, "--tilt", "60")),
+    Setup("iis2iclx", f"{I2C}0x6a", "cross-axis", Iis2iclx(seed=2), (*FEW, "--tilt", "60")),
+    # 14° is all that an SCA103T-D04 has: 0.01° would be 0.5 mg/g.
+    Setup("sca103t-d04", SPI, "plane", Sca103t(jig=0.002), (*FEW, "--tilt", "14")),
+    Setup("sca103t-d05", SPI, "plane", Sca103t(3277.0, seed=4), ("--samples", "60", "--tilt", "30")),
+    Setup("sca61t-fahh1g", SPI, "plane", ONE, ("--samples", "60")),
+    Setup("sca61t-fa1h1g", SPI, "plane", replace(ONE, counts_per_g=819.0, seed=3), ("--samples", "60", "--tilt", "60")),
 ]
 
 
@@ -83,13 +92,13 @@ def test_a_calibration_finds_the_truth_of_the_part(setup: Setup, tmp_path: Path)
 
 def test_a_damaged_line_costs_frames_and_no_accuracy(tmp_path: Path) -> None:
     """One bit of one frame in fifty: the calibration is as good, and the file says what the line damaged."""
-    setup = replace(SCL, part=Scl3300(damage=0.02, seed=5))
+    setup = replace(SCL, part=Scl3300(damage=0.02, seed=5), options=("--samples", "50"))
     with setup.run(setup.program(tmp_path)) as bench:
         assert bench.lead()[-1]["event"] == "done"
         assert bench.exit_code == 0, bench.errors()
         part = bench.counts()
     require_true(setup, tmp_path)
-    counted = read_calibration(tmp_path / "A-1.yaml").provenance["link_statistics"]
+    counted = read_calibration(tmp_path / "A-1.yaml").provenance.link_statistics
     # The probe before the session has a link of its own; what it saw damaged is in no file.
     assert 0 <= part["answers_damaged"] - counted["damaged"] <= 4
     assert 0 <= part["requests_damaged"] - counted["refused"] <= 6
@@ -103,25 +112,28 @@ def pull_the_plug(bench: Bench) -> None:
     bench.call("restart")
 
 
+SCL_2G = replace(SCL, address=f"{SPI}?range=2.4g", part=Scl3300(noise=178e-6, corner=70.0, seed=2))
+
+
 @pytest.mark.parametrize(
-    ("happens", "why"),
+    ("setup", "fault", "why"),
     [
-        (lambda bench: bench.call("restart"), "was reset or its supply failed since it was set up"),
-        (pull_the_plug, "/dev/spidev0.0 has gone: plug the SPI adapter in again"),
+        (SCL_2G, 0, "was reset or its supply failed since it was set up"),
+        (SCL_2G, errno.ENODEV, "/dev/spidev0.0 has gone: plug the SPI adapter in again"),
+        (SETUPS[3], 0, "was reset or its supply failed since it was set up (register 0x28 holds 0x00, not 0x04"),
+        (SETUPS[5], errno.EREMOTEIO, "acknowledges at address 0x6a on /dev/i2c-1"),
     ],
-    ids=["brown-out", "unplugged"],
+    ids=["scl3300-brown-out", "scl3300-unplugged", "adxl355-brown-out", "iis2iclx-unplugged"],
 )
-def test_what_happens_in_mid_session_is_told_and_redone(
-    happens: Callable[[Bench], None], why: str, tmp_path: Path
-) -> None:
-    """In another mode than the part has after a reset, so that words of the wrong scale would show."""
-    setup = replace(SCL, address=f"{SPI}?range=2.4g", part=Scl3300(noise=178e-6, corner=70.0, seed=2))
+def test_what_happens_in_mid_session_is_told_and_redone(setup: Setup, fault: int, why: str, tmp_path: Path) -> None:
+    """The part is in another range than after a reset, so that words of the wrong scale would show."""
     with setup.run(setup.program(tmp_path)) as bench:
         take_position(bench)
         assert read_line(bench)["event"] == "accepted"
         ask = read_line(bench)
         bench.pose(ask["gravity"], ask.get("temperature"))
-        happens(bench)
+        bench.fail(fault)
+        bench.call("restart")
         bench.say(json.dumps({"answer": "ready"}))
         refused = read_line(bench)
         assert refused["event"] == "refused"

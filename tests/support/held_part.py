@@ -48,6 +48,8 @@ class HeldPart:
         self.corner = corner
         self.jig = radians(jig)
         self.chance = random.Random(seed)
+        # The jig has its own: how often the part is read must not change where it stands.
+        self.misses = random.Random(seed)
         self.gravity = [0.0, 0.0, 1.0]
         self.temperature = 24.0
         self.broken = False
@@ -57,7 +59,7 @@ class HeldPart:
 
     def pose(self, gravity: list[float], temperature: float | None) -> None:
         """Lie as asked, but for the jig's error: g' = g + e x g for a small rotation e."""
-        ex, ey, ez = (self.chance.gauss(0.0, self.jig) for _ in range(3))
+        ex, ey, ez = (self.misses.gauss(0.0, self.jig) for _ in range(3))
         gx, gy, gz = gravity
         missed = [gx + ey * gz - ez * gy, gy + ez * gx - ex * gz, gz + ex * gy - ey * gx]
         length = sum(component**2 for component in missed) ** 0.5

@@ -16,7 +16,7 @@ the sensor upside down.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import pi, radians, sin
 
@@ -142,7 +142,7 @@ class Compensation:
     Parameters
     ----------
     coefficients : Coefficients
-        As many channels as axes, or two channels over x, y and z.
+        As many channels as axes, two channels over x, y and z, or one channel over its own axis and others.
     limits : Limits
         The ranges that the calibration covers, and the rails of each channel. The tilt range is that of the sensor's
         own axes, before the mounting rotation, because that is where it was covered.
@@ -171,6 +171,8 @@ class Compensation:
     Two channels and a mounting rotation, or a z column: g_z is +sqrt(1 - g_x² - g_y²) unless element zz of the
     mounting matrix is negative (the sensor hangs upside down), then it is minus that. Where g_x² + g_y² > 1, g_z is 0
     and the row has flag 3 and reason 1.
+
+    One channel: the other axes are taken to be level, whatever the columns say of them.
     """
 
     def __init__(self, coefficients: Coefficients, limits: Limits | None = None, *, first_order: bool = False) -> None:
@@ -179,6 +181,9 @@ class Compensation:
         own = tuple(axis for axis in AXES if axis in coefficients.axes)
         sensitivity = coefficients.sensitivity[:, [coefficients.axes.index(axis) for axis in own]]
         self.axes = own[:2] if (channels, own) == (2, AXES) else own
+        if channels == 1 and coefficients.channels[0] in own:
+            # What one channel sees of the other axes is not told from tilt: they are taken to be level.
+            self.axes = coefficients.channels
         if len(self.axes) != channels:
             raise EstimateError(
                 f"{channels} channel{'s' * (channels > 1)} ({', '.join(coefficients.channels)}) cannot be turned into "
@@ -190,7 +195,7 @@ class Compensation:
         self._offset = coefficients.offset
         self._coefficients = coefficients
         self._thermal = coefficients.thermal
-        square = sensitivity[:, : len(self.axes)]
+        square = sensitivity[:, [own.index(axis) for axis in self.axes]]
         self.inverse = _first_order_inverse(square) if first_order else _inverse(square)
         self.rotation: Array | None = None
         if coefficients.mounting is not None:
@@ -199,7 +204,9 @@ class Compensation:
                 if self.axes not in (("x", "y"), AXES):
                     raise EstimateError("a mounting rotation takes a sensor that measures at least x and y")
                 self.rotation = rotation
-        self.coupling = self.inverse @ sensitivity[:, 2] if len(own) > channels else np.zeros(2)
+        self.coupling = (
+            self.inverse @ sensitivity[:, 2] if self.axes == own[:2] and len(own) > channels else np.zeros(2)
+        )
         self._hidden = channels == 2 and (len(own) > channels or self.rotation is not None)
         self._upside_down = self.rotation is not None and bool(self.rotation[2, 2] < -_ROUNDING)
 
@@ -238,7 +245,12 @@ class Compensation:
         )
 
     def __call__(
-        self, readings: ArrayLike, temperature: ArrayLike | None = None, *, out: Compensated | None = None
+        self,
+        readings: ArrayLike,
+        temperature: ArrayLike | None = None,
+        *,
+        out: Compensated | None = None,
+        follow: Callable[[KernelChunk], None] | None = None,
     ) -> Compensated:
         """Compensate rows.
 
@@ -251,6 +263,8 @@ class Compensation:
             °C; NaN where it is missing.
         out : Compensated, optional
             Room for n rows, from :meth:`Compensated.empty`, that an earlier call has filled: its memory is used again.
+        follow : callable, optional
+            Told of every few rows while they are in the cache.
 
         Returns
         -------
@@ -262,28 +276,21 @@ class Compensation:
         ValueError
             The shapes do not fit.
         """
-        result = Compensated.empty(len(np.asarray(readings)), len(self.axes)) if out is None else out
-        for _chunk in self.chunks(readings, temperature, result):
-            pass
-        return result
-
-    def chunks(self, readings: ArrayLike, temperature: ArrayLike | None, out: Compensated) -> Iterator[KernelChunk]:
-        """Compensate rows into ``out``, and yield every few of them while they are in the cache.
-
-        The arguments and errors are those of a call.
-        """
         u = np.asarray(readings, dtype=float)
         if u.ndim != 2 or u.shape[1] != len(self._offset):
             raise ValueError(f"readings have shape {u.shape}; the calibration takes (n, {len(self._offset)})")
         t = None if temperature is None else np.asarray(temperature, dtype=float)
         if t is not None and t.shape != u.shape[:1]:
             raise ValueError(f"temperature has shape {t.shape}; the readings need ({len(u)},)")
-        if out.gravity.shape != (len(u), len(self.axes)):
-            raise ValueError(f"out has shape {out.gravity.shape}; the result has ({len(u)}, {len(self.axes)})")
-        for rows, part in out.chunks():
-            with np.errstate(all="ignore"):
-                chunk = self._compensate(rows, u[rows].T, None if t is None else t[rows], part)
-            yield chunk
+        result = Compensated.empty(len(u), len(self.axes)) if out is None else out
+        if result.gravity.shape != (len(u), len(self.axes)):
+            raise ValueError(f"out has shape {result.gravity.shape}; the result has ({len(u)}, {len(self.axes)})")
+        with np.errstate(all="ignore"):
+            for rows, part in result.chunks():
+                stage = self._compensate(rows, u[rows].T, None if t is None else t[rows], part)
+                if follow is not None:
+                    follow(stage)
+        return result
 
     def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
         """One chunk, ``u`` having a row per channel, into ``out``."""

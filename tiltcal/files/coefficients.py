@@ -127,14 +127,16 @@ def _read_matrix(node: Node, channels: Sequence[str]) -> tuple[tuple[str, ...], 
 
 
 def _square_columns(node: Node, channels: Sequence[str], axes: Sequence[str]) -> list[int]:
-    """The columns that are inverted: all of them, or x and y where z comes from unit gravity."""
+    """The columns that are inverted: all, x and y where z comes from unit gravity, or that of a single channel."""
     if len(axes) == len(channels):
         return list(range(len(axes)))
     if len(channels) == 2 and len(axes) == 3:
         return [0, 1]
+    if len(channels) == 1 and channels[0] in axes:
+        return [axes.index(channels[0])]
     raise node.error(
         f"{len(axes)} columns [{', '.join(axes)}] do not go with {len(channels)} channels [{', '.join(channels)}]: "
-        f"there are as many columns as channels, or for two channels the columns x, y and z"
+        f"there are as many columns as channels; for two channels the columns x, y and z; for one its own and others"
     )
 
 

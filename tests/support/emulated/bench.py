@@ -99,6 +99,53 @@ class Scl3300:
     seed: int = 1
 
 
+@dataclass(frozen=True)
+class Adxl355:
+    """The truth of the independent ADXL355: see :mod:`support.adxl355_part`."""
+
+    kind: ClassVar[str] = "adxl355"
+
+    clock: float = 1.03
+    races: int = 1
+    offset: tuple[float, ...] = (0.0313, -0.0184, 0.0262)
+    sensitivity: tuple[tuple[float, ...], ...] = ROWS
+    noise: float = 25e-6 * 31.25**0.5
+    corner: float = 31.25
+    jig: float = 0.01
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Iis2iclx:
+    """The truth of the independent IIS2ICLX, two rows: see :mod:`support.iis2iclx_part`."""
+
+    kind: ClassVar[str] = "iis2iclx"
+
+    offset: tuple[float, ...] = (0.0053, -0.0034)
+    sensitivity: tuple[tuple[float, ...], ...] = ROWS[:2]
+    noise: float = 15e-6 * 52**0.5
+    corner: float = 52.0
+    jig: float = 0.01
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Sca103t:
+    """The truth of the independent SCA103T, or with one element SCA61T: see :mod:`support.sca103t_part`."""
+
+    kind: ClassVar[str] = "sca103t"
+
+    counts_per_g: float = 6554.0
+    elements: int = 2
+    common: float = 3.4
+    offset: tuple[float, ...] = (0.0008,)
+    sensitivity: tuple[tuple[float, ...], ...] = ((1.004, 0.012, 0.0),)
+    noise: float = 0.0004 * 3.14159 / 180 * 28**0.5
+    corner: float = 18.0
+    jig: float = 0.01
+    seed: int = 1
+
+
 class Message(NamedTuple):
     """One SPI message or I2C transaction as the kernel's side saw it: times on the monotonic clock, ns."""
 

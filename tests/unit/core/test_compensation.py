@@ -121,6 +121,14 @@ class TestAgainstASeparateCalculation:
         assert (result.flag == 1).all()
         assert result.pitch is None
 
+    def test_one_channel_takes_the_other_axes_to_be_level(self) -> None:
+        """A sensor of one axis from `plane`, which determines what y adds to it as well."""
+        known = Coefficients(("x",), ("x", "y"), np.array([3.0]), np.array([[6554.0, 120.0]]))
+        kernel = Compensation(known)
+        assert kernel.axes == ("x",)
+        result = kernel(np.array([[3.0], [3.0 + 6554.0 * 0.17], [3.0 - 6554.0 * 0.1]]))
+        assert result.tilt[:, 0] == pytest.approx([0.0, degrees(asin(0.17)), degrees(asin(-0.1))])
+
     def test_three_channels_with_a_mounting(self) -> None:
         mounting = Mounting(radians(-170), radians(35), radians(100))
         known = coefficients(THREE, thermal=second_order(3), mounting=mounting)
@@ -350,7 +358,7 @@ class TestShape:
         ("known", "said"),
         [
             (coefficients(((1.0, 2.0), (2.0, 4.0))), "singular"),
-            (coefficients(((1.0, 0.0, 0.1),)), "1 channel .* 3 axes"),
+            (coefficients(((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))), "3 channels .* 2 axes"),
             (coefficients(((1.0,),), mounting=Mounting(roll=0.1)), "mounting"),
         ],
     )

@@ -53,6 +53,20 @@ def read(text: str) -> CalibrationRecord:
     return calibration_of(parse_document(text, "c.yaml"))
 
 
+def test_a_single_channel_may_have_other_columns() -> None:
+    """What `plane` finds of a sensor with one axis."""
+    text = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: sca103t-d04, serial: 7, unit: count, channels: [x]}
+calibration: {offset: {x: 3.1}, sensitivity: {x: {x: 6554.0, y: 120.0}}}
+"""
+    coefficients = read(text).coefficients
+    assert (coefficients.axes, coefficients.sensitivity.tolist()) == (("x", "y"), [[6554.0, 120.0]])
+    with pytest.raises(InputError, match=r"2 columns \[y, z\] do not go with 1 channels"):
+        read(text.replace("{x: 6554.0, y: 120.0}", "{y: 120.0, z: 4.0}"))
+
+
 def test_example_is_read() -> None:
     calibration = read(EXAMPLE)
     coefficients = calibration.coefficients
@@ -136,7 +150,7 @@ def test_error_names_line_and_key(old: str, new: str, line: int, key: str, about
     assert about in caught.value.message
 
 
-@pytest.mark.parametrize(("channels", "columns"), [("xy", "x"), ("x", "xy"), ("xyz", "xy"), ("xy", "")])
+@pytest.mark.parametrize(("channels", "columns"), [("xy", "x"), ("x", "yz"), ("xyz", "xy"), ("xy", "")])
 def test_columns_go_with_channels(channels: str, columns: str) -> None:
     row = "{" + ", ".join(f"{axis}: {n + 1}" for n, axis in enumerate(columns)) + "}"
     text = (

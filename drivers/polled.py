@@ -1,0 +1,120 @@
+"""Parts that are set up by registers, and say in a status register when the next sample is there."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.registers import RegisterPort
+from tiltcal.errors import BusError, DeviceFault
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.device import Reading
+
+PERIODS = 6
+"""Sample periods without a sample that are an error."""
+
+Settings = Sequence[tuple[int, int]]
+"""Registers and their values, in the order they are written."""
+
+
+class PolledSensor(ABC):
+    """What the drivers of such parts share.
+
+    The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
+    set up, so a reset shows as samples that do not come.
+
+    Parameters
+    ----------
+    port : RegisterPort
+    clock : Clock
+    name : str
+        Of the part, for messages.
+    rate : float
+        Samples a second.
+    ready : tuple of int
+        Status register, and the bit that stands while a new sample is there.
+    """
+
+    def __init__(self, port: RegisterPort, clock: Clock, name: str, rate: float, ready: tuple[int, int]) -> None:
+        self._port = port
+        self._clock = clock
+        self._name = name
+        self._period = 1.0 / rate
+        self._status, self._bit = ready
+        self._ready = False
+
+    def read(self) -> Reading:
+        """Wait for the next sample and take it: counts, and the temperature in °C.
+
+        Raises
+        ------
+        BusError
+            The transaction failed, or every bit of the sample is the same.
+        DeviceFault
+            Another part answers, it does not keep its settings, or it was reset since it was set up.
+        """
+        ready, self._ready = self._ready, False
+        if not ready:
+            self._set_up()
+        if not self._sample_comes():
+            raise DeviceFault(self._why_no_sample(ready))
+        reading = self._sample()
+        self._ready = True
+        return reading
+
+    def discard(self) -> None:  # noqa: B027 - a part that is polled has nothing to forget
+        """Nothing queues up: every read takes the latest sample."""
+
+    @abstractmethod
+    def _set_up(self) -> None:
+        """Reset the part and write its settings."""
+
+    @abstractmethod
+    def _settings(self) -> Settings:
+        """What the part is set to while it measures."""
+
+    @abstractmethod
+    def _sample(self) -> Reading:
+        """Take the sample that is there."""
+
+    def _sample_comes(self) -> bool:
+        for _ in range(4 * PERIODS):
+            (status,) = self._port.read(self._status, 1)
+            # A line that is stuck high has this bit as well; the data show it.
+            if status & self._bit:
+                return True
+            self._clock.sleep(self._period / 4)
+        return False
+
+    def _write(self, settings: Settings) -> None:
+        """Write registers, and see that the part has taken them."""
+        for register, value in settings:
+            self._port.write(register, value)
+        wrong = self._unlike(settings)
+        if wrong:
+            raise BusError(
+                f"the {self._name} does not keep what is written to it ({wrong}): check MOSI or SDA, the clock and the "
+                "supply"
+            )
+
+    def _unlike(self, settings: Settings) -> str:
+        """Registers that hold something else, in words."""
+        held = [(register, value, self._port.read(register, 1)[0]) for register, value in settings]
+        return ", ".join(
+            f"register 0x{register:02X} holds 0x{found:02X}, not 0x{value:02X}"
+            for register, value, found in held
+            if found != value
+        )
+
+    def _why_no_sample(self, was_ready: bool) -> str:
+        waited = f"no sample came for {PERIODS * self._period:.3g} s"
+        wrong = self._unlike(self._settings()) if was_ready else ""
+        if wrong:
+            return (
+                f"the {self._name} was reset or its supply failed since it was set up ({wrong}): check the supply and "
+                "its wires; it is set up anew"
+            )
+        return f"{waited}: the {self._name} does not measure; switch its supply off and on"

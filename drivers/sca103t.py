@@ -1,0 +1,199 @@
+"""VTI (Murata) SCA103T and SCA61T one-axis inclinometers on SPI, with the commands of the SCA100T.
+
+The SCA103T has two elements on one axis that look opposite ways; its reading is RDAX less RDAY. A memory parity error
+drives both words below 102, and their difference would be that of a level part, so each word is judged by itself. The
+SCA61T has one element and is asked for nothing but RDAX and the temperature.
+
+Sources: SCA103T data sheet, VTI 8261700 Rev. A; of the SCA61T (8261900) the title page, pages 10 to 12 and what drivers
+quote of its curves. Its limits as delivered were not found: they are taken as those of the SCA100T, which has the same
+element.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from math import radians, sin, sqrt
+from typing import TYPE_CHECKING, ClassVar
+
+from tiltcal.drivers import sca100t
+from tiltcal.drivers.device import Model, Population
+from tiltcal.drivers.sca100t import (
+    LOWEST_SANE_WORD,
+    RDAX,
+    RDAY,
+    SENSITIVITY_LIMIT,
+    STX,
+    STY,
+    Inclinometer,
+    Sca100t,
+    SelfTest,
+    decode_word,
+    population,
+)
+from tiltcal.errors import DeviceFault, UsageError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import HeldPose
+    from tiltcal.drivers.twin.truth import Truth
+
+HIGHEST_SANE_WORD = 1945
+"""Of an SCA103T; beyond it lies a broken connection, or a tilt that the part does not measure."""
+
+
+class Sca61t(Inclinometer):
+    """The driver of an SCA61T: x in counts, 0 to 2047."""
+
+    COMMANDS: ClassVar[Mapping[str, int]] = {"x": RDAX}
+
+
+class Sca103t(Sca100t):
+    """The driver of an SCA103T: the difference of its two elements in counts."""
+
+    ELEMENTS: ClassVar[tuple[tuple[str, int, int], ...]] = (("RDAX", STX, RDAX), ("RDAY", STY, RDAY))
+    COMMANDS: ClassVar[Mapping[str, int]] = {name: read for name, _, read in ELEMENTS}
+
+    def self_test(self, channel: str) -> SelfTest:
+        """Push one element with its electrode, then the other; see :meth:`Sca100t.self_test`.
+
+        Returns
+        -------
+        SelfTest
+            Of the first element that does not pass, or of the second one.
+        """
+        if channel != "x":
+            raise UsageError(f"an SCA103T has channel x, no {channel!r}")
+        first, second = (self._pushed(*element) for element in self.ELEMENTS)
+        return second if first.passed else first
+
+    def _said(self, words: Mapping[str, int]) -> dict[str, str]:
+        plus, minus = words.values()
+        return {
+            "x": f"{plus - minus} count",
+            "elements": f"{plus} and {minus} count, together {plus + minus} (2048 but for temperature and supply)",
+        }
+
+    def _values(self, words: Mapping[str, int]) -> tuple[float, ...]:
+        plus, minus = words.values()
+        return (float(plus - minus),)
+
+    def _checked(self, channel: str, frame: bytes) -> int:
+        word = decode_word(frame)
+        if not LOWEST_SANE_WORD <= word <= HIGHEST_SANE_WORD:
+            raise DeviceFault(
+                f"{channel} reads {word} count, outside {LOWEST_SANE_WORD} to {HIGHEST_SANE_WORD}: it is tilted "
+                "beyond its range, or shows a memory parity error or a broken connection: bring it near level; if "
+                "it stays, switch its supply off and on"
+            )
+        return word
+
+
+@dataclass(frozen=True, slots=True)
+class OneAxisPart:
+    """What distinguishes the parts.
+
+    Attributes
+    ----------
+    title : str
+    counts_per_g : float
+    zero : float
+        Nominal reading at 0 g, count.
+    offset_limit : float
+        As delivered, degrees.
+    rails : tuple of float
+        count.
+    population : Population
+    """
+
+    title: str
+    counts_per_g: float
+    zero: float
+    offset_limit: float
+    rails: tuple[float, float]
+    population: Population
+
+    @property
+    def differential(self) -> bool:
+        """Whether two elements make the reading."""
+        return self.zero == 0.0
+
+
+def _sca103t(variant: str, extent: str, counts: float, offset_limit: float) -> OneAxisPart:
+    reach = float(HIGHEST_SANE_WORD - LOWEST_SANE_WORD + 1)
+    return OneAxisPart(
+        title=f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, {extent}, SPI",
+        counts_per_g=counts,
+        zero=0.0,
+        offset_limit=offset_limit,
+        rails=(-reach, reach),
+        # Its offset has no tendency; the slope differs over parts.
+        population=population(
+            counts,
+            (0.0, 0.0),
+            (-0.031, 0.0032, -0.00005, -0.0000005),
+            (0.002, 0.013),
+            "SCA103T data sheet 8261700 Rev. A, mean temperature curve of the sensitivity",
+        ),
+    )
+
+
+def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> OneAxisPart:
+    return OneAxisPart(
+        title=f"VTI (Murata) SCA61T-{variant} one-axis inclinometer, {extent}, SPI",
+        counts_per_g=counts,
+        zero=float(sca100t.ZERO),
+        offset_limit=offset_limit,
+        rails=(float(LOWEST_SANE_WORD - 1), float(sca100t.FULL_SCALE)),
+        population=population(
+            counts,
+            (0.0514, -0.0032, 0.0000857, -0.0000005),
+            (0.0362, 0.0019, -0.00011),
+            (sca100t.DRIFT_SPREAD, sca100t.GAIN_SPREAD),
+            "SCA61T data sheet 8261900, mean temperature curves as a driver quotes them; their spread over parts is "
+            "the SCA100T's",
+        ),
+    )
+
+
+def _driver(part: OneAxisPart, link: Link, clock: Clock) -> Inclinometer:
+    return Sca103t(link, clock) if part.differential else Sca61t(link, clock)
+
+
+def _twin(part: OneAxisPart, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+    from tiltcal.drivers.twin.sca103t import Sca61tTwin, Sca103tTwin
+
+    return (Sca103tTwin if part.differential else Sca61tTwin)(truth, fixture, clock)
+
+
+def _default_truth(part: OneAxisPart, seed: int) -> Truth:
+    from tiltcal.drivers.twin.sca103t import draw_truth
+
+    return draw_truth(part, seed)
+
+
+def _model(name: str, part: OneAxisPart) -> Model:
+    # All that is not of the part is the SCA100T's: bus, waits, bandwidth, thermometer.
+    return replace(
+        sca100t.D01,
+        name=name,
+        title=part.title,
+        channels=("x",),
+        offset=part.zero,
+        sensitivity=part.counts_per_g,
+        offset_spread=sin(radians(part.offset_limit)) / sqrt(3.0),
+        sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
+        rails=part.rails,
+        population=part.population,
+        driver=partial(_driver, part),
+        twin=partial(_twin, part),
+        default_truth=partial(_default_truth, part),
+    )
+
+
+SCA103T_D04 = _model("sca103t-d04", _sca103t("D04", "±15°", 6554.0, 0.057))
+SCA103T_D05 = _model("sca103t-d05", _sca103t("D05", "±30°", 3277.0, 0.11))
+SCA61T_FAHH1G = _model("sca61t-fahh1g", _sca61t("FAHH1G", "±30°", 1638.0, 0.11))
+SCA61T_FA1H1G = _model("sca61t-fa1h1g", _sca61t("FA1H1G", "±90°", 819.0, 0.23))

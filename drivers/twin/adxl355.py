@@ -1,0 +1,124 @@
+"""The virtual ADXL355: links that answer the bytes the part would send, over SPI and over I2C."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.adxl355 import (
+    AFTER_RESET,
+    CENTRE,
+    CENTRE_CELSIUS,
+    COUNTS_PER_G,
+    DATA,
+    DATA_READY,
+    DENSITY,
+    FASTEST,
+    FILTER,
+    IDENTITY,
+    MEASURE,
+    OFFSET_LIMIT,
+    POWER,
+    RANGE,
+    RESET,
+    RESET_CODE,
+    SENSITIVITY_LIMIT,
+    SHADOW,
+    SLOPE,
+    STATUS,
+    TEMPERATURE,
+    WHO,
+    Adxl355Settings,
+)
+from tiltcal.drivers.twin import counts
+from tiltcal.drivers.twin.counts import Conversions, CountingUp, I2cTwin, SpiTwin, Spread
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import HeldPose
+    from tiltcal.drivers.twin.truth import Truth
+
+RAIL = 2**19
+STANDBY = 0x01
+REVISION = 1
+TRIM = bytes.fromhex("2A 7C 05 91 3E")
+"""What the shadow registers of this part hold."""
+
+HELD = {
+    **dict(enumerate((*WHO, REVISION), IDENTITY)),
+    RANGE: AFTER_RESET | 1,
+    POWER: STANDBY,
+    **dict(enumerate(TRIM, SHADOW)),
+}
+"""After a reset."""
+
+
+class Adxl355Registers(CountingUp):
+    """The registers of one virtual part.
+
+    Parameters
+    ----------
+    conversions : Conversions
+    clock : Clock
+        Session time.
+    settings : Adxl355Settings
+        What the driver is going to set; the truth is in counts of this range.
+    """
+
+    def __init__(self, conversions: Conversions, clock: Clock, settings: Adxl355Settings) -> None:
+        set_up = {FILTER: settings.step, RANGE: AFTER_RESET | settings.range, POWER: MEASURE}
+        super().__init__(conversions, clock, HELD, set_up)
+        self._truths = settings
+
+    def read(self, first: int, count: int) -> bytes:
+        """Return registers from ``first`` up; reading STATUS clears it."""
+        answer = super().read(first, count)
+        if first <= STATUS < first + count and not self._held[POWER] & STANDBY:
+            self._take_sample(self._rate)
+        return answer
+
+    def write(self, register: int, value: int) -> None:
+        """Set a register, or reset the part."""
+        if (register, value) == (RESET, RESET_CODE):
+            self._reset()
+        elif register >= FILTER:
+            super().write(register, value)
+
+    @property
+    def _rate(self) -> float:
+        return FASTEST * 0.5 ** self._held.get(FILTER, 0)
+
+    def _measured(self) -> dict[int, int]:
+        """Status, temperature and data; in standby none of them."""
+        if self._held[POWER] & STANDBY:
+            return {}
+        measured = {STATUS: DATA_READY if self._new_sample(self._rate) else 0}
+        raw = round(CENTRE + SLOPE * (self.conversions.temperature() - CENTRE_CELSIUS)) & 0xFFF
+        measured |= {TEMPERATURE: raw >> 8, TEMPERATURE + 1: raw & 0xFF}
+        scale = COUNTS_PER_G[self._held[RANGE] & 0b11 or 1] / self._truths.counts_per_g
+        for place, channel in enumerate("xyz"):
+            word = self.conversions.word(channel, self._rate, -RAIL, RAIL - 1, scale)
+            measured |= dict(enumerate((word << 4 & 0xFFFFFF).to_bytes(3, "big"), DATA + 3 * place))
+        return measured
+
+
+def adxl355_twin(settings: Adxl355Settings, truth: Truth, fixture: HeldPose, clock: Clock, scheme: str = "spi") -> Link:
+    """Return a virtual ADXL355 on the bus of an address scheme, as it is after switching on."""
+    registers = Adxl355Registers(Conversions(truth, fixture, clock), clock, settings)
+    if scheme == "i2c":
+        return I2cTwin(registers, clock)
+    return SpiTwin(registers, clock, lambda command: (command >> 1, not command & 1))
+
+
+def draw_truth(settings: Adxl355Settings, seed: int) -> Truth:
+    """Draw a part within the data sheet's limits."""
+    spread = Spread(
+        offset=OFFSET_LIMIT,
+        sensitivity=SENSITIVITY_LIMIT,
+        cross=0.01,
+        drift=0.15e-3,
+        gain=1e-4,
+        noise=DENSITY * (settings.rate / 4) ** 0.5,
+        thermometer=5.0,
+    )
+    return counts.draw_truth(("x", "y", "z"), settings.counts_per_g, spread, seed)

@@ -1,0 +1,115 @@
+"""The virtual IIS2ICLX: links that answer the bytes the part would send, over SPI and over I2C."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.iis2iclx import (
+    CONFIGURED,
+    CTRL1,
+    CTRL3,
+    CTRL9,
+    DATA,
+    DATA_READY,
+    DENSITY,
+    IDENTITY,
+    MILLI_G,
+    OFFSET_LIMIT,
+    RATES,
+    READING,
+    SENSITIVITY_LIMIT,
+    SOFTWARE_RESET,
+    STATUS,
+    TEMPERATURE,
+    WHO_AM_I,
+    WHOLE_SAMPLES,
+    Iis2iclxSettings,
+)
+from tiltcal.drivers.twin import counts
+from tiltcal.drivers.twin.counts import Conversions, CountingUp, I2cTwin, SpiTwin, Spread
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import HeldPose
+    from tiltcal.drivers.twin.truth import Truth
+
+HELD = {WHO_AM_I: IDENTITY, CTRL3: 0x04, CTRL9: 0xE0}
+"""After a reset."""
+
+WRITABLE = range(CTRL1, CTRL9 + 2)
+
+
+class Iis2iclxRegisters(CountingUp):
+    """The registers of one virtual part.
+
+    Parameters
+    ----------
+    conversions : Conversions
+    clock : Clock
+        Session time.
+    settings : Iis2iclxSettings
+        What the driver is going to set; the truth is in counts of this range.
+    """
+
+    def __init__(self, conversions: Conversions, clock: Clock, settings: Iis2iclxSettings) -> None:
+        rate_and_range = RATES[settings.rate] << 4 | settings.range << 2
+        super().__init__(conversions, clock, HELD, {CTRL9: CONFIGURED, CTRL3: WHOLE_SAMPLES, CTRL1: rate_and_range})
+        self._truths = settings
+
+    def read(self, first: int, count: int) -> bytes:
+        """Return registers from ``first`` up; reading the data takes the sample."""
+        answer = super().read(first, count)
+        if first <= DATA < first + count and self._rate:
+            self._take_sample(self._rate)
+        return answer
+
+    def write(self, register: int, value: int) -> None:
+        """Set a register, or reset the part."""
+        if register == CTRL3 and value & SOFTWARE_RESET:
+            self._reset()
+        elif register in WRITABLE:
+            super().write(register, value)
+
+    @property
+    def _rate(self) -> float:
+        """Samples a second; 0 in power-down."""
+        code = self._held.get(CTRL1, 0) >> 4
+        return next((rate for rate, known in RATES.items() if known == code), 0.0)
+
+    def _measured(self) -> dict[int, int]:
+        """Status, temperature and data; in power-down none of them."""
+        if not self._rate:
+            return {}
+        measured = {STATUS: DATA_READY if self._new_sample(self._rate) else 0}
+        raw = round(256.0 * (self.conversions.temperature() - 25.0)) & 0xFFFF
+        measured |= dict(enumerate(raw.to_bytes(2, "little"), TEMPERATURE))
+        scale = MILLI_G[self._truths.range] / MILLI_G[self._held[CTRL1] >> 2 & 0b11]
+        for place, channel in enumerate("xy"):
+            word = self.conversions.word(channel, self._rate, -32768, 32767, scale)
+            measured |= dict(enumerate((word & 0xFFFF).to_bytes(2, "little"), DATA + 2 * place))
+        return measured
+
+
+def iis2iclx_twin(
+    settings: Iis2iclxSettings, truth: Truth, fixture: HeldPose, clock: Clock, scheme: str = "spi"
+) -> Link:
+    """Return a virtual IIS2ICLX on the bus of an address scheme, as it is after switching on."""
+    registers = Iis2iclxRegisters(Conversions(truth, fixture, clock), clock, settings)
+    if scheme == "i2c":
+        return I2cTwin(registers, clock)
+    return SpiTwin(registers, clock, lambda command: (command & ~READING, not command & READING))
+
+
+def draw_truth(settings: Iis2iclxSettings, seed: int) -> Truth:
+    """Draw a part within the data sheet's limits; its cross-axis sensitivity is ours, for no source names it."""
+    spread = Spread(
+        offset=OFFSET_LIMIT,
+        sensitivity=SENSITIVITY_LIMIT,
+        cross=0.01,
+        drift=0.075e-3,
+        gain=1.2e-4,
+        noise=DENSITY * (settings.rate / 2) ** 0.5,
+        thermometer=15.0,
+    )
+    return counts.draw_truth(("x", "y"), settings.counts_per_g, spread, seed)
