@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from importlib.resources import files
 from pathlib import Path
 
 import click
@@ -36,7 +35,9 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     beside it and does not give it, a fit whose chi-square is not credible.
     """
     if schema is not None:
-        click.echo((files("tiltcal.files") / "schemas" / f"{schema}.json").read_text(encoding="utf-8"), nl=False)
+        from tiltcal.files.formats import json_schema
+
+        click.echo(json.dumps(json_schema(schema), indent=2, ensure_ascii=False))
     elif not paths:
         raise UsageError("check needs a FILE, or --schema KIND; see tiltcal check --help")
     results = []

@@ -20,63 +20,87 @@ from pathlib import Path
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
 from tiltcal.errors import InputError
+from tiltcal.files.declaration import Context, Converted, ListOf, Number, Section, Text, entry
 from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.node import Node
 
 _SERIAL = re.compile(r"[\w.+-][\w.+ -]*")
+_SIGNED_AXES = {"items": {"type": "string", "pattern": "^[+-]?[xyz]$"}, "minItems": 2, "maxItems": 3}
+
+
+def _file_name(serial: str, node: Node, context: Context) -> str:
+    if not _SERIAL.fullmatch(serial):
+        raise node.error(f"the serial number {serial!r} names a file: letters, digits, '-', '_', '.', '+'")
+    return serial
+
+
+def _orientation(names: tuple[str, ...], node: Node, context: Context) -> Orientation:
+    try:
+        return orientation(names)
+    except InputError as error:
+        raise node.error(error.message) from None
 
 
 @dataclass(frozen=True)
 class BenchSensor:
-    """One sensor of a bench.
+    """One sensor of a bench."""
 
-    Attributes
-    ----------
-    serial, model, address : str
-    orientation : Orientation
-        How it sits on the fixture.
-    """
-
-    serial: str
-    model: str
-    address: str
-    orientation: Orientation = STRAIGHT
+    serial: str = entry(
+        Converted(Text(), _file_name, more={"pattern": f"^{_SERIAL.pattern}$"}),
+        "unique; the calibration file is named for it",
+    )
+    model: str = entry(Text(), "as `--sensor`")
+    address: str = entry(Text(), "as `--address`")
+    orientation: Orientation = entry(
+        Converted(ListOf(Text()), _orientation, more=_SIGNED_AXES),
+        "which axis of the fixture each sensor axis points along, such as `[-y, x]` or three of them; a third one that "
+        "is left out completes a right-handed frame",
+        default=STRAIGHT,
+        key="axes",
+        usual="`[x, y, z]`",
+    )
 
 
 @dataclass(frozen=True)
 class BenchThermometer:
-    """The thermometer of a bench: any device that reports a temperature.
+    """The thermometer of a bench: any device that reports a temperature."""
 
-    Attributes
-    ----------
-    model, address : str
-    uncertainty : float or None
-        Standard uncertainty of a temperature, °C; None where it is not stated.
-    """
+    model: str = entry(Text(), "any device that reports a temperature, which stands for that of every sensor")
+    address: str = entry(Text(), "its address")
+    uncertainty: float | None = entry(
+        Number("°C", minimum=0.0), "standard uncertainty of a temperature, °C", default=None
+    )
 
-    model: str
-    address: str
-    uncertainty: float | None = None
+
+def _unique(sensors: tuple[BenchSensor, ...], node: Node, context: Context) -> tuple[BenchSensor, ...]:
+    serials = [sensor.serial for sensor in sensors]
+    for number, item in enumerate(node.items()):
+        if serials[number] in serials[:number]:
+            raise item.error(f"the serial number {serials[number]!r} is there twice")
+    return sensors
 
 
 @dataclass(frozen=True)
 class BenchFile:
-    """The content of a bench file.
+    """The content of a bench file."""
 
-    Attributes
-    ----------
-    sensors : tuple of BenchSensor
-    thermometer : BenchThermometer or None
-    operator : str or None
-        The person's name.
-    jig : float or None
-        Standard uncertainty of a set angle, degrees.
-    """
+    sensors: tuple[BenchSensor, ...] = entry(
+        Converted(ListOf(Section(BenchSensor), 1, says="a bench has at least one sensor"), _unique),
+        "a list, at least one",
+    )
+    thermometer: BenchThermometer | None = entry(
+        Section(BenchThermometer), "the thermometer beside the sensors", default=None
+    )
+    operator: str | None = entry(Text(), "the name of who stands there, for the files", default=None)
+    jig: float | None = entry(
+        Number("degrees", minimum=0.0),
+        "standard uncertainty of a set angle, degrees; `--jig` takes its place",
+        default=None,
+    )
 
-    sensors: tuple[BenchSensor, ...]
-    thermometer: BenchThermometer | None = None
-    operator: str | None = None
-    jig: float | None = None
+
+BENCH = Section(BenchFile, kind="bench")
+"""The bench file."""
 
 
 def read_bench(path: str | Path) -> BenchFile:
@@ -87,47 +111,4 @@ def read_bench(path: str | Path) -> BenchFile:
     InputError
         Anything in it is wrong; the message names file, line and key.
     """
-    top = read_tiltcal_file(path, "bench").mapping(
-        required=("tiltcal", "kind", "sensors"), optional=("operator", "jig", "thermometer")
-    )
-    sensors = tuple(_read_sensor(node) for node in top["sensors"].items())
-    if not sensors:
-        raise top["sensors"].error("a bench has at least one sensor")
-    serials = [sensor.serial for sensor in sensors]
-    for number, node in enumerate(top["sensors"].items()):
-        if serials[number] in serials[:number]:
-            raise node.error(f"the serial number {serials[number]!r} is there twice")
-    return BenchFile(
-        sensors=sensors,
-        thermometer=_read_thermometer(top["thermometer"]) if "thermometer" in top else None,
-        operator=top["operator"].text() if "operator" in top else None,
-        jig=top["jig"].number(minimum=0.0) if "jig" in top else None,
-    )
-
-
-def _read_sensor(node: Node) -> BenchSensor:
-    section = node.mapping(required=("serial", "model", "address"), optional=("axes",))
-    serial = section["serial"].text()
-    if not _SERIAL.fullmatch(serial):
-        raise section["serial"].error(f"the serial number {serial!r} names a file: letters, digits, '-', '_', '.', '+'")
-    return BenchSensor(
-        serial=serial,
-        model=section["model"].text(),
-        address=section["address"].text(),
-        orientation=_read_axes(section["axes"]) if "axes" in section else STRAIGHT,
-    )
-
-
-def _read_axes(node: Node) -> Orientation:
-    try:
-        return orientation([item.text() for item in node.items()])
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise node.error(error.message) from None
-
-
-def _read_thermometer(node: Node) -> BenchThermometer:
-    section = node.mapping(required=("model", "address"), optional=("uncertainty",))
-    uncertainty = section["uncertainty"].number(minimum=0.0) if "uncertainty" in section else None
-    return BenchThermometer(section["model"].text(), section["address"].text(), uncertainty)
+    return BENCH.read(read_tiltcal_file(path, "bench"))

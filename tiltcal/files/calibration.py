@@ -6,88 +6,139 @@ positions, provenance) are records for people and later questions. Every key and
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from math import radians
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from tiltcal.core.comparison import CoefficientChange, changes
 from tiltcal.core.model import AXES, Coefficients, Limits
 from tiltcal.errors import UsageError
-from tiltcal.files.coefficients import (
-    in_degrees,
-    read_coefficients,
-    write_coefficients,
+from tiltcal.files.coefficients import COEFFICIENTS, in_degrees
+from tiltcal.files.declaration import (
+    ANY,
+    ByChannel,
+    Choice,
+    Context,
+    Converted,
+    Format,
+    ListOf,
+    Range,
+    Section,
+    Text,
+    entry,
 )
-from tiltcal.files.declaration import Format, ListOf, Section
-from tiltcal.files.document import FORMAT_VERSION, read_tiltcal_file
+from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
 from tiltcal.files.records import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import Uncertainty, known_coefficients, read_uncertainty, write_uncertainty
+from tiltcal.files.uncertainty import UNCERTAINTY, Uncertainty, known_coefficients
 from tiltcal.files.whole import write_whole
 
-RECORDS: Mapping[str, Format[Any]] = {
-    "derived": Section(DerivedRecord),
-    "fit": Section(FitRecord),
-    "procedure": Section(ProcedureRecord),
-    "positions": ListOf(Section(PositionRecord)),
-    "provenance": Section(Provenance),
-}
+
+def _channels(found: tuple[str, ...], node: Node, context: Context) -> tuple[str, ...]:
+    if not found or len(set(found)) < len(found):
+        raise node.error("channels are one to three different ones of x, y, z")
+    return found
 
 
 @dataclass(frozen=True)
 class SensorIdentity:
-    """Which sensor a calibration belongs to.
+    """Which sensor a calibration belongs to."""
 
-    Attributes
-    ----------
-    model : str
-        Such as ``sca100t-d02``.
-    serial : str
-    unit : str
-        Of its readings: ``count``, ``V``, ``duty``, ``m/s2``, ...
-    channels : tuple of str
-        Its readings, distinct ones of x, y, z.
-    """
+    model: str = entry(Text(), "its model, such as `sca100t-d02`; `recorded` where `fit` was told none")
+    serial: str = entry(Text(), "its serial number")
+    unit: str = entry(Text(), "of its readings: `count`, `V`, `duty`, `m/s2`, …")
+    channels: tuple[str, ...] = entry(
+        Converted(ListOf(Choice(AXES)), _channels, more={"minItems": 1, "maxItems": 3, "uniqueItems": True}),
+        "its readings, one to three of x, y, z",
+    )
 
-    model: str
-    serial: str
-    unit: str
-    channels: tuple[str, ...]
+
+@dataclass(frozen=True)
+class Ranges(Format[Mapping[str, tuple[float, float]]]):
+    """A range for each of some channels or axes, or one for all of them."""
+
+    of: Literal["channels", "axes"]
+
+    def read(self, node: Node, context: Context = ANY) -> dict[str, tuple[float, float]]:
+        # A third column of a two-channel sensor is no axis whose tilt is reported.
+        known = context.channels if self.of == "channels" else context.axes[: len(context.channels)]
+        if node.is_mapping:
+            return {name: value.interval() for name, value in node.mapping(optional=known).items()}
+        return dict.fromkeys(known, node.interval())
+
+    def write(self, value: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
+        return {name: list(bounds) for name, bounds in value.items()}
+
+    def schema(self) -> dict[str, Any]:
+        return {"anyOf": [Range().schema(), ByChannel(Range()).schema()]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitsSection:
+    """The section ``limits`` as it stands in a file."""
+
+    tilt: Mapping[str, tuple[float, float]] = entry(
+        Ranges("axes"), "`[low, high]` per axis, or for all of them, degrees", default={}
+    )
+    temperature: tuple[float, float] | None = entry(Range(), "`[low, high]`, °C", default=None)
+    reading: Mapping[str, tuple[float, float]] = entry(
+        Ranges("channels"), "the rails `[low, high]` per channel, or for all of them, unit", default={}
+    )
+
+
+def _limits_of(section: LimitsSection, node: Node, context: Context) -> Limits:
+    tilt = {axis: (radians(low), radians(high)) for axis, (low, high) in section.tilt.items()}
+    return Limits(tilt=tilt, temperature=section.temperature, reading=dict(section.reading))
+
+
+def _limits_section(limits: Limits) -> LimitsSection:
+    tilt = {axis: (in_degrees(low), in_degrees(high)) for axis, (low, high) in limits.tilt.items()}
+    return LimitsSection(tilt=tilt, temperature=limits.temperature, reading=limits.reading)
 
 
 @dataclass(frozen=True)
 class CalibrationRecord:
-    """The content of a calibration file.
+    """The content of a calibration file; angles of the coefficients and the limits are in radians."""
 
-    Attributes
-    ----------
-    sensor : SensorIdentity
-    coefficients : Coefficients
-        Angles in radians.
-    uncertainty : Uncertainty
-        Standard uncertainties (k = 1) by dotted name, such as ``uncertainty["sensitivity.x.y"]``.
-    limits : Limits
-        Where the calibration holds; angles in radians.
-    derived : DerivedRecord
-    fit : FitRecord
-    procedure : ProcedureRecord
-        As run.
-    positions : tuple of PositionRecord
-    provenance : Provenance
-    """
+    sensor: SensorIdentity = entry(Section(SensorIdentity), "which sensor it is")
+    coefficients: Coefficients = entry(COEFFICIENTS, "the coefficients", key="calibration")
+    uncertainty: Uncertainty = entry(
+        UNCERTAINTY, "standard uncertainties (k = 1) in the shape of `calibration`", default=Uncertainty(), kept=True
+    )
+    limits: Limits = entry(
+        Converted(Section(LimitsSection), _limits_of, _limits_section),
+        "the ranges that were covered",
+        default=Limits(),
+        kept=True,
+    )
+    derived: DerivedRecord = entry(
+        Section(DerivedRecord), "what follows from the coefficients", default=DerivedRecord(), kept=True
+    )
+    fit: FitRecord = entry(Section(FitRecord), "how well the positions agree", default=FitRecord(), kept=True)
+    procedure: ProcedureRecord = entry(
+        Section(ProcedureRecord), "the procedure as run", default=ProcedureRecord(), kept=True
+    )
+    positions: tuple[PositionRecord, ...] = entry(
+        ListOf(Section(PositionRecord)),
+        "what was measured in each position; those of a mounting come last",
+        default=(),
+        kept=True,
+    )
+    provenance: Provenance = entry(Section(Provenance), "how it was made", default=Provenance(), kept=True)
 
-    sensor: SensorIdentity
-    coefficients: Coefficients
-    uncertainty: Uncertainty = field(default_factory=Uncertainty)
-    limits: Limits = field(default_factory=Limits)
-    derived: DerivedRecord = field(default_factory=DerivedRecord)
-    fit: FitRecord = field(default_factory=FitRecord)
-    procedure: ProcedureRecord = field(default_factory=ProcedureRecord)
-    positions: tuple[PositionRecord, ...] = ()
-    provenance: Provenance = field(default_factory=Provenance)
+
+def _names(key: str, found: Mapping[str, Any], context: Context) -> Context:
+    """The channels and axes that the later sections may name."""
+    if "coefficients" in found:
+        return Context(found["coefficients"].channels, found["coefficients"].axes)
+    return Context(found["sensor"].channels)
+
+
+TILT = Section(CalibrationRecord, follow=_names, kind="tilt")
+"""The calibration file."""
 
 
 def read_calibration(path: str | Path) -> CalibrationRecord:
@@ -129,46 +180,19 @@ def write_calibration(path: str | Path, calibration: CalibrationRecord) -> None:
 
 
 def dump_calibration(calibration: CalibrationRecord) -> str:
-    """The text of a calibration file; the same calibration gives the same text."""
-    sensor, coefficients = calibration.sensor, calibration.coefficients
-    data: dict[str, Any] = {
-        "tiltcal": FORMAT_VERSION,
-        "kind": "tilt",
-        "sensor": {
-            "model": sensor.model,
-            "serial": sensor.serial,
-            "unit": sensor.unit,
-            "channels": list(sensor.channels),
-        },
-        "calibration": write_coefficients(coefficients),
-        "uncertainty": write_uncertainty(calibration.uncertainty),
-        "limits": _write_limits(calibration.limits),
-    }
-    data.update((name, form.write(getattr(calibration, name))) for name, form in RECORDS.items())
-    return yaml_text(data, _comments(sensor.unit))
+    """Return the text of a calibration file; the same calibration gives the same text."""
+    return yaml_text(TILT.write(calibration), _comments(calibration.sensor.unit))
 
 
 def calibration_of(document: Node) -> CalibrationRecord:
-    """The calibration that a checked document of ``kind: tilt`` holds.
+    """Return the calibration that a checked document of ``kind: tilt`` holds.
 
     Raises
     ------
     InputError
         Anything in it is wrong; the message names file, line and key.
     """
-    top = document.mapping(
-        required=("tiltcal", "kind", "sensor", "calibration"), optional=("uncertainty", "limits", *RECORDS)
-    )
-    sensor = _read_sensor(top["sensor"])
-    coefficients = read_coefficients(top["calibration"], sensor.channels)
-    records: dict[str, Any] = {name: form.read(top[name]) for name, form in RECORDS.items() if name in top}
-    return CalibrationRecord(
-        sensor=sensor,
-        coefficients=coefficients,
-        uncertainty=read_uncertainty(top["uncertainty"], coefficients) if "uncertainty" in top else Uncertainty(),
-        limits=_read_limits(top["limits"], coefficients) if "limits" in top else Limits(),
-        **records,
-    )
+    return TILT.read(document)
 
 
 def require_same_sensor(old: CalibrationRecord, new: CalibrationRecord) -> None:
@@ -183,44 +207,6 @@ def require_same_sensor(old: CalibrationRecord, new: CalibrationRecord) -> None:
         a, b = getattr(old.sensor, what), getattr(new.sensor, what)
         if a != b:
             raise UsageError(f"not two calibrations of one sensor: its {what} is {a} in one and {b} in the other")
-
-
-def _read_sensor(node: Node) -> SensorIdentity:
-    section = node.mapping(required=("model", "serial", "unit", "channels"))
-    channels = tuple(item.choice(AXES) for item in section["channels"].items())
-    if not channels or len(set(channels)) < len(channels):
-        raise section["channels"].error("channels are one to three different ones of x, y, z")
-    return SensorIdentity(section["model"].text(), section["serial"].text(), section["unit"].text(), channels)
-
-
-def _read_limits(node: Node, coefficients: Coefficients) -> Limits:
-    section = node.mapping(optional=("tilt", "temperature", "reading"))
-    # A third column of a two-channel sensor is no axis whose tilt is reported.
-    tilted = coefficients.axes[: len(coefficients.channels)]
-    tilt = _read_ranges(section["tilt"], tilted) if "tilt" in section else {}
-    return Limits(
-        tilt={axis: (radians(low), radians(high)) for axis, (low, high) in tilt.items()},
-        temperature=section["temperature"].interval() if "temperature" in section else None,
-        reading=_read_ranges(section["reading"], coefficients.channels) if "reading" in section else {},
-    )
-
-
-def _read_ranges(node: Node, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """A range for each of some names, or one for all of them."""
-    if node.is_mapping:
-        return {name: value.interval() for name, value in node.mapping(optional=names).items()}
-    return dict.fromkeys(names, node.interval())
-
-
-def _write_limits(limits: Limits) -> dict[str, Any]:
-    section: dict[str, Any] = {}
-    if limits.tilt:
-        section["tilt"] = {axis: [in_degrees(low), in_degrees(high)] for axis, (low, high) in limits.tilt.items()}
-    if limits.temperature is not None:
-        section["temperature"] = list(limits.temperature)
-    if limits.reading:
-        section["reading"] = {channel: list(bounds) for channel, bounds in limits.reading.items()}
-    return section
 
 
 def _comments(unit: str) -> dict[str, str]:

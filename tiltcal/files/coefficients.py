@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import degrees, radians
-from typing import Any
 
 import numpy as np
 
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, Thermal
 from tiltcal.core.rounding import significant
+from tiltcal.files.declaration import ByChannel, Context, Converted, ListOf, Number, Range, Section, entry
 from tiltcal.files.node import Node
 
 ORDER_LIMIT = 6
@@ -26,87 +27,128 @@ STEEP = 0.1
 """Least slope of a bent characteristic relative to the straight one."""
 
 
-def read_coefficients(node: Node, channels: Sequence[str]) -> Coefficients:
-    """The ``calibration`` section of a calibration file.
+ROWS = Converted(
+    ByChannel(ByChannel(Number()), of="channels", complete=True), lambda rows, node, _: _equal_columns(rows, node)
+)
+"""A sensitivity matrix: a row for each channel, and the same columns in every row."""
 
-    Parameters
-    ----------
-    node : Node
-    channels : sequence of str
-        The sensor's, in order.
 
-    Returns
-    -------
-    Coefficients
+def polynomials(item: Number = Number()) -> ByChannel[tuple[float, ...]]:  # noqa: B008
+    """Return the declaration of coefficients of dT, dT², ... for some of the channels."""
+    says = f"a polynomial has at most {ORDER_LIMIT} coefficients, found {{found}}"
+    return ByChannel(ListOf(item, most=ORDER_LIMIT, says=says), of="channels")
 
-    Raises
-    ------
-    InputError
-        A key or value is wrong, or the sensitivity matrix cannot be inverted.
-    """
-    section = node.mapping(required=("offset", "sensitivity"), optional=("nonlinearity", "temperature", "mounting"))
-    offset = read_per_channel(section["offset"], channels)
-    axes, sensitivity = _read_matrix(section["sensitivity"], channels)
-    return Coefficients(
-        channels=tuple(channels),
-        axes=axes,
-        offset=np.array([offset[channel] for channel in channels]),
-        sensitivity=sensitivity,
-        thermal=_read_thermal(section["temperature"], channels) if "temperature" in section else None,
-        mounting=_read_mounting(section["mounting"]) if "mounting" in section else None,
-        nonlinearity=_read_nonlinearity(section["nonlinearity"], channels, axes) if "nonlinearity" in section else None,
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalSection:
+    """``calibration.temperature`` as it stands in a file."""
+
+    reference: float = entry(Number("°C"), "reference temperature, °C")
+    range: tuple[float, float] | None = entry(
+        Range(), "`[low, high]`, the temperatures that were measured, °C", default=None
+    )
+    offset: Mapping[str, tuple[float, ...]] = entry(
+        polynomials(), "per channel the coefficients of dT, dT², …, unit/°C, unit/°C², …", default={}
+    )
+    sensitivity: Mapping[str, tuple[float, ...]] = entry(
+        polynomials(), "per channel the coefficients of dT, dT², …, 1/°C, 1/°C², …", default={}
     )
 
 
-def write_coefficients(coefficients: Coefficients) -> dict[str, Any]:
-    """The ``calibration`` section for coefficients, as plain data in the order of the file."""
-    section: dict[str, Any] = {
-        "offset": _by_name(coefficients.channels, coefficients.offset.tolist()),
-        "sensitivity": {
-            channel: _by_name(coefficients.axes, row)
-            for channel, row in zip(coefficients.channels, coefficients.sensitivity.tolist(), strict=True)
-        },
-    }
-    if coefficients.nonlinearity is not None:
-        section["nonlinearity"] = _by_name(coefficients.channels, coefficients.nonlinearity.tolist())
-    if coefficients.thermal is not None:
-        section["temperature"] = _write_thermal(coefficients.thermal, coefficients.channels)
-    if coefficients.mounting is not None:
-        mounting = coefficients.mounting
-        section["mounting"] = {name: in_degrees(getattr(mounting, name)) for name in ANGLES}
-    return section
+@dataclass(frozen=True, kw_only=True)
+class MountingSection:
+    """``calibration.mounting`` as it stands in a file."""
+
+    roll: float = entry(Number(), "degrees", default=0.0, kept=True)
+    pitch: float = entry(Number(), "degrees", default=0.0, kept=True)
+    yaw: float = entry(Number(), "degrees", default=0.0, kept=True)
 
 
-def read_per_channel(node: Node, channels: Sequence[str], minimum: float | None = None) -> dict[str, float]:
-    """One number for each channel."""
-    return {name: value.number(minimum=minimum) for name, value in node.mapping(required=channels).items()}
+@dataclass(frozen=True, kw_only=True)
+class CoefficientsSection:
+    """The section ``calibration`` as it stands in a file."""
+
+    offset: Mapping[str, float] = entry(
+        ByChannel(Number(), of="channels", complete=True), "per channel, unit, at the reference temperature"
+    )
+    sensitivity: Mapping[str, Mapping[str, float]] = entry(
+        ROWS,
+        "row = channel, column = axis, unit/g; as many columns as channels, or x, y, z for two channels; a singular "
+        "matrix is an error",
+    )
+    nonlinearity: Mapping[str, tuple[float, ...]] | None = entry(
+        polynomials(),
+        "per channel one or two numbers n₂, n₃: a channel whose straight part would be S_ii a reads "
+        "S_ii (a + n₂a² + n₃a³)",
+        default=None,
+    )
+    temperature: ThermalSection | None = entry(
+        Section(ThermalSection), "absent where it was not measured", default=None
+    )
+    mounting: MountingSection | None = entry(
+        Section(MountingSection), "how the sensor sits in its application", default=None
+    )
 
 
-def read_rows(node: Node, channels: Sequence[str], minimum: float | None = None) -> dict[str, dict[str, float]]:
-    """A sensitivity matrix: a row for each channel, and the same columns in every row."""
-    rows = {
-        channel: {axis: value.number(minimum=minimum) for axis, value in row.mapping(optional=AXES).items()}
-        for channel, row in node.mapping(required=channels).items()
-    }
-    first = channels[0]
-    for channel in channels:
-        if set(rows[channel]) != set(rows[first]):
+def _coefficients_of(section: CoefficientsSection, node: Node, context: Context) -> Coefficients:
+    channels, entries = tuple(context.channels), node.entries()
+    axes, sensitivity = _matrix(section.sensitivity, entries["sensitivity"], channels)
+    thermal, mounting, bent = section.temperature, section.mounting, section.nonlinearity
+    return Coefficients(
+        channels=channels,
+        axes=axes,
+        offset=np.array([section.offset[channel] for channel in channels]),
+        sensitivity=sensitivity,
+        thermal=None
+        if thermal is None
+        else Thermal(
+            reference=thermal.reference,
+            range=thermal.range,
+            drift=_padded(thermal.offset, channels),
+            gain=_padded(thermal.sensitivity, channels),
+        ),
+        mounting=None
+        if mounting is None
+        else Mounting(radians(mounting.roll), radians(mounting.pitch), radians(mounting.yaw)),
+        nonlinearity=None if bent is None else _nonlinearity(bent, entries["nonlinearity"], channels, axes),
+    )
+
+
+def _section_of(coefficients: Coefficients) -> CoefficientsSection:
+    channels, axes, thermal = coefficients.channels, coefficients.axes, coefficients.thermal
+    bent, mounting = coefficients.nonlinearity, coefficients.mounting
+    rows = zip(channels, coefficients.sensitivity.tolist(), strict=True)
+    return CoefficientsSection(
+        offset=dict(zip(channels, coefficients.offset.tolist(), strict=True)),
+        sensitivity={channel: dict(zip(axes, row, strict=True)) for channel, row in rows},
+        nonlinearity=None if bent is None else _by_channel(channels, bent),
+        temperature=None
+        if thermal is None
+        else ThermalSection(
+            reference=float(thermal.reference),
+            range=thermal.range and (float(thermal.range[0]), float(thermal.range[1])),
+            offset=_by_channel(channels, thermal.drift),
+            sensitivity=_by_channel(channels, thermal.gain),
+        ),
+        mounting=None
+        if mounting is None
+        else MountingSection(**{name: in_degrees(getattr(mounting, name)) for name in ANGLES}),
+    )
+
+
+COEFFICIENTS = Converted(Section(CoefficientsSection), _coefficients_of, _section_of)
+"""The section ``calibration``; reading refuses a matrix that cannot be inverted."""
+
+
+def _equal_columns(rows: Mapping[str, Mapping[str, float]], node: Node) -> Mapping[str, Mapping[str, float]]:
+    first = next(iter(rows))
+    for channel, row in rows.items():
+        if set(row) != set(rows[first]):
             raise node.entries()[channel].error(
-                f"row {channel} has columns [{', '.join(rows[channel])}] and row {first} [{', '.join(rows[first])}]; "
+                f"row {channel} has columns [{', '.join(row)}] and row {first} [{', '.join(rows[first])}]; "
                 f"every row has the same columns"
             )
     return rows
-
-
-def read_polynomials(node: Node, channels: Sequence[str], minimum: float | None = None) -> dict[str, list[float]]:
-    """Coefficients of dT, dT², ... for some of the channels."""
-    polynomials = {}
-    for channel, value in node.mapping(optional=channels).items():
-        numbers = [item.number(minimum=minimum) for item in value.items()]
-        if len(numbers) > ORDER_LIMIT:
-            raise value.error(f"a polynomial has at most {ORDER_LIMIT} coefficients, found {len(numbers)}")
-        polynomials[channel] = numbers
-    return polynomials
 
 
 def in_degrees(angle: float) -> float:
@@ -114,9 +156,10 @@ def in_degrees(angle: float) -> float:
     return significant(degrees(angle), _ANGLE_DIGITS)
 
 
-def _read_matrix(node: Node, channels: Sequence[str]) -> tuple[tuple[str, ...], Array]:
+def _matrix(
+    rows: Mapping[str, Mapping[str, float]], node: Node, channels: Sequence[str]
+) -> tuple[tuple[str, ...], Array]:
     """The columns that are there, in the order x, y, z, and the matrix."""
-    rows = read_rows(node, channels)
     axes = tuple(axis for axis in AXES if axis in rows[channels[0]])
     square = _square_columns(node, channels, axes)
     matrix = np.array([[rows[channel][axis] for axis in axes] for channel in channels])
@@ -140,40 +183,26 @@ def _square_columns(node: Node, channels: Sequence[str], axes: Sequence[str]) ->
     )
 
 
-def _read_thermal(node: Node, channels: Sequence[str]) -> Thermal:
-    section = node.mapping(required=("reference",), optional=("range", "offset", "sensitivity"))
-    return Thermal(
-        reference=section["reference"].number(),
-        range=section["range"].interval() if "range" in section else None,
-        drift=_padded(section.get("offset"), channels),
-        gain=_padded(section.get("sensitivity"), channels),
-    )
-
-
-def _padded(node: Node | None, channels: Sequence[str]) -> Array:
+def _padded(curves: Mapping[str, Sequence[float]], channels: Sequence[str]) -> Array:
     """Polynomials of all channels with zeros up to the longest."""
-    polynomials = {} if node is None else read_polynomials(node, channels)
-    order = max((len(numbers) for numbers in polynomials.values()), default=0)
+    order = max((len(numbers) for numbers in curves.values()), default=0)
     table = np.zeros((len(channels), order))
     for row, channel in zip(table, channels, strict=True):
-        numbers = polynomials.get(channel, [])
+        numbers = curves.get(channel, ())
         row[: len(numbers)] = numbers
     return table
 
 
-def _write_thermal(thermal: Thermal, channels: Sequence[str]) -> dict[str, Any]:
-    section: dict[str, Any] = {"reference": float(thermal.reference)}
-    if thermal.range is not None:
-        section["range"] = [float(bound) for bound in thermal.range]
-    for name, table in (("offset", thermal.drift), ("sensitivity", thermal.gain)):
-        if table.shape[1]:
-            section[name] = _by_name(channels, table.tolist())
-    return section
+def _by_channel(channels: Sequence[str], table: Array) -> dict[str, tuple[float, ...]]:
+    """The rows of a table by channel; empty where it has no columns."""
+    return {channel: tuple(row) for channel, row in zip(channels, table.tolist(), strict=True) if row}
 
 
-def _read_nonlinearity(node: Node, channels: Sequence[str], axes: Sequence[str]) -> Array:
+def _nonlinearity(
+    curves: Mapping[str, Sequence[float]], node: Node, channels: Sequence[str], axes: Sequence[str]
+) -> Array:
     """Shares of the square and the cube of each channel's own acceleration; a reading must have one angle."""
-    table = _padded(node, channels)
+    table = _padded(curves, channels)
     if table.shape[1] > NONLINEAR_TERMS:
         raise node.error(f"a non-linearity has at most {NONLINEAR_TERMS} terms, the square and the cube")
     if any(channel not in axes for channel in channels):
@@ -186,11 +215,3 @@ def _read_nonlinearity(node: Node, channels: Sequence[str], axes: Sequence[str])
         if min(1.0 + 2.0 * square * a + 3.0 * cube * a * a for a in places) < STEEP:
             raise node.error(f"the non-linearity of {channel} is so large that one reading has several angles")
     return table
-
-
-def _read_mounting(node: Node) -> Mounting:
-    return Mounting(**{name: radians(value.number()) for name, value in node.mapping(optional=ANGLES).items()})
-
-
-def _by_name(names: Sequence[str], values: Sequence[Any]) -> Mapping[str, Any]:
-    return dict(zip(names, values, strict=True))

@@ -1,4 +1,4 @@
-"""Small tables in CSV, read as strictly as our YAML: every cell knows its file, line and column."""
+"""Small tables in CSV or JSON, read as strictly as our YAML: every cell knows its file, line and column."""
 
 from __future__ import annotations
 
@@ -16,54 +16,46 @@ from tiltcal.files.node import Node, Scalar, document_of
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 
 
-def table_records(
-    table: str | Path | Sequence[Mapping[str, Any]], file: str | Path, required: Sequence[str], optional: Sequence[str]
-) -> Iterable[Node]:
-    """Return the rows of a small table as mappings.
+Table = str | Path | Sequence[Mapping[str, Any]]
+"""A file of CSV, or of a JSON list of objects; or such rows."""
+
+
+def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iterator[Node]:
+    """Read a small table; a blank field of CSV is an absent one.
 
     Parameters
     ----------
     table : str, Path or sequence of mapping
-        A file of CSV, or of a JSON list of objects; or the rows.
     file : str or Path
         What messages call it.
-    required, optional : sequence of str
-        The columns that a header of CSV must and may have; the keys of other rows are for the caller to check.
-
-    Raises
-    ------
-    InputError
-        The text is neither CSV nor a JSON list, or its header is wrong.
-    """
-    if not isinstance(table, str | Path):
-        return document_of(list(table), str(file)).items()
-    text = read_text(table)
-    if text.lstrip().startswith(("[", "{")):  # a CSV header begins with a name
-        return parse_document(text, str(file)).items()
-    return csv_records(text, str(file), required=required, optional=optional)
-
-
-def csv_records(text: str, file: str, *, required: Sequence[str], optional: Sequence[str] = ()) -> Iterator[Node]:
-    """The rows as mappings, as a JSON list of objects would give them; a blank field is an absent one.
-
-    Parameters
-    ----------
-    text : str
-    file : str
-        As the user named it.
-    required, optional : sequence of str
-        The columns that the header must and may have.
+    keys : mapping of str to bool
+        The columns, and whether each is needed.
 
     Yields
     ------
     Node
+        A mapping, with its line.
 
     Raises
     ------
     InputError
         The header has an unknown column, one twice, or lacks one; a row has another number of fields; or the text is
-        no CSV.
+        neither CSV nor JSON.
     """
+    required = [key for key, needed in keys.items() if needed]
+    optional = [key for key, needed in keys.items() if not needed]
+    if not isinstance(table, str | Path):
+        rows: Iterable[Node] = document_of(list(table), str(file)).items()
+    elif (text := read_text(table)).lstrip().startswith(("[", "{")):  # a CSV header begins with a name
+        rows = parse_document(text, str(file)).items()
+    else:
+        rows = _csv_rows(text, str(file), required, optional)
+    for row in rows:
+        row.mapping(required=required, optional=optional)
+        yield row
+
+
+def _csv_rows(text: str, file: str, required: Sequence[str], optional: Sequence[str]) -> Iterator[Node]:
     rows = csv.reader(StringIO(text, newline=""), strict=True)
     try:
         header = [name.strip() for name in next(rows, [])]

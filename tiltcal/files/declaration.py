@@ -14,22 +14,27 @@ key. ``Section(Spin).write(spin)`` gives plain data for the emitter, without the
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from copy import copy
+from dataclasses import MISSING, dataclass, field, fields, replace
+from importlib import import_module
 from typing import Any, Generic, Literal, TypeVar, overload
 
 from tiltcal.core.model import AXES
 from tiltcal.files.node import Node
 
+S = TypeVar("S")
 T = TypeVar("T")
 D = TypeVar("D")
+
+FORMAT_VERSION = 1
 
 _ENTRY = "entry"
 
 
 @dataclass(frozen=True)
-class SensorNames:
-    """The channels and axes that the mappings of a file may name.
+class Context:
+    """The parts of a file, and of the command, that say what other parts may hold.
 
     Attributes
     ----------
@@ -37,20 +42,26 @@ class SensorNames:
         Of the sensor, in order.
     axes : sequence of str
         The columns of its sensitivity.
+    given : float or None
+        The angle that the user gives in place of the procedure's, degrees.
+    angle : float or None
+        The angle that positions may name, degrees.
     """
 
     channels: Sequence[str] = AXES
     axes: Sequence[str] = AXES
+    given: float | None = None
+    angle: float | None = None
 
 
-ANY = SensorNames()
+ANY = Context()
 
 
 class Format(ABC, Generic[T]):
     """One kind of value: how it is read, written and described."""
 
     @abstractmethod
-    def read(self, node: Node, names: SensorNames = ANY) -> T:
+    def read(self, node: Node, context: Context = ANY) -> T:
         """Return the value that stands at a node.
 
         Raises
@@ -81,15 +92,21 @@ class Entry:
         The value of an absent key; ``MISSING`` where the key is required.
     formerly : str
         The key's name in files of earlier versions; empty where it always had this one.
+    key : str
+        The key in the file, where the field has another name.
     usual : str
-        The default, where the reference names it.
+        The default as the reference shows it, where it differs from the field's.
+    kept : bool
+        Whether the key is written where it has its default.
     """
 
     form: Format[Any]
     text: str
     default: Any = MISSING
     formerly: str = ""
+    key: str = ""
     usual: str = ""
+    kept: bool = False
 
     @property
     def required(self) -> bool:
@@ -98,14 +115,23 @@ class Entry:
 
 
 @overload
-def entry(form: Format[T], text: str, *, formerly: str = "") -> T: ...
+def entry(form: Format[T], text: str, *, formerly: str = "", key: str = "") -> T: ...
 
 
 @overload
-def entry(form: Format[T], text: str, *, default: D, formerly: str = "", usual: str = "") -> T | D: ...
+def entry(
+    form: Format[T],
+    text: str,
+    *,
+    default: D,
+    formerly: str = "",
+    key: str = "",
+    usual: str = "",
+    kept: bool = False,
+) -> T | D: ...
 
 
-def entry(form: Format[Any], text: str, *, default: Any = MISSING, formerly: str = "", usual: str = "") -> Any:
+def entry(form: Format[Any], text: str, *, default: Any = MISSING, **more: Any) -> Any:
     """Declare one key of a section as a field of its dataclass.
 
     Parameters
@@ -116,27 +142,26 @@ def entry(form: Format[Any], text: str, *, default: Any = MISSING, formerly: str
         What the value means, a phrase without a full stop; the reference and the JSON Schema have it.
     default : optional
         The value of an absent key; without one the key is required.
-    formerly : str
-        Name of the key in files of earlier versions, which are refused with the new name.
-    usual : str
-        The default as the reference shows it.
+    **more
+        The other attributes of :class:`Entry`.
     """
-    metadata = {_ENTRY: Entry(form, text, default, formerly, usual)}
-    if isinstance(default, dict):
-        return field(default_factory=dict, metadata=metadata)
-    return field(default=default, metadata=metadata)
+    metadata = {_ENTRY: Entry(form, text, default, **more)}
+    if isinstance(default, Hashable):
+        return field(default=default, metadata=metadata)
+    return field(default_factory=lambda: copy(default), metadata=metadata)
 
 
 def entries_of(record: type[Any]) -> dict[str, Entry]:
-    """Return the keys that a section declares, in the order of the file."""
-    return {one.name: one.metadata[_ENTRY] for one in fields(record) if _ENTRY in one.metadata}
+    """Return the entries of a section by the names of their fields, in the order of the file."""
+    found = {one.name: one.metadata[_ENTRY] for one in fields(record) if _ENTRY in one.metadata}
+    return {name: replace(one, key=one.key or name) for name, one in found.items()}
 
 
 @dataclass(frozen=True)
 class Text(Format[str]):
     """A text that is not empty."""
 
-    def read(self, node: Node, names: SensorNames = ANY) -> str:
+    def read(self, node: Node, context: Context = ANY) -> str:
         return node.text()
 
     def schema(self) -> dict[str, Any]:
@@ -149,7 +174,7 @@ class Choice(Format[str]):
 
     options: Sequence[str]
 
-    def read(self, node: Node, names: SensorNames = ANY) -> str:
+    def read(self, node: Node, context: Context = ANY) -> str:
         return node.choice(self.options)
 
     def schema(self) -> dict[str, Any]:
@@ -160,7 +185,7 @@ class Choice(Format[str]):
 class Flag(Format[bool]):
     """``true`` or ``false``."""
 
-    def read(self, node: Node, names: SensorNames = ANY) -> bool:
+    def read(self, node: Node, context: Context = ANY) -> bool:
         return node.flag()
 
     def schema(self) -> dict[str, Any]:
@@ -175,7 +200,7 @@ class Number(Format[float]):
     minimum: float | None = None
     above: float | None = None
 
-    def read(self, node: Node, names: SensorNames = ANY) -> float:
+    def read(self, node: Node, context: Context = ANY) -> float:
         return node.number(minimum=self.minimum, above=self.above)
 
     def schema(self) -> dict[str, Any]:
@@ -189,7 +214,7 @@ class Integer(Format[int]):
 
     minimum: int | None = None
 
-    def read(self, node: Node, names: SensorNames = ANY) -> int:
+    def read(self, node: Node, context: Context = ANY) -> int:
         return node.integer(minimum=self.minimum)
 
     def schema(self) -> dict[str, Any]:
@@ -202,7 +227,7 @@ class Range(Format[tuple[float, float]]):
 
     unit: str = ""
 
-    def read(self, node: Node, names: SensorNames = ANY) -> tuple[float, float]:
+    def read(self, node: Node, context: Context = ANY) -> tuple[float, float]:
         return node.interval()
 
     def write(self, value: tuple[float, float]) -> list[float]:
@@ -230,13 +255,13 @@ class ListOf(Format[tuple[T, ...]]):
     most: int | None = None
     says: str = ""
 
-    def read(self, node: Node, names: SensorNames = ANY) -> tuple[T, ...]:
+    def read(self, node: Node, context: Context = ANY) -> tuple[T, ...]:
         items = node.items()
         if len(items) < self.least or (self.most is not None and len(items) > self.most):
             bounds = f"{self.least}" if self.least == self.most else f"{self.least} to {self.most}"
             says = self.says or f"a list of {bounds} values is needed here, found {{found}}"
             raise node.error(says.format(found=len(items)))
-        return tuple(self.item.read(item, names) for item in items)
+        return tuple(self.item.read(item, context) for item in items)
 
     def write(self, value: tuple[T, ...]) -> list[Any]:
         return [self.item.write(one) for one in value]
@@ -253,8 +278,8 @@ class ByName(Format[Mapping[str, T]]):
 
     item: Format[T]
 
-    def read(self, node: Node, names: SensorNames = ANY) -> dict[str, T]:
-        return {name: self.item.read(value, names) for name, value in node.entries().items()}
+    def read(self, node: Node, context: Context = ANY) -> dict[str, T]:
+        return {name: self.item.read(value, context) for name, value in node.entries().items()}
 
     def write(self, value: Mapping[str, T]) -> dict[str, Any]:
         return {name: self.item.write(one) for name, one in value.items()}
@@ -265,24 +290,38 @@ class ByName(Format[Mapping[str, T]]):
 
 @dataclass(frozen=True)
 class ByKey(Format[Mapping[str, T]]):
-    """A mapping with some of a few fixed keys, whose values are of one kind."""
+    """A mapping with a few fixed keys, whose values are of one kind.
+
+    Attributes
+    ----------
+    item : Format
+    keys : sequence of str
+    complete : bool
+        Whether none may be left out.
+    """
 
     item: Format[T]
     keys: Sequence[str]
+    complete: bool = False
 
-    def read(self, node: Node, names: SensorNames = ANY) -> dict[str, T]:
-        known = node.mapping(optional=self._known(names))
-        return {name: self.item.read(value, names) for name, value in known.items()}
+    def read(self, node: Node, context: Context = ANY) -> dict[str, T]:
+        return self._read(node, self.keys, context)
 
     def write(self, value: Mapping[str, T]) -> dict[str, Any]:
         return {name: self.item.write(one) for name, one in value.items()}
 
     def schema(self) -> dict[str, Any]:
         item = self.item.schema()
-        return {"type": "object", "properties": dict.fromkeys(self.keys, item), "additionalProperties": False}
+        return {
+            "type": "object",
+            "properties": dict.fromkeys(self.keys, item),
+            "required": list(self.keys) if self.complete else [],
+            "additionalProperties": False,
+        }
 
-    def _known(self, names: SensorNames) -> Sequence[str]:
-        return self.keys
+    def _read(self, node: Node, keys: Sequence[str], context: Context) -> dict[str, T]:
+        known = node.mapping(required=keys) if self.complete else node.mapping(optional=keys)
+        return {name: self.item.read(value, context) for name, value in known.items()}
 
 
 @dataclass(frozen=True)
@@ -295,23 +334,95 @@ class ByChannel(ByKey[T]):
         The axes, and what else may be named.
     of : str
         ``channels``, ``axes``, or ``any`` where the file does not say which the sensor has.
-    complete : bool
-        Whether none may be left out.
     """
 
     keys: Sequence[str] = AXES
     of: Literal["channels", "axes", "any"] = "any"
-    complete: bool = False
 
-    def read(self, node: Node, names: SensorNames = ANY) -> dict[str, T]:
-        if not self.complete:
-            return super().read(node, names)
-        known = node.mapping(required=self._known(names))
-        return {name: self.item.read(value, names) for name, value in known.items()}
+    def read(self, node: Node, context: Context = ANY) -> dict[str, T]:
+        known = {"channels": context.channels, "axes": context.axes, "any": AXES}[self.of]
+        return self._read(node, [*known, *(key for key in self.keys if key not in AXES)], context)
 
-    def _known(self, names: SensorNames) -> Sequence[str]:
-        extra = [key for key in self.keys if key not in AXES]
-        return [*{"channels": names.channels, "axes": names.axes, "any": AXES}[self.of], *extra]
+    def schema(self) -> dict[str, Any]:
+        # Which channels the sensor has is said elsewhere in the file.
+        return {**super().schema(), "required": []}
+
+
+@dataclass(frozen=True)
+class Converted(Format[T], Generic[S, T]):
+    """A value that is judged, or made into another one, after it was read.
+
+    Attributes
+    ----------
+    form : Format
+        As the value stands in the file.
+    convert : callable
+        From what was read, its node and the context to the value; raises the node's error.
+    back : callable or None
+        From the value to what ``form`` writes; None where they are equal.
+    more : mapping
+        What the JSON Schema can say of the judgement.
+    """
+
+    form: Format[S]
+    convert: Callable[[S, Node, Context], T]
+    back: Callable[[T], S] | None = None
+    more: Mapping[str, Any] = field(default_factory=dict)
+
+    def read(self, node: Node, context: Context = ANY) -> T:
+        return self.convert(self.form.read(node, context), node, context)
+
+    def write(self, value: T) -> Any:
+        return self.form.write(value if self.back is None else self.back(value))  # type: ignore[arg-type]
+
+    def schema(self) -> dict[str, Any]:
+        return {**self.form.schema(), **self.more}
+
+
+@dataclass(frozen=True)
+class Either(Format[T]):
+    """One of two kinds of section, told apart by a key that the second one has.
+
+    Attributes
+    ----------
+    key : str
+    usual, other : Format
+    """
+
+    key: str
+    usual: Format[T]
+    other: Format[T]
+
+    def read(self, node: Node, context: Context = ANY) -> T:
+        return (self.other if self.key in node.entries() else self.usual).read(node, context)
+
+    def schema(self) -> dict[str, Any]:
+        return {"anyOf": [self.usual.schema(), self.other.schema()]}
+
+
+@dataclass(frozen=True)
+class Imported(Format[T]):
+    """A format whose module is imported only where a file has it.
+
+    Attributes
+    ----------
+    module, name : str
+    """
+
+    module: str
+    name: str
+
+    def read(self, node: Node, context: Context = ANY) -> T:
+        return self.form.read(node, context)
+
+    def schema(self) -> dict[str, Any]:
+        return self.form.schema()
+
+    @property
+    def form(self) -> Format[T]:
+        """The format."""
+        found: Format[T] = getattr(import_module(self.module), self.name)
+        return found
 
 
 @dataclass(frozen=True)
@@ -322,47 +433,62 @@ class Section(Format[T]):
     ----------
     record : type
         A dataclass whose fields are made by :func:`entry`.
-    check : callable or None
-        Judges what was read beyond its single values: takes the record and the node, and raises the node's error.
+    follow : callable or None
+        Called after each entry, there or absent, with its key and all that was read so far; returns the context of the
+        next one.
+    kind : str
+        ``kind`` of a whole file, whose keys ``tiltcal`` and ``kind`` come first; empty for a part of a file.
     """
 
     record: type[T]
-    check: Callable[[T, Node], None] | None = None
+    follow: Callable[[str, Mapping[str, Any], Context], Context] | None = None
+    kind: str = ""
 
-    def read(self, node: Node, names: SensorNames = ANY) -> T:
-        declared = entries_of(self.record)
-        _refuse_former_names(node, declared)
+    def read(self, node: Node, context: Context = ANY) -> T:
+        declared = {one.key: (name, one) for name, one in entries_of(self.record).items()}
+        _refuse_former_names(node, [one for _, one in declared.values()])
         values = node.mapping(
-            required=[name for name, one in declared.items() if one.required],
-            optional=[name for name, one in declared.items() if not one.required],
+            required=[*self._fixed(), *(key for key, (_, one) in declared.items() if one.required)],
+            optional=[key for key, (_, one) in declared.items() if not one.required],
         )
-        found = self.record(**{name: declared[name].form.read(value, names) for name, value in values.items()})
-        if self.check is not None:
-            self.check(found, node)
-        return found
+        found: dict[str, Any] = {}
+        for key, (name, one) in declared.items():
+            if key in values:
+                found[name] = one.form.read(values[key], context)
+            context = context if self.follow is None else self.follow(key, found, context)
+        return self.record(**found)
 
     def write(self, value: T) -> dict[str, Any]:
         """Return the section as plain data, without the entries that have their default."""
-        plain = {}
+        plain = self._fixed()
         for name, one in entries_of(self.record).items():
             content = getattr(value, name)
-            if one.required or content != one.default:
-                plain[name] = one.form.write(content)
+            if one.required or one.kept or content != one.default:
+                plain[one.key] = one.form.write(content)
         return plain
 
+    def keys(self) -> dict[str, bool]:
+        """Return the keys, and whether each is required."""
+        return {one.key: one.required for one in entries_of(self.record).values()}
+
     def schema(self) -> dict[str, Any]:
-        declared = entries_of(self.record)
+        declared = entries_of(self.record).values()
+        fixed: dict[str, Any] = {name: {"const": value} for name, value in self._fixed().items()}
         return {
             "type": "object",
-            "properties": {name: {"description": one.text, **one.form.schema()} for name, one in declared.items()},
-            "required": [name for name, one in declared.items() if one.required],
+            "properties": fixed | {one.key: {"description": one.text, **one.form.schema()} for one in declared},
+            "required": [*fixed, *(one.key for one in declared if one.required)],
             "additionalProperties": False,
         }
 
+    def _fixed(self) -> dict[str, Any]:
+        """The keys that say which file this is."""
+        return {"tiltcal": FORMAT_VERSION, "kind": self.kind} if self.kind else {}
 
-def _refuse_former_names(node: Node, declared: Mapping[str, Entry]) -> None:
+
+def _refuse_former_names(node: Node, declared: Sequence[Entry]) -> None:
     """Refuse a key by its name in earlier versions, with the name that it has now."""
-    former = {one.formerly: name for name, one in declared.items() if one.formerly}
+    former = {one.formerly: one.key for one in declared if one.formerly}
     for name, value in node.entries().items():
         if name in former:
             raise value.error(f"the key {name!r} is called {former[name]!r} now; rename it")

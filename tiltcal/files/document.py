@@ -19,12 +19,12 @@ from pathlib import Path
 import yaml
 
 from tiltcal.errors import InputError
+from tiltcal.files.declaration import FORMAT_VERSION
 from tiltcal.files.node import DEPTH_LIMIT, Node, Scalar, item_key, member_key
 
 SIZE_LIMIT = 4_000_000
 """Bytes; the largest calibration file seen is a hundredth of it."""
 NODE_LIMIT = 200_000
-FORMAT_VERSION = 1
 KINDS = {
     "tilt": "a tilt calibration",
     "pair": "a pair calibration, as 'tiltcal match' writes it",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,15 +10,185 @@ from typing import Any
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.files.declaration import Section
-from tiltcal.files.document import FORMAT_VERSION, read_tiltcal_file
+from tiltcal.files.declaration import (
+    ANY,
+    ByKey,
+    ByName,
+    Context,
+    Converted,
+    Flag,
+    Format,
+    ListOf,
+    Number,
+    Section,
+    Text,
+    entry,
+)
+from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
 from tiltcal.files.records import PairProvenance
 from tiltcal.files.whole import write_whole
 
 _DIGITS = 4
-_PROVENANCE = Section(PairProvenance)
+
+
+_U = Number(minimum=0.0)
+_NAMES = ListOf(Text(), 2, 2, says="a pair has two channels, found {found}")
+
+
+@dataclass(frozen=True)
+class SinCos(Format[tuple[float, float]]):
+    """The two components ``[sin, cos]`` at the turning."""
+
+    item: Number = Number()  # noqa: RUF009
+
+    def read(self, node: Node, context: Context = ANY) -> tuple[float, float]:
+        items = node.items()
+        if len(items) != 2:
+            raise node.error(f"two numbers [sin, cos] are needed here, found {len(items)}")
+        return self.item.read(items[0]), self.item.read(items[1])
+
+    def write(self, value: tuple[float, float]) -> list[float]:
+        return list(value)
+
+    def schema(self) -> dict[str, Any]:
+        return {"type": "array", "items": self.item.schema(), "minItems": 2, "maxItems": 2}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spin:
+    """The section ``spin``."""
+
+    turns: float = entry(Number(above=0.0), "turns of the stage in the record")
+    frequency: float | None = entry(Number("Hz", above=0.0), "Hz; absent where the record has no time", default=None)
+    phase: str | None = entry(
+        Text(),
+        "the column of the stage angle, degrees; absent where the spin was estimated. `apply` demodulates the gradient "
+        "with it",
+        default=None,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoefficientUncertainty:
+    """Standard uncertainties of p and q."""
+
+    p: float = entry(_U, "of p")
+    q: float = entry(_U, "of q")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suppression:
+    """How far the common acceleration is suppressed."""
+
+    p: float = entry(_U, "after p")
+    pq: float = entry(_U, "after p and q")
+
+
+def _by_stage(item: Format[tuple[float, float]]) -> ByKey[Mapping[str, tuple[float, float]]]:
+    return ByKey(ByName(item), STAGES, complete=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairSection:
+    """One of ``pairs`` as it stands in a file."""
+
+    pair: tuple[str, ...] = entry(_NAMES, "`[first, second]`, two columns")
+    orthogonal: str = entry(Text(), "the accelerometer a quarter turn away, a third column")
+    p: float = entry(Number(), "a pure number, below 1")
+    q: float = entry(Number(), "a pure number")
+    uncertainty: CoefficientUncertainty = entry(
+        Section(CoefficientUncertainty), "`{p, q}`, standard uncertainties (k = 1)"
+    )
+    suppression: Suppression | None = entry(
+        Section(Suppression),
+        "`{p, pq}`: common acceleration in the first channel over what is left in the sum, or over the noise where "
+        "that is more",
+        default=None,
+    )
+    components: Mapping[str, Mapping[str, tuple[float, float]]] = entry(
+        _by_stage(SinCos()),
+        "`before`, `after_p`, `after_pq`: per channel and for their `sum` the components `[sin, cos]` at the turning, "
+        "unit of the readings",
+    )
+    component_uncertainty: Mapping[str, Mapping[str, tuple[float, float]]] = entry(
+        _by_stage(SinCos(_U)), "the same for their standard uncertainties"
+    )
+
+
+def _matching_of(section: PairSection, node: Node, context: Context) -> Matching:
+    entries, u = node.entries(), section.uncertainty
+    names = (*section.pair, section.orthogonal)
+    if len(set(names)) < len(names):
+        raise entries["orthogonal"].error("pair and orthogonal are three different channels")
+    if section.p >= 1.0:
+        raise entries["p"].error(
+            f"p is {section.p:g}; it must be below 1: the second accelerometer is divided by 1 - p"
+        )
+    pair = Pair(section.pair[0], section.pair[1], section.orthogonal)
+    for key in ("components", "component_uncertainty"):
+        for stage in entries[key].entries().values():
+            stage.mapping(required=(*pair.channels, SUM))
+    components = {
+        stage: {
+            name: Component(*section.components[stage][name], *section.component_uncertainty[stage][name])
+            for name in (*pair.channels, SUM)
+        }
+        for stage in STAGES
+    }
+    return Matching(pair, section.p, section.q, u.p, u.q, components)
+
+
+def _section_of(matching: Matching) -> PairSection:
+    """The section with the digits that the file has, so that what follows from them follows from the file again."""
+    matching = _rounded(matching)
+    rows = {stage: matching.components[stage].items() for stage in STAGES}
+    return PairSection(
+        pair=(matching.pair.first, matching.pair.second),
+        orthogonal=matching.pair.orthogonal,
+        p=matching.p,
+        q=matching.q,
+        uncertainty=CoefficientUncertainty(p=matching.u_p, q=matching.u_q),
+        suppression=Suppression(**{name: significant(value, _DIGITS) for name, value in matching.suppression.items()}),
+        components={stage: {name: (one.sin, one.cos) for name, one in row} for stage, row in rows.items()},
+        component_uncertainty={
+            stage: {name: (one.u_sin, one.u_cos) for name, one in row} for stage, row in rows.items()
+        },
+    )
+
+
+def _distinct(found: tuple[Matching, ...], node: Node, context: Context) -> tuple[Matching, ...]:
+    if len({matching.pair.name for matching in found}) < len(found):
+        raise node.error("the same pair is there twice")
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairFile:
+    """A pair file as it stands."""
+
+    spin: Spin = entry(Section(Spin), "how the stage turned")
+    online: bool = entry(
+        Flag(), "whether p and q are what the online estimator ended with", default=False, usual="`false`", kept=True
+    )
+    pairs: tuple[Matching, ...] = entry(
+        Converted(
+            ListOf(
+                Converted(Section(PairSection), _matching_of, _section_of),
+                1,
+                2,
+                says="one or two pairs are needed here, found {found}",
+            ),
+            _distinct,
+        ),
+        "one or two pairs",
+    )
+    provenance: PairProvenance = entry(Section(PairProvenance), "how it was made", default=PairProvenance(), kept=True)
+
+
+PAIR = Section(PairFile, kind="pair")
+"""The pair file."""
 
 
 @dataclass(frozen=True)
@@ -80,46 +250,31 @@ def write_pair(path: str | Path, calibration: PairRecord) -> None:
 
 
 def dump_pair(calibration: PairRecord) -> str:
-    """The text of a pair file; numbers with the digits that their uncertainty warrants."""
-    spin: dict[str, Any] = {"turns": significant(calibration.turns, 9)}
-    if calibration.frequency is not None:
-        spin["frequency"] = significant(calibration.frequency, 9)
-    if calibration.phase is not None:
-        spin["phase"] = calibration.phase
-    data: dict[str, Any] = {
-        "tiltcal": FORMAT_VERSION,
-        "kind": "pair",
-        "spin": spin,
-        "online": calibration.online,
-        "pairs": [_write_matching(_rounded(matching)) for matching in calibration.matchings],
-        "provenance": _PROVENANCE.write(calibration.provenance),
-    }
-    return yaml_text(data, {"spin.frequency": "Hz", "pairs": "the sum is first + (second + q orthogonal) / (1 - p)"})
+    """Return the text of a pair file; numbers have the digits that their uncertainty warrants."""
+    frequency = calibration.frequency
+    spin = Spin(
+        turns=significant(calibration.turns, 9),
+        frequency=None if frequency is None else significant(frequency, 9),
+        phase=calibration.phase,
+    )
+    content = PairFile(
+        spin=spin, online=calibration.online, pairs=calibration.matchings, provenance=calibration.provenance
+    )
+    comments = {"spin.frequency": "Hz", "pairs": "the sum is first + (second + q orthogonal) / (1 - p)"}
+    return yaml_text(PAIR.write(content), comments)
 
 
 def pair_of(document: Node) -> PairRecord:
-    """The pairs that a checked document of ``kind: pair`` holds.
+    """Return the pairs that a checked document of ``kind: pair`` holds.
 
     Raises
     ------
     InputError
         Anything in it is wrong; the message names file, line and key.
     """
-    top = document.mapping(required=("tiltcal", "kind", "spin", "pairs"), optional=("online", "provenance"))
-    spin = top["spin"].mapping(required=("turns",), optional=("frequency", "phase"))
-    matchings = tuple(_read_matching(item) for item in top["pairs"].items())
-    if not 1 <= len(matchings) <= 2:
-        raise top["pairs"].error(f"one or two pairs are needed here, found {len(matchings)}")
-    if len({matching.pair.name for matching in matchings}) < len(matchings):
-        raise top["pairs"].error("the same pair is there twice")
-    return PairRecord(
-        matchings,
-        spin["phase"].text() if "phase" in spin else None,
-        spin["turns"].number(above=0.0),
-        spin["frequency"].number(above=0.0) if "frequency" in spin else None,
-        top["online"].flag() if "online" in top else False,
-        _PROVENANCE.read(top["provenance"]) if "provenance" in top else PairProvenance(),
-    )
+    found = PAIR.read(document)
+    spin = found.spin
+    return PairRecord(found.pairs, spin.phase, spin.turns, spin.frequency, found.online, found.provenance)
 
 
 def _rounded(matching: Matching) -> Matching:
@@ -144,75 +299,3 @@ def _rounded(matching: Matching) -> Matching:
         significant(matching.u_q, _DIGITS),
         components,
     )
-
-
-def _write_matching(matching: Matching) -> dict[str, Any]:
-    return {
-        "pair": [matching.pair.first, matching.pair.second],
-        "orthogonal": matching.pair.orthogonal,
-        "p": matching.p,
-        "q": matching.q,
-        "uncertainty": {"p": matching.u_p, "q": matching.u_q},
-        "suppression": {name: significant(value, _DIGITS) for name, value in matching.suppression.items()},
-        "components": {
-            stage: {name: [one.sin, one.cos] for name, one in matching.components[stage].items()} for stage in STAGES
-        },
-        "component_uncertainty": {
-            stage: {name: [one.u_sin, one.u_cos] for name, one in matching.components[stage].items()}
-            for stage in STAGES
-        },
-    }
-
-
-def _read_matching(node: Node) -> Matching:
-    section = node.mapping(
-        required=("pair", "orthogonal", "p", "q", "uncertainty", "components", "component_uncertainty"),
-        optional=("suppression",),
-    )
-    pair = _read_pair(section["pair"], section["orthogonal"])
-    p = section["p"].number()
-    if p >= 1.0:
-        raise section["p"].error(f"p is {p:g}; it must be below 1: the second accelerometer is divided by 1 - p")
-    uncertainty = section["uncertainty"].mapping(required=("p", "q"))
-    if "suppression" in section:
-        for value in section["suppression"].mapping(required=("p", "pq")).values():
-            value.number(minimum=0.0)
-    return Matching(
-        pair,
-        p,
-        section["q"].number(),
-        uncertainty["p"].number(minimum=0.0),
-        uncertainty["q"].number(minimum=0.0),
-        _read_components(section["components"], section["component_uncertainty"], pair),
-    )
-
-
-def _read_pair(pair: Node, orthogonal: Node) -> Pair:
-    names = [item.text() for item in pair.items()]
-    if len(names) != 2:
-        raise pair.error(f"a pair has two channels, found {len(names)}")
-    channels = (*names, orthogonal.text())
-    if len(set(channels)) < len(channels):
-        raise orthogonal.error("pair and orthogonal are three different channels")
-    return Pair(*channels)
-
-
-def _read_components(values: Node, uncertainties: Node, pair: Pair) -> dict[str, dict[str, Component]]:
-    names = (*pair.channels, SUM)
-    tables = []
-    for node in (values, uncertainties):
-        stages = node.mapping(required=STAGES)
-        tables.append({stage: stages[stage].mapping(required=names) for stage in STAGES})
-    return {
-        stage: {
-            name: Component(*_two(tables[0][stage][name]), *_two(tables[1][stage][name], minimum=0.0)) for name in names
-        }
-        for stage in STAGES
-    }
-
-
-def _two(node: Node, minimum: float | None = None) -> Sequence[float]:
-    items = node.items()
-    if len(items) != 2:
-        raise node.error(f"two numbers [sin, cos] are needed here, found {len(items)}")
-    return [item.number(minimum=minimum) for item in items]

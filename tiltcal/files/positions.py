@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tiltcal.core.frames import Vector
+from tiltcal.core.model import AXES
 from tiltcal.errors import InputError
-from tiltcal.files.csv_tables import table_records
+from tiltcal.files.csv_tables import Table, table_rows
+from tiltcal.files.declaration import Integer, Number, Section, Text, entry
 from tiltcal.files.node import Node
 from tiltcal.files.procedure import ABSOLUTE_ZERO
-from tiltcal.files.segments import DIRECTION, direction_of
+from tiltcal.files.segments import Direction
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,29 @@ class TabledPosition:
     line: int | None
 
 
-def read_positions(table: str | Path | Sequence[Mapping[str, Any]], channels: Sequence[str]) -> list[TabledPosition]:
+_U = Number(above=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TabledRow(Direction):
+    """One row of a table of positions, as it stands in its file."""
+
+    position: str = entry(Text(), "its name")
+    x: float | None = entry(Number(), "mean reading, unit; needed where the sensor has the channel", default=None)
+    y: float | None = entry(Number(), "likewise", default=None)
+    z: float | None = entry(Number(), "likewise", default=None)
+    ux: float | None = entry(_U, "standard uncertainty of the mean, unit; in every row or in none", default=None)
+    uy: float | None = entry(_U, "likewise", default=None)
+    uz: float | None = entry(_U, "likewise", default=None)
+    n: int | None = entry(Integer(minimum=1), "number of samples behind the means", default=None)
+    temperature: float | None = entry(Number("°C", minimum=ABSOLUTE_ZERO), "°C", default=None)
+
+
+ROW = Section(TabledRow)
+"""One row of a table of positions."""
+
+
+def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition]:
     """Read and check a table of positions.
 
     Parameters
@@ -67,11 +90,10 @@ def read_positions(table: str | Path | Sequence[Mapping[str, Any]], channels: Se
     InputError
         Anything in it is wrong; the message names file, line and column.
     """
-    required = ("position", *channels)
-    optional = (*DIRECTION, *(f"u{channel}" for channel in channels), "n", "temperature")
+    absent = [f"{lead}{axis}" for axis in AXES if axis not in channels for lead in ("", "u")]
+    keys = {key: needed or key in channels for key, needed in ROW.keys().items() if key not in absent}
     path = table if isinstance(table, str | Path) else "the table"
-    records = table_records(table, path, required, optional)
-    positions = [_position(record, channels, required, optional) for record in records]
+    positions = [_position(row, channels) for row in table_rows(table, path, keys)]
     if not positions:
         raise InputError("the table has no position", file=path)
     stated = [position for position in positions if position.u is not None]
@@ -85,26 +107,24 @@ def read_positions(table: str | Path | Sequence[Mapping[str, Any]], channels: Se
     return positions
 
 
-def _position(
-    record: Node, channels: Sequence[str], required: Sequence[str], optional: Sequence[str]
-) -> TabledPosition:
-    section = record.mapping(required=required, optional=optional)
+def _position(node: Node, channels: Sequence[str]) -> TabledPosition:
+    row = ROW.read(node)
     return TabledPosition(
-        section["position"].text(),
-        direction_of(record, section),
-        {channel: section[channel].number() for channel in channels},
-        _uncertainty(record, section, channels),
-        section["n"].integer(minimum=1) if "n" in section else None,
-        section["temperature"].number(minimum=ABSOLUTE_ZERO) if "temperature" in section else None,
-        record.line,
+        row.position,
+        row.vector(node),
+        {channel: getattr(row, channel) for channel in channels},
+        _uncertainty(row, node, channels),
+        row.n,
+        row.temperature,
+        node.line,
     )
 
 
-def _uncertainty(record: Node, section: dict[str, Node], channels: Sequence[str]) -> dict[str, float] | None:
-    given = [channel for channel in channels if f"u{channel}" in section]
-    if not given:
+def _uncertainty(row: TabledRow, node: Node, channels: Sequence[str]) -> dict[str, float] | None:
+    u = {channel: getattr(row, f"u{channel}") for channel in channels}
+    missing = [f"u{channel}" for channel, value in u.items() if value is None]
+    if len(missing) == len(channels):
         return None
-    if len(given) < len(channels):
-        missing = ", ".join(f"u{channel}" for channel in channels if channel not in given)
-        raise record.error(f"{missing} is missing; give the uncertainty of every mean, or of none")
-    return {channel: section[f"u{channel}"].number(above=0.0) for channel in channels}
+    if missing:
+        raise node.error(f"{', '.join(missing)} is missing; give the uncertainty of every mean, or of none")
+    return u

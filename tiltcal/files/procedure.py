@@ -12,7 +12,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.core.frames import Vector, gravity_from_tilt, normalised
+from tiltcal.core.model import AXES
 from tiltcal.errors import InputError, UsageError
+from tiltcal.files.declaration import (
+    ANY,
+    ByKey,
+    Choice,
+    Context,
+    Converted,
+    Either,
+    Flag,
+    Format,
+    Imported,
+    Integer,
+    ListOf,
+    Number,
+    Section,
+    Text,
+    entry,
+)
 from tiltcal.files.document import checked_kind, read_tiltcal_file
 from tiltcal.files.node import Node, document_of
 
@@ -28,34 +46,67 @@ _NAME = re.compile(r"[^\W\d_][\w.-]*")
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 
 
+def _order(order: int, node: Node, context: Context) -> int:
+    if order > ORDER_LIMIT:
+        raise node.error(f"an order of {order} is too high; at most {ORDER_LIMIT}")
+    return order
+
+
+def _bend(order: int, node: Node, context: Context) -> int:
+    if order > 2:
+        raise node.error("a non-linearity is 1, the square, or 2, the square and the cube")
+    return order
+
+
+def _distinct_axes(axes: tuple[str, ...], node: Node, context: Context) -> tuple[str, ...]:
+    if len(set(axes)) < len(axes):
+        raise node.error("an axis is named twice")
+    return tuple(sorted(axes))
+
+
+_ORDER = Converted(Integer(minimum=0), _order, more={"maximum": ORDER_LIMIT})
+_TEMPERATURE = Number("°C", minimum=ABSOLUTE_ZERO)
+
+
 @dataclass(frozen=True)
 class Determines:
-    """What the positions of a procedure determine besides the offset.
+    """What the positions of a procedure determine besides the offset."""
 
-    Attributes
-    ----------
-    axes : tuple of str
-        Columns of the sensitivity matrix.
-    drift, gain : int
-        Orders of the temperature polynomials of offset and sensitivity; 0 where there is none.
-    nonlinearity : int
-        0 for a straight line, 1 for a square, 2 for a square and a cube.
-    cross_validated : bool
-        Whether the order of the drift is chosen by cross-validation, ``drift`` being the highest.
-    mounting : bool
-        Whether the positions are the application's, and show how a calibrated sensor sits in it.
-    free : bool
-        Whether nobody sets the positions, so that what is known of each is that gravity is 1 g. Their directions are
-        proposals to the operator.
-    """
+    axes: tuple[str, ...] = entry(
+        Converted(ListOf(Choice(AXES)), _distinct_axes, more={"uniqueItems": True}),
+        "the columns of the sensitivity matrix, `[]` for none",
+    )
+    drift: int = entry(_ORDER, "order of the temperature polynomial of the offset, up to 6", default=0)
+    gain: int = entry(_ORDER, "order of the temperature polynomial of the sensitivity, up to 6", default=0)
+    nonlinearity: int = entry(
+        Converted(Integer(minimum=0), _bend, more={"maximum": 2}), "1 for the square, 2 for square and cube", default=0
+    )
+    mounting: bool = entry(
+        Flag(),
+        "whether the positions are the application's, with `axes: []`; `measure` takes the sensor's calibration as "
+        "`--base` then",
+        default=False,
+    )
+    cross_validated: bool = entry(
+        Flag(), "whether the order of the drift is chosen by cross-validation, up to that of `drift`", default=False
+    )
+    free: bool = entry(
+        Flag(),
+        "whether nobody sets the positions, with `axes: [x, y, z]`: their directions are proposals, and unit gravity "
+        "alone determines",
+        default=False,
+    )
 
-    axes: tuple[str, ...]
-    drift: int = 0
-    gain: int = 0
-    nonlinearity: int = 0
-    mounting: bool = False
-    cross_validated: bool = False
-    free: bool = False
+
+def _consistent(found: Determines, node: Node, context: Context) -> Determines:
+    orders = found.drift or found.gain or found.nonlinearity
+    if found.mounting and (found.axes or orders):
+        raise node.error("a procedure that determines the mounting determines nothing else: axes is [] there")
+    if found.cross_validated and not found.drift:
+        raise node.error("an order that is chosen by cross-validation needs the key 'drift', the highest order")
+    if found.free and (len(found.axes) < 3 or orders or found.mounting):
+        raise node.error("free positions determine the axes [x, y, z] and nothing else: unit gravity says no more")
+    return found
 
 
 @dataclass(frozen=True)
@@ -87,6 +138,133 @@ class Position:
     heading: float | None = None
     temperature: float | None = None
     stage: float | None = None
+
+
+@dataclass(frozen=True)
+class SetAngle(Format[float]):
+    """An angle in degrees, or ``angle`` and ``-angle`` for the one of the procedure."""
+
+    def read(self, node: Node, context: Context = ANY) -> float:
+        if not node.names("angle", "-angle"):
+            return node.number()
+        if context.angle is None:
+            raise node.error("the procedure gives no angle; add 'angle: 30' to it, or write degrees here")
+        return context.angle if node.text() == "angle" else -context.angle
+
+    def schema(self) -> dict[str, Any]:
+        return {"anyOf": [{"type": "number"}, {"enum": ["angle", "-angle"]}]}
+
+
+def _name(name: str, node: Node, context: Context) -> str:
+    if not _NAME.fullmatch(name):
+        raise node.error(f"the name {name!r} is not a letter followed by letters, digits, '-', '_' and '.'")
+    return name
+
+
+IDENTIFIER = Converted(Text(), _name, more={"pattern": f"^{_NAME.pattern}$"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionSection:
+    """One of ``positions`` as it stands in a file."""
+
+    name: str = entry(IDENTIFIER, "unique; a letter, then letters, digits, `-`, `_`, `.`")
+    prompt: str = entry(Text(), "the operator's sentence, in which `{angle}` and `{temperature}` are filled in")
+    tilt: Mapping[str, float] | None = entry(
+        ByKey(SetAngle(), ("x", "y")), "degrees per axis, or `angle` and `-angle`; or else `gravity`", default=None
+    )
+    gravity: tuple[float, ...] | None = entry(
+        ListOf(Number(), 3, 3, says="a direction has three components, found {found}"),
+        "`[gx, gy, gz]`, the direction that points up in the sensor frame; it is normalised",
+        default=None,
+    )
+    heading: float | None = entry(
+        Number("degrees"),
+        "how far the fixture is turned about the vertical, degrees; where headings differ, the table's own lean is "
+        "estimated too and does not end up in the offset",
+        default=None,
+    )
+    temperature: float | None = entry(_TEMPERATURE, "°C", default=None)
+    stage: float | None = entry(
+        Number("degrees"), "angle of the rotary stage, degrees; no estimate uses it yet", default=None
+    )
+
+
+def _position_of(section: PositionSection, node: Node, context: Context) -> Position:
+    entries, tilt = node.entries(), section.tilt
+    if (section.tilt is None) == (section.gravity is None):
+        raise node.error("a position has either tilt: {x: degrees, y: degrees} or gravity: [gx, gy, gz]")
+    known = {"angle": context.angle, "temperature": section.temperature}
+    return Position(
+        name=section.name,
+        prompt=_filled_in(section.prompt, entries["prompt"], known),
+        gravity=_located(entries["gravity"], normalised, section.gravity or ())
+        if tilt is None
+        else _located(entries["tilt"], gravity_from_tilt, tilt),
+        tilt=tilt,
+        heading=section.heading,
+        temperature=section.temperature,
+        stage=section.stage,
+    )
+
+
+def _distinct(positions: tuple[Position, ...], node: Node, context: Context) -> tuple[Position, ...]:
+    names = [position.name for position in positions]
+    for number, item in enumerate(node.items()):
+        if names[number] in names[:number]:
+            raise item.error(f"a position named {names[number]!r} is there already; names are unique")
+    return positions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Soak:
+    """What a new temperature has to settle to."""
+
+    seconds: float = entry(Number(above=0.0), "the window, seconds")
+    drift: float = entry(Number(above=0.0), "the largest drift in it, °C")
+
+
+def _right_angle(angle: float, node: Node, context: Context) -> float:
+    if angle > 90.0:
+        raise node.error(f"an angle of {angle:g}° is more than 90°")
+    return angle
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionsProcedure:
+    """A procedure of positions as it stands in a file."""
+
+    name: str = entry(IDENTIFIER, "a letter, then letters, digits, `-`, `_`, `.`")
+    title: str = entry(Text(), "what it is for, in one line")
+    source: str = entry(Text(), "the document it comes from", default="")
+    determines: Determines = entry(
+        Converted(Section(Determines), _consistent), "what the positions determine besides the offset"
+    )
+    reference: float | None = entry(_TEMPERATURE, "reference temperature, °C; needed with drift or gain", default=None)
+    angle: float | None = entry(
+        Converted(Number(above=0.0), _right_angle, more={"maximum": 90}),
+        "the angle that positions may call `angle` or `-angle`, degrees; `--tilt` takes its place",
+        default=None,
+    )
+    samples: int = entry(Integer(minimum=2), "samples a position", default=100)
+    settle: float = entry(Number(above=0.0), "seconds over which the reading must hold still", default=2.0)
+    soak: Soak = entry(
+        Section(Soak),
+        "at a new temperature: the window, seconds, and the largest drift in it, °C",
+        default=Soak(seconds=20.0, drift=0.3),
+        usual="`{seconds: 20, drift: 0.3}`",
+    )
+    positions: tuple[Position, ...] = entry(
+        Converted(
+            ListOf(
+                Converted(Section(PositionSection), _position_of),
+                1,
+                says="the list is empty; a procedure has at least one position",
+            ),
+            _distinct,
+        ),
+        "in order",
+    )
 
 
 @dataclass(frozen=True)
@@ -212,7 +390,7 @@ def read_procedure(path: str | Path, angle: float | None = None) -> Procedure:
     UsageError
         An angle that the procedure cannot take.
     """
-    return _procedure_of(read_tiltcal_file(path, "procedure"), angle)
+    return PROCEDURE.read(read_tiltcal_file(path, "procedure"), Context(given=angle))
 
 
 def procedure_from_record(
@@ -236,69 +414,53 @@ def procedure_from_record(
     UsageError
         An angle that the procedure cannot take.
     """
-    return _procedure_of(checked_kind(document_of(record, file, line), "procedure"), angle)
+    return PROCEDURE.read(checked_kind(document_of(record, file, line), "procedure"), Context(given=angle))
 
 
-def _procedure_of(document: Node, angle: float | None) -> Procedure:
-    if "rotation" in document.entries():
-        return _turning_of(document, angle)
-    top = document.mapping(
-        required=("tiltcal", "kind", "name", "title", "determines", "positions"),
-        optional=("source", "angle", "reference", "samples", "settle", "soak"),
-    )
-    name = _read_name(top["name"])
-    free = _read_angle(top["angle"]) if "angle" in top else None
-    chosen = _chosen_angle(name, free, angle)
-    soak = top["soak"].mapping(required=("seconds", "drift")) if "soak" in top else {}
+def _of_positions(found: PositionsProcedure, node: Node, context: Context) -> Procedure:
+    if (found.determines.drift or found.determines.gain) and found.reference is None:
+        raise node.entries()["determines"].error(
+            "temperature terms need the key 'reference', the temperature that they are counted from"
+        )
     return Procedure(
-        name=name,
-        title=top["title"].text(),
-        source=top["source"].text() if "source" in top else "",
-        determines=_read_determines(top["determines"], "reference" in top),
-        positions=_read_positions(top["positions"], chosen),
-        angle=chosen,
-        reference=_read_temperature(top["reference"]) if "reference" in top else None,
-        samples=top["samples"].integer(minimum=2) if "samples" in top else Procedure.samples,
-        settle=top["settle"].number(above=0.0) if "settle" in top else Procedure.settle,
-        soak_seconds=soak["seconds"].number(above=0.0) if soak else Procedure.soak_seconds,
-        soak_drift=soak["drift"].number(above=0.0) if soak else Procedure.soak_drift,
-        record=document.plain(),
+        name=found.name,
+        title=found.title,
+        source=found.source,
+        determines=found.determines,
+        positions=found.positions,
+        angle=chosen_angle(found.name, found.angle, context.given),
+        reference=found.reference,
+        samples=found.samples,
+        settle=found.settle,
+        soak_seconds=found.soak.seconds,
+        soak_drift=found.soak.drift,
+        record=node.plain(),
     )
 
 
-def _turning_of(document: Node, angle: float | None) -> Procedure:
-    """A procedure of a stage that turns."""
-    from tiltcal.files.rotation import read_rotation
-
-    top = document.mapping(required=("tiltcal", "kind", "name", "title", "rotation"), optional=("source",))
-    name = _read_name(top["name"])
-    return Procedure(
-        name=name,
-        title=top["title"].text(),
-        source=top["source"].text() if "source" in top else "",
-        determines=Determines(()),
-        positions=(),
-        angle=_chosen_angle(name, None, angle),
-        record=document.plain(),
-        rotation=read_rotation(top["rotation"]),
-    )
+def _with_angle(key: str, found: Mapping[str, Any], context: Context) -> Context:
+    """The angle that the positions may name."""
+    if key != "angle":
+        return context
+    return replace(context, angle=chosen_angle(found["name"], found.get("angle"), context.given))
 
 
-def _read_name(node: Node) -> str:
-    name = node.text()
-    if not _NAME.fullmatch(name):
-        raise node.error(f"the name {name!r} is not a letter followed by letters, digits, '-', '_' and '.'")
-    return name
+PROCEDURE: Format[Procedure] = Either(
+    "rotation",
+    Converted(Section(PositionsProcedure, follow=_with_angle, kind="procedure"), _of_positions),
+    Imported("tiltcal.files.rotation", "ROTATION_PROCEDURE"),
+)
+"""The procedure file."""
 
 
-def _read_angle(node: Node) -> float:
-    angle = node.number(above=0.0)
-    if angle > 90.0:
-        raise node.error(f"an angle of {angle:g}° is more than 90°")
-    return angle
+def chosen_angle(name: str, free: float | None, angle: float | None) -> float | None:
+    """Return the angle that a procedure leaves free, or the one that the user gives in its place, degrees.
 
-
-def _chosen_angle(name: str, free: float | None, angle: float | None) -> float | None:
+    Raises
+    ------
+    UsageError
+        The procedure leaves none free, or the angle is beyond 90°.
+    """
     if angle is None:
         return free
     if free is None:
@@ -306,74 +468,6 @@ def _chosen_angle(name: str, free: float | None, angle: float | None) -> float |
     if not 0.0 < angle <= 90.0:
         raise UsageError(f"an angle of {angle:g}° is not above 0° and at most 90°")
     return float(angle)
-
-
-def _read_temperature(node: Node) -> float:
-    return node.number(minimum=ABSOLUTE_ZERO)
-
-
-def _read_determines(node: Node, has_reference: bool) -> Determines:
-    section = node.mapping(
-        required=("axes",), optional=("drift", "gain", "nonlinearity", "mounting", "cross_validated", "free")
-    )
-    axes = tuple(item.choice(("x", "y", "z")) for item in section["axes"].items())
-    if len(set(axes)) < len(axes):
-        raise section["axes"].error("an axis is named twice")
-    drift, gain = (_read_order(section[name]) if name in section else 0 for name in ("drift", "gain"))
-    if (drift or gain) and not has_reference:
-        raise node.error("temperature terms need the key 'reference', the temperature that they are counted from")
-    mounting = section["mounting"].flag() if "mounting" in section else False
-    if mounting and (axes or drift or gain or "nonlinearity" in section):
-        raise node.error("a procedure that determines the mounting determines nothing else: axes is [] there")
-    bend = section["nonlinearity"].integer(minimum=0) if "nonlinearity" in section else 0
-    if bend > 2:
-        raise section["nonlinearity"].error("a non-linearity is 1, the square, or 2, the square and the cube")
-    chosen = section["cross_validated"].flag() if "cross_validated" in section else False
-    if chosen and not drift:
-        raise node.error("an order that is chosen by cross-validation needs the key 'drift', the highest order")
-    free = section["free"].flag() if "free" in section else False
-    if free and (len(axes) < 3 or drift or gain or bend or mounting):
-        raise node.error("free positions determine the axes [x, y, z] and nothing else: unit gravity says no more")
-    return Determines(tuple(sorted(axes)), drift, gain, bend, mounting, chosen, free)
-
-
-def _read_order(node: Node) -> int:
-    order = node.integer(minimum=0)
-    if order > ORDER_LIMIT:
-        raise node.error(f"an order of {order} is too high; at most {ORDER_LIMIT}")
-    return order
-
-
-def _read_positions(node: Node, angle: float | None) -> tuple[Position, ...]:
-    items = node.items()
-    if not items:
-        raise node.error("the list is empty; a procedure has at least one position")
-    positions: dict[str, Position] = {}
-    for item in items:
-        position = _read_position(item, angle)
-        if position.name in positions:
-            raise item.error(f"a position named {position.name!r} is there already; names are unique")
-        positions[position.name] = position
-    return tuple(positions.values())
-
-
-def _read_position(node: Node, angle: float | None) -> Position:
-    section = node.mapping(required=("name", "prompt"), optional=("tilt", "gravity", "heading", "temperature", "stage"))
-    if ("tilt" in section) == ("gravity" in section):
-        raise node.error("a position has either tilt: {x: degrees, y: degrees} or gravity: [gx, gy, gz]")
-    tilt = _read_tilt(section["tilt"], angle) if "tilt" in section else None
-    temperature = _read_temperature(section["temperature"]) if "temperature" in section else None
-    return Position(
-        name=_read_name(section["name"]),
-        prompt=_read_prompt(section["prompt"], {"angle": angle, "temperature": temperature}),
-        gravity=_located(section["tilt"], gravity_from_tilt, tilt)
-        if tilt is not None
-        else _located(section["gravity"], normalised, section["gravity"].numbers()),
-        tilt=tilt,
-        heading=section["heading"].number() if "heading" in section else None,
-        temperature=temperature,
-        stage=section["stage"].number() if "stage" in section else None,
-    )
 
 
 def _located(node: Node, direction: Any, given: Mapping[str, float] | Sequence[float]) -> Vector:
@@ -385,19 +479,7 @@ def _located(node: Node, direction: Any, given: Mapping[str, float] | Sequence[f
     return vector
 
 
-def _read_tilt(node: Node, angle: float | None) -> dict[str, float]:
-    return {axis: _read_tilt_angle(value, angle) for axis, value in node.mapping(optional=("x", "y")).items()}
-
-
-def _read_tilt_angle(node: Node, angle: float | None) -> float:
-    if node.names("angle", "-angle"):
-        if angle is None:
-            raise node.error("the procedure gives no angle; add 'angle: 30' to it, or write degrees here")
-        return angle if node.text() == "angle" else -angle
-    return node.number()
-
-
-def _read_prompt(node: Node, values: Mapping[str, float | None]) -> str:
+def _filled_in(prompt: str, node: Node, values: Mapping[str, float | None]) -> str:
     """The operator's sentence with ``{angle}`` and ``{temperature}`` filled in."""
 
     def value_of(found: re.Match[str]) -> str:
@@ -407,4 +489,4 @@ def _read_prompt(node: Node, values: Mapping[str, float | None]) -> str:
             raise node.error(f"{found.group()} has no value here; the prompt may use {known or 'none'}")
         return f"{value:g}"
 
-    return _PLACEHOLDER.sub(value_of, node.text())
+    return _PLACEHOLDER.sub(value_of, prompt)

@@ -13,13 +13,13 @@ from tiltcal.files.declaration import (
     ANY,
     ByChannel,
     ByName,
+    Context,
     Flag,
     Format,
     Integer,
     ListOf,
     Number,
     Section,
-    SensorNames,
     Text,
     entry,
 )
@@ -259,7 +259,7 @@ class ProcedureRecord:
 class RowRanges(Format[tuple[tuple[int, int], ...]]):
     """Rows of a log: ``[first, end]``, or a list of such where the position was interrupted."""
 
-    def read(self, node: Node, names: SensorNames = ANY) -> tuple[tuple[int, int], ...]:
+    def read(self, node: Node, context: Context = ANY) -> tuple[tuple[int, int], ...]:
         items = node.items()
         parts = items if any(isinstance(item.content, list) for item in items) else [node]
         return tuple(self._part(part) for part in parts)

@@ -20,70 +20,86 @@ from dataclasses import dataclass
 from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import UsageError
+from tiltcal.files.declaration import Context, Converted, Integer, ListOf, Number, Section, Text, entry
 from tiltcal.files.node import Node
+from tiltcal.files.procedure import IDENTIFIER, Determines, Procedure, chosen_angle
 
 FEWEST = int(FEWEST_TURNS)
 MOST = 1_000_000
 """Turns."""
 
+_FOUR = "pair, orthogonal and phase are four different channels"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairSelection:
+    """One of ``pairs`` as it stands in a file."""
+
+    pair: tuple[str, ...] = entry(
+        ListOf(Text(), 2, 2, says="a pair has two channels, found {found}"),
+        "`[first, second]`, two channels opposite each other; the second is trimmed to the first",
+    )
+    orthogonal: str = entry(Text(), "a channel a quarter turn away")
+
+
+def _pair_of(found: PairSelection, node: Node, context: Context) -> Pair:
+    channels = (found.pair[0], found.pair[1], found.orthogonal)
+    if len(set(channels)) < len(channels):
+        raise node.error(_FOUR)
+    return Pair(*channels)
+
+
+def _turns(turns: int, node: Node, context: Context) -> int:
+    try:
+        return require_turns(turns)
+    except UsageError as refusal:
+        raise node.error(str(refusal)) from None
+
+
+def _distinct(pairs: tuple[Pair, ...], node: Node, context: Context) -> tuple[Pair, ...]:
+    if len({pair.name for pair in pairs}) < len(pairs):
+        raise node.error("the same pair is there twice")
+    return pairs
+
 
 @dataclass(frozen=True)
 class Rotation:
-    """What is done while a stage turns.
+    """What is done while a stage turns."""
 
-    Attributes
-    ----------
-    phase : str
-        The channel of the stage angle, degrees.
-    pairs : tuple of Pair
-        One or two.
-    prompt : str
-        What the operator is asked to do.
-    turns : int
-        The most that are made.
-    converged : float or None
-        Standard uncertainty of p and q, relative to a scale factor, at which it is enough; None where all turns are
-        made.
-    patience : float
-        Seconds in which the stage must begin to turn.
-    """
-
-    phase: str
-    pairs: tuple[Pair, ...]
-    prompt: str = "Let the stage turn steadily, with its axis inclined."
-    turns: int = 100
-    converged: float | None = None
-    patience: float = 60.0
+    phase: str = entry(Text(), "the channel of the stage angle, degrees")
+    pairs: tuple[Pair, ...] = entry(
+        Converted(
+            ListOf(
+                Converted(Section(PairSelection), _pair_of),
+                1,
+                2,
+                says="one or two pairs are matched at once, those of one disk; found {found}",
+            ),
+            _distinct,
+        ),
+        "one or two of `{pair: [first, second], orthogonal: third}`; the second is trimmed to the first, the third "
+        "stands a quarter turn away",
+    )
+    prompt: str = entry(
+        Text(), "the operator's sentence", default="Let the stage turn steadily, with its axis inclined."
+    )
+    turns: int = entry(
+        Converted(Integer(), _turns, more={"minimum": FEWEST, "maximum": MOST}),
+        "the most that are made; `--turns` takes its place",
+        default=100,
+    )
+    converged: float | None = entry(
+        Number(above=0.0),
+        "the standard uncertainty of p and q, relative to a scale factor, at which it ends earlier; not before the "
+        "fifth turn",
+        default=None,
+    )
+    patience: float = entry(Number(above=0.0), "seconds in which the stage must begin to turn", default=60.0)
 
     @property
     def channels(self) -> tuple[str, ...]:
         """The readings of all pairs, each once."""
         return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
-
-
-def read_rotation(node: Node) -> Rotation:
-    """Read and check the section.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
-    """
-    section = node.mapping(required=("phase", "pairs"), optional=("turns", "converged", "patience", "prompt"))
-    phase = section["phase"].text()
-    pairs = tuple(_read_pair(item, phase) for item in section["pairs"].items())
-    if not 1 <= len(pairs) <= 2:
-        raise section["pairs"].error(f"one or two pairs are matched at once, those of one disk; found {len(pairs)}")
-    if len({pair.name for pair in pairs}) < len(pairs):
-        raise section["pairs"].error("the same pair is there twice")
-    return Rotation(
-        phase,
-        pairs,
-        section["prompt"].text() if "prompt" in section else Rotation.prompt,
-        _read_turns(section["turns"]) if "turns" in section else Rotation.turns,
-        section["converged"].number(above=0.0) if "converged" in section else None,
-        section["patience"].number(above=0.0) if "patience" in section else Rotation.patience,
-    )
 
 
 def require_turns(turns: int) -> int:
@@ -99,19 +115,39 @@ def require_turns(turns: int) -> int:
     return turns
 
 
-def _read_turns(node: Node) -> int:
-    try:
-        return require_turns(node.integer())
-    except UsageError as refusal:
-        raise node.error(str(refusal)) from None
+def _apart(rotation: Rotation, node: Node, context: Context) -> Rotation:
+    for pair, item in zip(rotation.pairs, node.entries()["pairs"].items(), strict=True):
+        if rotation.phase in pair.channels:
+            raise item.error(_FOUR)
+    return rotation
 
 
-def _read_pair(node: Node, phase: str) -> Pair:
-    section = node.mapping(required=("pair", "orthogonal"))
-    names = [item.text() for item in section["pair"].items()]
-    if len(names) != 2:
-        raise section["pair"].error(f"a pair has two channels, found {len(names)}")
-    channels = (*names, section["orthogonal"].text())
-    if len({*channels, phase}) < len(channels) + 1:
-        raise node.error("pair, orthogonal and phase are four different channels")
-    return Pair(*channels)
+ROTATION = Converted(Section(Rotation), _apart)
+"""The section ``rotation``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotationProcedure:
+    """A procedure of a stage that turns, as it stands in a file."""
+
+    name: str = entry(IDENTIFIER, "a letter, then letters, digits, `-`, `_`, `.`")
+    title: str = entry(Text(), "what it is for, in one line")
+    source: str = entry(Text(), "the document it comes from", default="")
+    rotation: Rotation = entry(ROTATION, "which pairs are matched while the stage turns")
+
+
+def _of_rotation(found: RotationProcedure, node: Node, context: Context) -> Procedure:
+    return Procedure(
+        name=found.name,
+        title=found.title,
+        source=found.source,
+        determines=Determines(()),
+        positions=(),
+        angle=chosen_angle(found.name, None, context.given),
+        record=node.plain(),
+        rotation=found.rotation,
+    )
+
+
+ROTATION_PROCEDURE = Converted(Section(RotationProcedure, kind="procedure"), _of_rotation)
+"""The procedure file of a stage that turns."""

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from tiltcal.core.frames import Vector, normalised
 from tiltcal.errors import InputError
-from tiltcal.files.csv_tables import table_records
+from tiltcal.files.csv_tables import Table, table_rows
+from tiltcal.files.declaration import Context, Converted, Integer, Number, Section, Text, entry
 from tiltcal.files.node import Node
-
-DIRECTION = ("gx", "gy", "gz")
-
-_REQUIRED = ("position", "start", "end")
 
 
 @dataclass(frozen=True)
@@ -41,7 +37,59 @@ class Segment:
     line: int | None
 
 
-def read_segments(segments: str | Path | Sequence[Mapping[str, Any]]) -> list[Segment]:
+@dataclass(frozen=True, kw_only=True)
+class Direction:
+    """The direction that points up, as a row of a table gives it."""
+
+    gx: float | None = entry(
+        Number(),
+        "with `gy` and `gz` the direction that points up, where the position is not the procedure's",
+        default=None,
+    )
+    gy: float | None = entry(Number(), "likewise", default=None)
+    gz: float | None = entry(Number(), "likewise", default=None)
+
+    def vector(self, row: Node) -> Vector | None:
+        """Return the direction as a unit vector; None where the row gives none.
+
+        Raises
+        ------
+        InputError
+            One or two of the three, or all zero.
+        """
+        parts = {"gx": self.gx, "gy": self.gy, "gz": self.gz}
+        given = [value for value in parts.values() if value is not None]
+        if not given:
+            return None
+        if len(given) < len(parts):
+            missing = ", ".join(name for name, value in parts.items() if value is None)
+            raise row.error(f"{missing} is missing; a direction has all of gx, gy and gz")
+        try:
+            return normalised(given)
+        except InputError as failure:
+            raise row.error(failure.message) from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentRow(Direction):
+    """One row of a segments file."""
+
+    position: str = entry(Text(), "its name, the procedure's or another one")
+    start: int = entry(Integer(minimum=0), "first row of the log, counted from 0 after its header")
+    end: int = entry(Integer(minimum=0), "the row after the last one")
+
+
+def _segment_of(row: SegmentRow, node: Node, context: Context) -> Segment:
+    if row.start >= row.end:
+        raise node.entries()["end"].error(f"the end {row.end} is not after the start {row.start}; the end is exclusive")
+    return Segment(row.position, row.start, row.end, row.vector(node), node.line)
+
+
+SEGMENT = Converted(Section(SegmentRow), _segment_of)
+"""One row of a segments file."""
+
+
+def read_segments(segments: Table) -> list[Segment]:
     """Read and check a segments file.
 
     Parameters
@@ -62,40 +110,11 @@ def read_segments(segments: str | Path | Sequence[Mapping[str, Any]]) -> list[Se
         Anything in it is wrong; the message names file, line and column.
     """
     path = segments if isinstance(segments, str | Path) else "the segments"
-    found = [_segment_of(record) for record in table_records(segments, path, _REQUIRED, DIRECTION)]
+    found = [SEGMENT.read(row) for row in table_rows(segments, path, Section(SegmentRow).keys())]
     if not found:
         raise InputError("the file has no segment", file=path)
     _refuse_overlap(found, path)
     return found
-
-
-def _segment_of(record: Node) -> Segment:
-    section = record.mapping(required=_REQUIRED, optional=DIRECTION)
-    start = section["start"].integer(minimum=0)
-    end = section["end"].integer(minimum=0)
-    if start >= end:
-        raise section["end"].error(f"the end {end} is not after the start {start}; the end is exclusive")
-    return Segment(section["position"].text(), start, end, direction_of(record, section), record.line)
-
-
-def direction_of(record: Node, section: dict[str, Node]) -> Vector | None:
-    """The direction that a record gives in gx, gy and gz, as a unit vector; None where it gives none.
-
-    Raises
-    ------
-    InputError
-        One or two of the three, or all zero.
-    """
-    given = [section[name].number() for name in DIRECTION if name in section]
-    if not given:
-        return None
-    if len(given) != len(DIRECTION):
-        missing = ", ".join(name for name in DIRECTION if name not in section)
-        raise record.error(f"{missing} is missing; a direction has all of gx, gy and gz")
-    try:
-        return normalised(given)
-    except InputError as failure:
-        raise record.error(failure.message) from None
 
 
 def _refuse_overlap(segments: Iterable[Segment], path: str | Path) -> None:

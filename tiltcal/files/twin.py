@@ -43,7 +43,7 @@ Of a ``gradiometer`` the truth is a disk instead::
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -52,11 +52,234 @@ from tiltcal.core.model import AXES
 from tiltcal.drivers.twin.gradiometer import CHANNELS, Accelerometer, Disk
 from tiltcal.drivers.twin.stage import FASTEST, StageTruth
 from tiltcal.drivers.twin.truth import Fault, Polynomial, Truth
-from tiltcal.files.coefficients import read_per_channel, read_polynomials, read_rows
+from tiltcal.files.coefficients import ROWS, MountingSection, polynomials
+from tiltcal.files.declaration import (
+    ByChannel,
+    ByKey,
+    Choice,
+    Context,
+    Converted,
+    Either,
+    Integer,
+    ListOf,
+    Number,
+    Section,
+    Text,
+    entry,
+)
 from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.node import Node
 
 FAULTS = ("parity", "stuck", "silent", "unplugged")
+
+
+_SHARE = Number(minimum=0.0)
+
+
+def _fault_of(found: FaultSection, node: Node, context: Context) -> Fault:
+    if found.end <= found.start:
+        raise node.entries()["end"].error(
+            f"the fault ends at {found.end:g} s, not after its start at {found.start:g} s"
+        )
+    return Fault(found.kind, found.start, found.end)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultSection:
+    """One of ``faults`` as it stands in a file."""
+
+    kind: str = entry(
+        Choice(FAULTS),
+        "`parity` (memory error), `stuck` (the reading holds), `silent` (the data line floats) or `unplugged`; of a "
+        "`gradiometer` not `parity`, and `stuck` is one line again and again: the stage stands",
+    )
+    start: float = entry(_SHARE, "seconds after the session began")
+    end: float = entry(Number(), "seconds after the session began")
+
+
+_FAULTS = ListOf(Converted(Section(FaultSection), _fault_of))
+
+
+def _some(offset: Mapping[str, float], node: Node, context: Context) -> Mapping[str, float]:
+    if not offset:
+        raise node.error("no channel; give an offset for one to three of x, y, z")
+    return offset
+
+
+def _own_axis(
+    rows: Mapping[str, Mapping[str, float]], node: Node, context: Context
+) -> Mapping[str, Mapping[str, float]]:
+    for channel, row in rows.items():
+        if row.get(channel, 0.0) == 0.0:
+            raise node.entries()[channel].error(f"the channel does not sense its own axis; give a {channel} not 0")
+    return rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalTruth:
+    """``truth.temperature`` as it stands in a file."""
+
+    reference: float = entry(Number("°C"), "reference temperature, °C")
+    offset: Mapping[str, Polynomial] = entry(polynomials(), "as in a calibration file", default={})
+    sensitivity: Mapping[str, Polynomial] = entry(polynomials(), "as in a calibration file", default={})
+
+
+@dataclass(frozen=True, kw_only=True)
+class TruthSection:
+    """The section ``truth`` of a tilt sensor as it stands in a file."""
+
+    offset: Mapping[str, float] = entry(Converted(ByChannel(Number()), _some), "as in a calibration file")
+    sensitivity: Mapping[str, Mapping[str, float]] = entry(Converted(ROWS, _own_axis), "as in a calibration file")
+    temperature: ThermalTruth | None = entry(
+        Section(ThermalTruth), "`reference`, `offset`, `sensitivity`, as in a calibration file", default=None
+    )
+    mounting: MountingSection = entry(
+        Section(MountingSection), "how it sits on the fixture, degrees", default=MountingSection()
+    )
+    supply: float = entry(_SHARE, "of an analog sensor or a thermistor, V", default=Truth.supply)
+    nonlinearity: Mapping[str, Polynomial] = entry(
+        polynomials(), "per channel the coefficients of a², a³, … in g, where a is the signal in g", default={}
+    )
+    noise: Mapping[str, float] = entry(
+        ByChannel(_SHARE, of="channels"), "per channel, standard deviation of one sample, unit", default={}, usual="0"
+    )
+    thermometer_error: float = entry(
+        Number("°C"), "what the sensor's thermometer reads too high, °C", default=Truth.thermometer_error
+    )
+    jig: float = entry(
+        _SHARE,
+        "standard deviation of each set angle, degrees; jig and chamber are those of the bench's first virtual sensor",
+        default=Truth.jig,
+    )
+    ambient: float = entry(Number("°C"), "temperature at the start, °C", default=Truth.ambient)
+    time_constant: float = entry(_SHARE, "of the chamber, seconds", default=Truth.time_constant)
+    faults: tuple[Fault, ...] = entry(_FAULTS, "a list of `{kind, start, end}`", default=())
+
+
+def _truth_of(found: TruthSection, node: Node, context: Context) -> Truth:
+    thermal, mounting = found.temperature or ThermalTruth(reference=Truth.reference), found.mounting
+    shared = ("supply", "nonlinearity", "noise", "thermometer_error", "jig", "ambient", "time_constant", "faults")
+    return Truth(
+        channels=tuple(axis for axis in AXES if axis in found.offset),
+        offset=found.offset,
+        sensitivity=found.sensitivity,
+        mounting=(mounting.roll, mounting.pitch, mounting.yaw),
+        reference=thermal.reference,
+        drift=thermal.offset,
+        gain=thermal.sensitivity,
+        **{name: getattr(found, name) for name in shared},
+    )
+
+
+def _channels(key: str, found: Mapping[str, Any], context: Context) -> Context:
+    """The channels are those that have an offset, in the order x, y, z."""
+    return Context(channels=[axis for axis in AXES if axis in found["offset"]])
+
+
+def _rate(rate: float, node: Node, context: Context) -> float:
+    if rate > FASTEST:
+        raise node.error(f"more than {FASTEST:g} lines a second do not fit on the virtual line")
+    return rate
+
+
+def _radians(degrees: float, node: Node, context: Context) -> float:
+    return radians(degrees)
+
+
+_ANGLE = Converted(Number("degrees"), _radians)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gradient:
+    """``disk.gradient`` as it stands in a file."""
+
+    differential: float = entry(Number("g"), "R (Γxx − Γyy), g")
+    cross: float = entry(Number("g"), "R Γxy, g")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AccelerometerSection:
+    """One of ``disk.accelerometers`` as it stands in a file."""
+
+    scale: float = entry(Number(), "unit/g")
+    misalignment: float = entry(_ANGLE, "degrees", default=0.0)
+    phase_error: float = entry(_ANGLE, "degrees", default=0.0)
+    offset: float = entry(Number(), "unit", default=0.0)
+    drift: float = entry(Number(), "of the offset, unit/s", default=0.0)
+    second_order: float = entry(Number(), "1/g", default=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiskSection:
+    """``truth.disk`` as it stands in a file."""
+
+    inclination: float | None = entry(
+        _ANGLE, "of the spin axis, degrees; its sine is the common acceleration in g", default=None, usual="0.086"
+    )
+    spin: float = entry(Number("Hz"), "turns a second", default=Disk.spin)
+    rate: float = entry(
+        Converted(Number(above=0.0), _rate, more={"maximum": FASTEST}), "lines a second", default=Disk.rate
+    )
+    wander: float = entry(_SHARE, "of the common acceleration, its largest excursion, relative", default=Disk.wander)
+    gradient: Gradient | None = entry(
+        Section(Gradient), "`{differential, cross}`: R (Γxx − Γyy) and R Γxy, g", default=None, usual="0"
+    )
+    noise: float = entry(_SHARE, "one-sided amplitude density, g/√Hz", default=Disk.noise)
+    corner: float = entry(_SHARE, "where 1/f noise is as large, Hz", default=Disk.corner)
+    encoder_noise: float = entry(_SHARE, "standard deviation of the angle, degrees", default=Disk.encoder_noise)
+    accelerometers: Mapping[str, AccelerometerSection] | None = entry(
+        ByKey(Section(AccelerometerSection), CHANNELS, complete=True),
+        "`a1` to `a4`, each with `scale` (unit/g) and, 0 where left out, `misalignment` and `phase_error` (degrees), "
+        "`offset` (unit), `drift` (unit/s), `second_order` (1/g)",
+        default=None,
+        usual="the source's",
+    )
+
+
+def _disk_of(found: DiskSection, node: Node, context: Context) -> Disk:
+    given = {name: getattr(found, name) for name in ("spin", "rate", "wander", "noise", "corner", "encoder_noise")}
+    if found.inclination is not None:
+        given["inclination"] = found.inclination
+    if found.gradient is not None:
+        given["gradient"] = (found.gradient.differential, found.gradient.cross)
+    if found.accelerometers is not None:
+        given["accelerometers"] = tuple(Accelerometer(**vars(found.accelerometers[name])) for name in CHANNELS)
+    return Disk(**given)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageSection:
+    """The section ``truth`` of a ``gradiometer`` as it stands in a file."""
+
+    disk: Disk = entry(
+        Converted(Section(DiskSection), _disk_of),
+        "of a `gradiometer`, in place of `offset`, `sensitivity` and what belongs to them",
+    )
+    faults: tuple[Fault, ...] = entry(_FAULTS, "a list of `{kind, start, end}`", default=())
+
+
+def _stage_of(found: StageSection, node: Node, context: Context) -> Truth:
+    return replace(StageTruth.of(found.disk, Truth.seed), faults=found.faults)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwinFile:
+    """The content of a twin file."""
+
+    model: str | None = entry(Text(), "the sensor model it is for; any where it is absent", default=None)
+    seed: int = entry(Integer(minimum=0), "of all noise; `seed=` in the address takes its place", default=Truth.seed)
+    truth: Truth = entry(
+        Either(
+            "disk",
+            Converted(Section(TruthSection, follow=_channels), _truth_of),
+            Converted(Section(StageSection), _stage_of),
+        ),
+        "what the virtual sensor really is",
+    )
+
+
+TWIN = Section(TwinFile, kind="twin")
+"""The twin file."""
 
 
 def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Truth]:
@@ -79,121 +302,5 @@ def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Tr
     InputError
         Anything in it is wrong; the message names file, line and key.
     """
-    top = read_tiltcal_file(path, "twin").mapping(required=("tiltcal", "kind", "truth"), optional=("model", "seed"))
-    written = top["seed"].integer(minimum=0) if "seed" in top else Truth.seed
-    model = top["model"].text() if "model" in top else None
-    return model, _read_truth(top["truth"], written if seed is None else seed)
-
-
-def _read_truth(node: Node, seed: int) -> Truth:
-    if "disk" in node.entries():
-        section = node.mapping(required=("disk",), optional=("faults",))
-        return replace(StageTruth.of(_read_disk(section["disk"]), seed), faults=_read_faults(section))
-    section = node.mapping(
-        required=("offset", "sensitivity"),
-        optional=(
-            *("temperature", "nonlinearity", "noise", "thermometer_error", "supply"),
-            *("jig", "ambient", "time_constant", "mounting", "faults"),
-        ),
-    )
-    channels = _read_channels(section["offset"])
-    given: dict[str, Any] = {}
-    if "temperature" in section:
-        given.update(_read_temperature(section["temperature"], channels))
-    if "nonlinearity" in section:
-        given["nonlinearity"] = _read_polynomials(section["nonlinearity"], channels)
-    if "noise" in section:
-        given["noise"] = _read_noise(section["noise"], channels)
-    if "mounting" in section:
-        angles = section["mounting"].mapping(optional=("roll", "pitch", "yaw"))
-        given["mounting"] = tuple(angles[n].number() if n in angles else 0.0 for n in ("roll", "pitch", "yaw"))
-    given["faults"] = _read_faults(section)
-    given.update((name, section[name].number()) for name in ("thermometer_error", "ambient") if name in section)
-    given.update(
-        (name, section[name].number(minimum=0.0)) for name in ("supply", "jig", "time_constant") if name in section
-    )
-    return Truth(
-        channels=channels,
-        offset=read_per_channel(section["offset"], channels),
-        sensitivity=_read_sensitivity(section["sensitivity"], channels),
-        seed=seed,
-        **given,
-    )
-
-
-def _read_channels(node: Node) -> tuple[str, ...]:
-    """The channels are those that have an offset, in the order x, y, z."""
-    named = node.mapping(optional=AXES)
-    if not named:
-        raise node.error("no channel; give an offset for one to three of x, y, z")
-    return tuple(axis for axis in AXES if axis in named)
-
-
-def _read_sensitivity(node: Node, channels: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    rows = read_rows(node, channels)
-    for channel, row in rows.items():
-        if row.get(channel, 0.0) == 0.0:
-            raise node.entries()[channel].error(f"the channel does not sense its own axis; give a {channel} not 0")
-    return rows
-
-
-def _read_temperature(node: Node, channels: tuple[str, ...]) -> dict[str, Any]:
-    section = node.mapping(required=("reference",), optional=("offset", "sensitivity"))
-    given: dict[str, Any] = {"reference": section["reference"].number()}
-    for name, term in (("offset", "drift"), ("sensitivity", "gain")):
-        if name in section:
-            given[term] = _read_polynomials(section[name], channels)
-    return given
-
-
-def _read_polynomials(node: Node, channels: tuple[str, ...]) -> dict[str, Polynomial]:
-    return {channel: tuple(numbers) for channel, numbers in read_polynomials(node, channels).items()}
-
-
-def _read_noise(node: Node, channels: tuple[str, ...]) -> dict[str, float]:
-    return {name: value.number(minimum=0.0) for name, value in node.mapping(optional=channels).items()}
-
-
-def _read_faults(section: Mapping[str, Node]) -> tuple[Fault, ...]:
-    return tuple(_read_fault(item) for item in section["faults"].items()) if "faults" in section else ()
-
-
-def _read_fault(node: Node) -> Fault:
-    section = node.mapping(required=("kind", "start", "end"))
-    start, end = section["start"].number(minimum=0.0), section["end"].number()
-    if end <= start:
-        raise section["end"].error(f"the fault ends at {end:g} s, not after its start at {start:g} s")
-    return Fault(section["kind"].choice(FAULTS), start, end)
-
-
-_NOT_NEGATIVE = ("wander", "noise", "corner", "encoder_noise")
-
-
-def _read_disk(node: Node) -> Disk:
-    section = node.mapping(optional=("inclination", "spin", "rate", *_NOT_NEGATIVE, "gradient", "accelerometers"))
-    given: dict[str, Any] = {name: section[name].number(minimum=0.0) for name in _NOT_NEGATIVE if name in section}
-    if "inclination" in section:
-        given["inclination"] = radians(section["inclination"].number())
-    if "spin" in section:
-        given["spin"] = section["spin"].number()
-    if "rate" in section:
-        given["rate"] = section["rate"].number(above=0.0)
-        if given["rate"] > FASTEST:
-            raise section["rate"].error(f"more than {FASTEST:g} lines a second do not fit on the virtual line")
-    if "gradient" in section:
-        gradient = section["gradient"].mapping(required=("differential", "cross"))
-        given["gradient"] = (gradient["differential"].number(), gradient["cross"].number())
-    if "accelerometers" in section:
-        parts = section["accelerometers"].mapping(required=CHANNELS)
-        given["accelerometers"] = tuple(_read_accelerometer(parts[name]) for name in CHANNELS)
-    return Disk(**given)
-
-
-def _read_accelerometer(node: Node) -> Accelerometer:
-    plain, angles = ("offset", "drift", "second_order"), ("misalignment", "phase_error")
-    section = node.mapping(required=("scale",), optional=(*plain, *angles))
-    return Accelerometer(
-        section["scale"].number(),
-        **{name: section[name].number() for name in plain if name in section},
-        **{name: radians(section[name].number()) for name in angles if name in section},
-    )
+    found = TWIN.read(read_tiltcal_file(path, "twin"))
+    return found.model, replace(found.truth, seed=found.seed if seed is None else seed)

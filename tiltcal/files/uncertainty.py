@@ -25,10 +25,11 @@ from tiltcal.files.declaration import (
     ByChannel,
     ByKey,
     ByName,
+    Context,
+    Converted,
     ListOf,
     Number,
     Section,
-    SensorNames,
     Text,
     entry,
 )
@@ -143,35 +144,20 @@ class UncertaintySection:
         default={},
     )
     covariance: Covariance | None = entry(
-        Section(Covariance, check=lambda found, node: _check_covariance(found, node)),
+        Converted(Section(Covariance), lambda found, node, _: _symmetric(found, node)),
         "how the coefficients hang together",
         default=None,
     )
 
 
-UNCERTAINTY = Section(UncertaintySection)
+def _of_section(found: UncertaintySection, node: Node, context: Context) -> Uncertainty:
+    """The section with its standard uncertainties by dotted name."""
+    shaped = {key: value for key, value in _SECTION.write(found).items() if key in SHAPED}
+    return Uncertainty(dict(_named(shaped)), found.single_reading, found.coverage_factor, found.covariance)
 
 
-def read_uncertainty(node: Node, coefficients: Coefficients) -> Uncertainty:
-    """Return the ``uncertainty`` section of a calibration file, checked; any part of it may be absent.
-
-    Raises
-    ------
-    InputError
-        A key or value is wrong, or the covariance is no symmetric matrix of its parameters.
-    """
-    found = UNCERTAINTY.read(node, SensorNames(coefficients.channels, coefficients.axes))
-    plain = UNCERTAINTY.write(found)
-    return Uncertainty(
-        dict(_named({key: plain[key] for key in SHAPED if key in plain})),
-        found.single_reading,
-        found.coverage_factor,
-        found.covariance,
-    )
-
-
-def write_uncertainty(uncertainty: Uncertainty) -> dict[str, Any]:
-    """Return the ``uncertainty`` section as plain data, in the order of the file."""
+def _section_of(uncertainty: Uncertainty) -> UncertaintySection:
+    """The section in the shape of ``calibration``."""
     shaped: dict[str, Any] = {key: {} for key in SHAPED}
     for name, u in uncertainty.items():
         *path, last = name.split(".")
@@ -182,12 +168,18 @@ def write_uncertainty(uncertainty: Uncertainty) -> dict[str, Any]:
             place.setdefault(path[-1], []).append(u)
         else:
             place.setdefault(path[-1], {})[last] = u
-    rest = {
-        "single_reading": dict(uncertainty.single_reading),
-        "coverage_factor": dict(uncertainty.coverage_factor),
-        "covariance": None if uncertainty.covariance is None else Section(Covariance).write(uncertainty.covariance),
-    }
-    return {key: section for key, section in (shaped | rest).items() if section}
+    temperature = shaped.pop("temperature")
+    return UncertaintySection(
+        **shaped,
+        temperature=ThermalUncertainty(**temperature) if temperature else None,
+        single_reading=uncertainty.single_reading,
+        coverage_factor=uncertainty.coverage_factor,
+        covariance=uncertainty.covariance,
+    )
+
+
+_SECTION = Section(UncertaintySection)
+UNCERTAINTY = Converted(_SECTION, _of_section, _section_of)
 
 
 def stated_uncertainty(
@@ -321,7 +313,7 @@ def _require_covariance(covariance: Array) -> None:
         )
 
 
-def _check_covariance(found: Covariance, node: Node) -> None:
+def _symmetric(found: Covariance, node: Node) -> Covariance:
     section, names, matrix = node.entries(), found.parameters, found.matrix
     if len(set(names)) < len(names):
         raise section["parameters"].error("a parameter is named twice")
@@ -335,3 +327,4 @@ def _check_covariance(found: Covariance, node: Node) -> None:
             scale = max(abs(matrix[i][j]), abs(matrix[j][i]))
             if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * scale:
                 raise place.error(f"the matrix is not symmetric in {names[i]} and {names[j]}")
+    return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from tiltcal.errors import InputError
 from tiltcal.files.bench import read_bench
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
+from tiltcal.files.formats import json_schema
 from tiltcal.files.pair import read_pair
 from tiltcal.files.procedure import read_procedure
 from tiltcal.files.twin import read_twin
@@ -28,6 +28,8 @@ READERS = {
     "bench": read_bench,
     "twin": read_twin,
 }
+
+SCHEMAS = {kind: json_schema(kind) for kind in KINDS}
 
 SECTIONS = ("sensor", "calibration", "spin", "rotation", "truth", "soak")
 
@@ -43,8 +45,7 @@ sensors:
 
 
 def schema(kind: str) -> dict[str, Any]:
-    loaded: dict[str, Any] = json.loads((files("tiltcal.files") / "schemas" / f"{kind}.json").read_text("utf-8"))
-    return loaded
+    return SCHEMAS[kind]
 
 
 def accepted(kind: str, content: Any) -> bool:
