@@ -7,9 +7,67 @@ import os
 # Workers run beside each other, so each one's linear algebra keeps to one thread; it must be said before numpy loads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import gc
+import re
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
 from hypothesis import settings
 
 # The same examples on every run, so that a change is judged and not the draw; HYPOTHESIS_PROFILE=explore draws anew.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+
+PROCESS = Path("/proc/self")
+KEPT = r"\.ttf$|^anon_inode:\[event"
+"""Where descriptors lead that a library keeps for the whole run."""
+
+SHORTLY = 5.0
+"""Seconds in which a thread that has been told to end has to end."""
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_behind() -> Iterator[None]:
+    """Fail a test that leaves a thread, a child process or an open file behind; a lock on a file is held by one.
+
+    What a module imports or keeps for the whole run is made in a fixture of the module's or the run's scope, which is
+    there before the test. Not counted are the threads and the event descriptors of the polars engine, and fonts that
+    matplotlib keeps open.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    threads, children, files = set(threading.enumerate()), _children(), _open_files()
+    yield
+    for thread in set(threading.enumerate()) - threads:
+        thread.join(SHORTLY)
+    if _open_files().keys() - files.keys():
+        gc.collect()  # what a cycle of references holds is not left behind, it is only not collected yet
+    left = {
+        "threads": sorted(thread.name for thread in set(threading.enumerate()) - threads),
+        "processes": sorted(_children() - children),
+        "files": sorted(target for number, target in _open_files().items() if files.get(number) != target),
+    }
+    assert not any(left.values()), f"left behind: {left}"
+
+
+def _children() -> set[int]:
+    """Return the numbers of the child processes of every thread."""
+    found: set[int] = set()
+    for listed in PROCESS.glob("task/*/children"):
+        found.update(map(int, listed.read_text().split()))
+    return found
+
+
+def _open_files() -> dict[str, str]:
+    """Return what each file descriptor leads to."""
+    found = {}
+    for number in os.listdir(PROCESS / "fd"):
+        with suppress(FileNotFoundError):  # the descriptor of this listing
+            found[number] = os.readlink(PROCESS / "fd" / number)
+    return {number: target for number, target in found.items() if not re.search(KEPT, target)}

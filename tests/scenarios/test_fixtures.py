@@ -51,9 +51,9 @@ def test_the_samples_of_a_session_are_a_log_that_gives_its_means(tmp_path: Path)
     with open(tmp_path / "log.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
     for position in read_calibration(golden(journal)).positions:
-        before = [row for row in rows if row["time"] <= position["time"]][-position["n"] :]
-        for channel, mean in position["mean"].items():
-            assert sum(float(row[channel]) for row in before) / position["n"] == pytest.approx(mean, abs=1e-9)
+        before = [row for row in rows if row["time"] <= position.time][-position.n :]
+        for channel, mean in position.mean.items():
+            assert sum(float(row[channel]) for row in before) / position.n == pytest.approx(mean, abs=1e-9)
 
 
 def test_the_samples_of_a_rotation_match_as_a_log(tmp_path: Path) -> None:

@@ -148,7 +148,7 @@ class TestRecords:
         )
         facts = page_of(replace(known, provenance=more)).facts
         assert facts["Link statistics: damaged"] == "3"
-        assert facts["Segments: found"] == "a"
+        assert facts["Segments: found"] == "so"
 
     def test_positions_are_there_as_they_were_set_and_measured(self, complete: Page) -> None:
         data = as_data("complete")
