@@ -144,13 +144,13 @@ class CompensationWithUncertainty:
 
     def __call__(self, readings: ArrayLike, temperature: ArrayLike | None = None) -> AngleUncertainty:
         """Compensate rows; the arguments are those of :class:`Compensation`."""
-        room = np.empty((2, len(self._angles), len(np.asarray(readings))))
-
-        def follow(chunk: KernelChunk) -> None:
-            self._propagation(chunk, room[:, :, chunk.rows])
-
-        compensated = self._compensation(readings, temperature, follow=follow)
-        return AngleUncertainty(compensated, room[0].T, room[1].T)
+        rows = len(np.asarray(readings))
+        compensated = Compensated.empty(rows, len(self._compensation.axes))
+        standard, expanded = uncertainty = np.empty((2, len(self._angles), rows))
+        with np.errstate(all="ignore"):
+            for chunk in self._compensation.chunks(readings, temperature, compensated):
+                uncertainty[:, :, chunk.rows] = self._propagation(chunk)
+        return AngleUncertainty(compensated, standard.T, expanded.T)
 
 
 class _Propagation:
@@ -163,6 +163,7 @@ class _Propagation:
 
     def __init__(self, compensation: Compensation, coefficients: Coefficients, inputs: UncertaintyInputs) -> None:
         self._axes = compensation.axes
+        self._angles = len(compensation.angles)
         self._coupling = compensation.coupling
         self._rotation = np.eye(3) if compensation.rotation is None else compensation.rotation
         self._sees_all = len(self._axes) == 3
@@ -189,15 +190,18 @@ class _Propagation:
         self._pair_lift = _pair_lift(lift)
         self._pairs = {pair: k for k, pair in enumerate(_pairs(len(lift)))}
 
-    def __call__(self, chunk: KernelChunk, room: Array) -> None:
-        """Write standard and expanded uncertainty of every angle into ``room``, shape (2, angles, n), degrees."""
-        for start in range(0, room.shape[2], _ROWS):
+    def __call__(self, chunk: KernelChunk) -> Array:
+        """Return standard and expanded uncertainty of every angle, shape (2, angles, n), degrees."""
+        count = len(chunk.out.flag)
+        room = np.empty((2, self._angles, count))
+        for start in range(0, count, _ROWS):
             rows = slice(start, start + _ROWS)
             self._fill(_part(chunk, rows), room[:, :, rows])
             _shorten(room[:, :, rows])
         lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)
         if lost.any():
             room[:, :, lost] = np.nan
+        return room
 
     def _fill(self, chunk: KernelChunk, room: Array) -> None:
         variances = self._variances(chunk)

@@ -16,7 +16,7 @@ the sensor upside down.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import pi, radians, sin
 
@@ -245,12 +245,7 @@ class Compensation:
         )
 
     def __call__(
-        self,
-        readings: ArrayLike,
-        temperature: ArrayLike | None = None,
-        *,
-        out: Compensated | None = None,
-        follow: Callable[[KernelChunk], None] | None = None,
+        self, readings: ArrayLike, temperature: ArrayLike | None = None, *, out: Compensated | None = None
     ) -> Compensated:
         """Compensate rows.
 
@@ -263,8 +258,6 @@ class Compensation:
             °C; NaN where it is missing.
         out : Compensated, optional
             Room for n rows, from :meth:`Compensated.empty`, that an earlier call has filled: its memory is used again.
-        follow : callable, optional
-            Told of every few rows while they are in the cache.
 
         Returns
         -------
@@ -276,21 +269,28 @@ class Compensation:
         ValueError
             The shapes do not fit.
         """
+        result = Compensated.empty(len(np.asarray(readings)), len(self.axes)) if out is None else out
+        for _chunk in self.chunks(readings, temperature, result):
+            pass
+        return result
+
+    def chunks(self, readings: ArrayLike, temperature: ArrayLike | None, out: Compensated) -> Iterator[KernelChunk]:
+        """Compensate rows into ``out``, and yield every few of them while they are in the cache.
+
+        The arguments and errors are those of a call.
+        """
         u = np.asarray(readings, dtype=float)
         if u.ndim != 2 or u.shape[1] != len(self._offset):
             raise ValueError(f"readings have shape {u.shape}; the calibration takes (n, {len(self._offset)})")
         t = None if temperature is None else np.asarray(temperature, dtype=float)
         if t is not None and t.shape != u.shape[:1]:
             raise ValueError(f"temperature has shape {t.shape}; the readings need ({len(u)},)")
-        result = Compensated.empty(len(u), len(self.axes)) if out is None else out
-        if result.gravity.shape != (len(u), len(self.axes)):
-            raise ValueError(f"out has shape {result.gravity.shape}; the result has ({len(u)}, {len(self.axes)})")
-        with np.errstate(all="ignore"):
-            for rows, part in result.chunks():
-                stage = self._compensate(rows, u[rows].T, None if t is None else t[rows], part)
-                if follow is not None:
-                    follow(stage)
-        return result
+        if out.gravity.shape != (len(u), len(self.axes)):
+            raise ValueError(f"out has shape {out.gravity.shape}; the result has ({len(u)}, {len(self.axes)})")
+        for rows, part in out.chunks():
+            with np.errstate(all="ignore"):
+                chunk = self._compensate(rows, u[rows].T, None if t is None else t[rows], part)
+            yield chunk
 
     def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
         """One chunk, ``u`` having a row per channel, into ``out``."""
