@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
-from tiltcal.calibration.results import rounded, uncertainty_record
+from tiltcal.calibration.results import rounded, uncertainty_of
 from tiltcal.cli.apply import command
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.frames import gravity_from_tilt
@@ -202,7 +202,7 @@ def calibrated(rng: np.random.Generator, *, stated: bool) -> tuple[CalibrationRe
     )
     reading = dict.fromkeys(XYZ, 1e-3)
     identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
-    return CalibrationRecord(identity, rounded(found), uncertainty_record(found, reading)), found, truth
+    return CalibrationRecord(identity, rounded(found), uncertainty_of(found, reading)), found, truth
 
 
 @pytest.mark.parametrize("stated", [True, False])

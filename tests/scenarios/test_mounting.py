@@ -15,7 +15,7 @@ from support.simulated_bench import XYZ, design, fixture, measured, part, plan_o
 
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.mounting import mount
-from tiltcal.calibration.results import rounded, uncertainty_record
+from tiltcal.calibration.results import rounded, uncertainty_of
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.estimate import estimate_jointly
@@ -70,7 +70,7 @@ def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
         truth, turned = part(rng), mounting_matrix(Mounting(*rng.uniform(-1.2, 1.2, 3)))
         (found,) = estimate_jointly(fixture(measured(rng, plan, [truth]), design(plan, jig=0.2)))
         identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
-        base = CalibrationRecord(identity, rounded(found), uncertainty_record(found, {}))
+        base = CalibrationRecord(identity, rounded(found), uncertainty_of(found, {}))
         read = truth.reading(noisy(rng, turned, sigma), np.zeros(len(KNOWN)))
         mounted = mount(base, [_measured(known, row) for known, row in zip(KNOWN, read, strict=True)], jig=0.2)
         doubt = stated_uncertainty(mounted.uncertainty, mounted.coefficients, reading_noise=0.0).doubt
