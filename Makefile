@@ -24,7 +24,7 @@ help:
 	@echo "make check      lint, types, layers, and what the wheel holds"
 	@echo "make bench      measure how fast it is; benchmarks/README.md has the long ones"
 	@echo "make fixtures   make the recorded sessions and golden files of the tests anew"
-	@echo "make reference  write docs/reference/cli.md from --help"
+	@echo "make reference  write the generated pages of docs/reference anew"
 	@echo "make clean      remove all that make has made"
 
 demo: $(STAMP)

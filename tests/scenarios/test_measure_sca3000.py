@@ -45,7 +45,7 @@ def test_six_face_on_spi(tmp_path: Path) -> None:
     require_true(told, tmp_path, Sca3000())
     positions = read_calibration(tmp_path / "A-3000.yaml").positions
     # The part's own thermometer: 24 °C is raw 257.8, sent as 258, read as 24.1 °C.
-    assert [position["temperature"] for position in positions] == pytest.approx([24.11] * 6, abs=0.01)
+    assert [position.temperature for position in positions] == pytest.approx([24.11] * 6, abs=0.01)
 
 
 def test_six_face_on_i2c(tmp_path: Path) -> None:
