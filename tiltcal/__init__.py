@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration
     from tiltcal.logs.apply import apply_log
     from tiltcal.logs.fit import fit
+    from tiltcal.logs.match import match
+    from tiltcal.logs.noise import noise
 
 __version__ = "0.1.0"
 
@@ -38,7 +40,9 @@ _HOME = {
     "apply_log": "tiltcal.logs.apply",
     "compare": "tiltcal.calibration.comparison",
     "fit": "tiltcal.logs.fit",
+    "match": "tiltcal.logs.match",
     "measure": "tiltcal.bench.measure",
+    "noise": "tiltcal.logs.noise",
     "open_sensor": "tiltcal.bench.measure",
     "plan": "tiltcal.bench.plan",
     "read": "tiltcal.calibration.calibration",
@@ -62,7 +66,9 @@ __all__ = [
     "apply_log",
     "compare",
     "fit",
+    "match",
     "measure",
+    "noise",
     "open_sensor",
     "plan",
     "read",

@@ -315,7 +315,6 @@ class TestUsage:
             (("log.csv", "--averages", "0"), "whole numbers"),
             (("log.csv", "--sensor", "sca100t-d02", "--unit", "V"), "one unit"),
             (("log.csv", "--sensor", "sca100t-d03"), "did you mean"),
-            (("log.parquet",), "CSV"),
             (("nowhere.csv",), "cannot read"),
         ],
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -127,6 +128,70 @@ def test_apply_and_apply_log_agree(folder: Path, columns: dict[str, Any], segmen
     assert tilted["pitch"][0] == pytest.approx(90.0, abs=0.5)
     with pytest.raises(tiltcal.InputError, match="in g"):
         found.apply(frame, columns=NAMED, unit="g")
+
+
+def test_a_session_gives_the_same_file(tmp_path: Path) -> None:
+    """The virtual bench draws the same part and the same noise for the same seed."""
+    options = {"sensor": "sca100t-d02", "address": "sim:?seed=3", "serial": "A-1"}
+    given = [text for name, value in options.items() for text in (f"--{name}", value)]
+    for folder in ("command", "library"):
+        (tmp_path / folder).mkdir()
+    result = command("measure", "plane", *given, "--operator", "sim", "-o", "A-1.yaml", cwd=tmp_path / "command")
+    assert result.returncode == 0, result.stderr
+    with chdir(tmp_path / "library"):
+        found = tiltcal.measure("plane", operator="sim", output="A-1.yaml", **options)
+    assert (tmp_path / "library/A-1.yaml").read_bytes() == (tmp_path / "command/A-1.yaml").read_bytes()
+    assert found == tiltcal.read(tmp_path / "command/A-1.yaml")
+
+
+def test_a_sensor_is_read() -> None:
+    with tiltcal.open_sensor("sca100t-d02", "sim:?seed=3") as sensor:
+        assert len(sensor.read().values) == 2
+
+
+def test_pairs_are_matched_from_frame_and_file_alike(tmp_path: Path) -> None:
+    """Two accelerometers at 0° and 180° of a turning disk, the second 1 % larger, a third at a right angle."""
+    theta = np.arange(0.0, 360.0 * 20, 7.0)
+    up = np.sin(np.radians(theta))
+    rng = np.random.default_rng(5)
+    columns = {
+        "theta": theta,
+        "a1": up,
+        "a2": -1.01 * up,
+        "a4": np.cos(np.radians(theta)),
+    }
+    frame = pl.DataFrame(
+        {name: values + (name != "theta") * rng.normal(0, 1e-4, len(theta)) for name, values in columns.items()}
+    )
+    frame.write_csv(tmp_path / "disk.csv")
+    result = command(
+        *("match", "disk.csv", "--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "-o", "disk.yaml"),
+        cwd=tmp_path,
+    )
+    assert result.returncode == 0, result.stderr
+    of_file = tiltcal.match(tmp_path / "disk.csv", [("a1", "a2", "a4")], phase="theta")
+    assert of_file == tiltcal.read(tmp_path / "disk.yaml")
+    assert result.stdout == f"{of_file}\n"
+    (found,) = tiltcal.match(frame, [("a1", "a2", "a4")], phase="theta").matchings
+    assert (found.p, found.q) == (of_file.matchings[0].p, of_file.matchings[0].q)
+    assert found.p == pytest.approx(1.0 - 1.01, abs=1e-4)
+    with pytest.raises(tiltcal.UsageError, match="three different columns"):
+        tiltcal.match(frame, [("a1", "a1", "a4")], phase="theta")
+
+
+def test_noise_of_a_frame_is_that_of_its_log(tmp_path: Path) -> None:
+    """White noise of 0.02 m/s² at 100 Hz: a density of 0.02 sqrt(2/100) m/s²/√Hz."""
+    rng = np.random.default_rng(11)
+    frame = pl.DataFrame({axis: np.round(rng.normal(0.0, 0.02, 4000), 6) for axis in "xy"})
+    frame.write_csv(tmp_path / "still.csv")
+    result = command("noise", "still.csv", "--rate", "100", "--unit", "m/s2", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    found = tiltcal.noise(frame, rate=100.0, unit="m/s2")
+    assert result.stdout == f"{found}\n"
+    density = found.as_data()["channels"]["x"]["noise_density"]["value"]
+    assert density == pytest.approx(0.02 * np.sqrt(2 / 100), rel=0.05)
+    with pytest.raises(tiltcal.UsageError, match="nothing says how much a degree is"):
+        tiltcal.noise(frame, rate=100.0, unit="V", target=0.1)
 
 
 def _without_provenance(calibration: tiltcal.Calibration) -> str:

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-import tiltcal
-from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
+from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
     from tiltcal.core.pair.matching import Matching
-    from tiltcal.core.pair.model import Pair
-    from tiltcal.files.pair import PairRecord
-    from tiltcal.logs.log import LogReader
-    from tiltcal.logs.pair_matching import Demodulated
-    from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
+    from tiltcal.logs.match import MatchedLog
     from tiltcal.report.pair_figures import PairDrawing
 
 _EXAMPLES = """\b
@@ -84,119 +77,65 @@ def command(
 
     With --online, Ctrl-C ends a stream that has no end of its own, and what was found until then is the result.
     """
-    from tiltcal.calibration.pair_calibration import pair_summary
     from tiltcal.cli.progress import progress_bar
-    from tiltcal.files.pair import write_pair
     from tiltcal.files.whole import check_writable
-    from tiltcal.logs.formats import open_log
-    from tiltcal.logs.pair_matching import demodulate_log
-    from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
+    from tiltcal.logs.match import match_log, pairs_of
     from tiltcal.report.pair_figures import draw_matching
 
-    if loops and not online:
-        raise UsageError("--loops says which of the --online estimators is meant; give --online too")
-    wanted = _pairs(pairs, orthogonals)
-    channels = tuple(dict.fromkeys(channel for pair in wanted for channel in pair.channels))
+    wanted = pairs_of(_triples(pairs, orthogonals))
     for path in filter(None, (output, figure)):
         check_writable(path)
-    say = partial(click.echo, err=True)
-    watch = PairObserver(wanted, channels, say) if online else None
-    spectra = SpectrumObserver(channels) if figure else None
-    with (
-        progress_bar("match") as progress,
-        open_log(log, skip_bad_rows=skip_bad_rows, digest=True, live=online, progress=progress) as rows,
-        _explained(rows),
-    ):
-        observers = [observer for observer in (watch, spectra) if observer is not None]
-        found = demodulate_log(rows, channels, phase, observers=observers, say=say, live=online)
-        matchings = [_matched(found, pair, watch, loops) for pair in wanted]
-        drawing = _drawing(spectra, found, matchings[0], watch) if spectra else None
-    if found.missing:
-        say(f"{found.missing} of {found.rows + found.missing} rows have a missing value and are left out")
-    if output:
-        write_pair(
-            output, _calibration(matchings, found, phase, online, {"name": Path(rows.name).name, "sha256": rows.sha256})
+    with progress_bar("match") as progress:
+        found = match_log(
+            *(log, wanted),
+            phase=phase,
+            online=online,
+            loops=loops,
+            spectra=figure is not None,
+            skip_bad_rows=skip_bad_rows,
+            say=partial(click.echo, err=True),
+            progress=progress,
         )
+    drawing = _drawing(found)
+    if output:
+        found.calibration.save(output)
     if figure and drawing:
         draw_matching(figure, drawing)
     if as_json:
-        shown = [_as_data(matching) for matching in matchings]
+        shown = [_as_data(matching) for matching in found.calibration.matchings]
         click.echo(json.dumps(shown[0] if len(shown) == 1 else {"pairs": shown}))
     else:
-        click.echo("\n\n".join(pair_summary(matching) for matching in matchings))
+        click.echo(str(found.calibration))
 
 
-@contextmanager
-def _explained(log: LogReader) -> Iterator[None]:
-    """Put the log's name in front of why it cannot be matched, and what to do where Ctrl-C came too early."""
-    try:
-        yield
-    except (EstimateError, InputError) as refusal:
-        why = str(refusal) if isinstance(refusal, InputError) else f"{log.name}: {refusal}"
-        if log.interrupted:
-            raise Stopped(f"interrupted, and nothing is written: {why}; let the stream run for longer") from None
-        if isinstance(refusal, EstimateError):
-            raise EstimateError(why) from refusal
-        raise
-
-
-def _matched(found: Demodulated, pair: Pair, watch: PairObserver | None, loops: bool) -> Matching:
-    """A pair, matched by the whole record or by what the online estimators ended with."""
-    from tiltcal.core.pair.matching import match, matching_with
-
-    if watch is None:
-        return match(found.demodulation, pair)
-    return matching_with(found.demodulation, pair, watch.coefficients(pair, loops=loops))
-
-
-def _calibration(
-    matchings: Sequence[Matching], found: Demodulated, phase: str | None, online: bool, log: Mapping[str, str]
-) -> PairRecord:
-    from tiltcal.files.pair import PairRecord
-    from tiltcal.files.records import LogRecord, PairProvenance
-
-    provenance = PairProvenance(
-        made_by="match of a recorded log",
-        software=f"tiltcal {tiltcal.__version__}",
-        log=LogRecord(**log, rows=found.rows + found.missing, missing=found.missing),
-        stage_angle=None if found.spin is None else "estimated from the readings",
-    )
-    return PairRecord(tuple(matchings), phase, found.turns, found.frequency, online, provenance)
-
-
-def _drawing(
-    spectra: SpectrumObserver, found: Demodulated, matching: Matching, watch: PairObserver | None
-) -> PairDrawing:
+def _drawing(matched: MatchedLog) -> PairDrawing | None:
+    """The figure of the first pair, where its spectra were asked for."""
     from tiltcal.report.pair_figures import PairDrawing
 
-    frequency, densities = spectra.densities(matching.pair, matching.p, matching.q, found)
+    if matched.spectra is None:
+        return None
+    matching, found = matched.calibration.matchings[0], matched.demodulated
+    frequency, densities = matched.spectra.densities(matching.pair, matching.p, matching.q, found)
     return PairDrawing(
         frequency,
         densities,
         found.frequency or found.turns / (found.rows + found.missing),
         "Hz" if found.rate else "1/row",
-        watch.course(matching.pair) if watch else (),
+        matched.online.course(matching.pair) if matched.online else (),
         max(matching.u_p, matching.u_q),
     )
 
 
-def _pairs(pairs: tuple[str, ...], orthogonals: tuple[str, ...]) -> list[Pair]:
-    from tiltcal.core.pair.model import Pair
-
+def _triples(pairs: tuple[str, ...], orthogonals: tuple[str, ...]) -> list[tuple[str, str, str]]:
+    """The columns of each pair and its orthogonal."""
     if len(pairs) != len(orthogonals):
         raise UsageError(f"{len(pairs)} --pair and {len(orthogonals)} --orthogonal: each pair needs one orthogonal")
-    if len(pairs) > 2:
-        raise UsageError("at most two pairs are matched at once: those of one disk")
     found = []
     for text, orthogonal in zip(pairs, orthogonals, strict=True):
         names = [name.strip() for name in text.split(",")]
         if len(names) != 2 or not all(names):
             raise UsageError(f"--pair {text!r} is no pair; write two columns, such as a1,a2")
-        if len({*names, orthogonal}) < 3:
-            raise UsageError(f"--pair {text} --orthogonal {orthogonal}: these are to be three different columns")
-        found.append(Pair(names[0], names[1], orthogonal))
-    if len({pair.name for pair in found}) < len(found):
-        raise UsageError(f"--pair {pairs[0]} is given twice")
+        found.append((names[0], names[1], orthogonal))
     return found
 
 

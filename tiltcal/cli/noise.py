@@ -4,24 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from tiltcal.errors import UsageError
 
-if TYPE_CHECKING:
-    from tiltcal.drivers.device import Model
-    from tiltcal.files.calibration import CalibrationRecord
-    from tiltcal.logs.noise_log import NoiseLog
-    from tiltcal.report.noise_summary import NoiseScale
-
 INTERRUPTED = 130
-STANDARD_GRAVITY = 9.80665
-"""m/s²"""
 
 _EXAMPLES = """\b
 Examples:
@@ -95,113 +85,44 @@ def command(
     follows the number for `measure --samples`: the smallest that meets --target, or without one the largest that is
     worth its time. Degrees are those of an axis near level.
     """
+    from tiltcal.cli.progress import progress_bar
     from tiltcal.files.whole import check_writable
-    from tiltcal.report.noise_summary import as_data, draw_noise, summary
+    from tiltcal.logs.noise import NoiseFacts, characterise_readings
+    from tiltcal.report.noise_figure import draw_noise
 
     if address is None:
         _refuse_for_log(log, samples, seconds, output)
     else:
         _refuse_live(log, sensor, columns, skip_bad_rows, address, samples, seconds)
     sizes = _sizes(averages)
-    facts = _facts(sensor, address, calibration, unit)
-    if target is not None and not facts.sensitivity:
-        raise UsageError(
-            "--target is in degrees, and nothing says how much a degree is: give the --sensor model, a --calibration, "
-            "or --unit g or m/s2"
-        )
+    facts = NoiseFacts.of(sensor, address, calibration, unit)
+    facts.require_scale(target)
     if figure is not None:
         check_writable(figure)
     interrupted = False
-    if address is None:
-        resting = _characterised(str(log), columns, rate, facts, sizes, skip_bad_rows)
-    else:
-        with _kept(output) as path:
+    with ExitStack() as stack:
+        called = None
+        if address is not None:
+            path = stack.enter_context(_kept(output))
             interrupted = _recorded(str(sensor), address, rate, samples, seconds, path, output)
-            called = str(output or "the record")
-            resting = _characterised(str(path), "", None, facts, sizes, skip_bad_rows, called)
-    scale = facts.scale(resting)
-    if figure is not None:
-        draw_noise(figure, resting.channels, scale)
-    if not as_json:
-        click.echo(resting.as_text())
-    for remark in resting.remarks():
-        click.echo(f"note: {remark}", err=True)
-    said = resting.channels, resting.pace.interval, scale, target
-    click.echo(json.dumps({**resting.as_data(), **as_data(*said)}) if as_json else summary(*said))
-    return INTERRUPTED if interrupted else 0
-
-
-@dataclass(frozen=True)
-class NoiseFacts:
-    """What is known of the sensor beside its readings.
-
-    Attributes
-    ----------
-    channels : tuple of str
-        Its readings; empty where the log has to say it.
-    unit : str or None
-    sensitivity : dict of str to float
-        Unit/g, per channel, or under ``*`` for all of them; empty where it is not known.
-    source : str
-        Where the sensitivity is from.
-    """
-
-    channels: tuple[str, ...]
-    unit: str | None
-    sensitivity: dict[str, float]
-    source: str
-
-    def scale(self, resting: NoiseLog) -> NoiseScale:
-        """The scale of a log's channels."""
-        from tiltcal.report.noise_summary import NoiseScale
-
-        per_g = {
-            channel: abs(self.sensitivity.get(channel, self.sensitivity.get("*", 0.0))) for channel in resting.channels
-        }
-        return NoiseScale(self.unit or "unit", {c: s for c, s in per_g.items() if s}, self.source)
-
-
-def _facts(sensor: str | None, address: str | None, calibration: Path | None, unit: str | None) -> NoiseFacts:
-    from tiltcal.calibration.calibrate import ACCELERATION
-    from tiltcal.drivers import find_model
-    from tiltcal.drivers.bus.address import parse_address
-    from tiltcal.files.calibration import read_calibration
-
-    model = find_model(sensor) if sensor else None
-    if model is not None and address is not None:
-        model = model.at(parse_address(address))
-    known = read_calibration(calibration) if calibration else None
-    _refuse_contradiction(model, known, unit)
-    own_unit = unit or (known.sensor.unit if known else None) or (model.unit if model else None)
-    channels = tuple(model.channels) if model else known.sensor.channels if known else ()
-    if known is not None:
-        matrix = known.coefficients
-        own = {
-            channel: float(matrix.sensitivity[row, matrix.axes.index(channel)])
-            for row, channel in enumerate(matrix.channels)
-            if channel in matrix.axes
-        }
-        return NoiseFacts(channels, own_unit, own, f"calibration of {known.sensor.serial}")
-    if model is not None and model.scaled:
-        return NoiseFacts(channels, own_unit, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}")
-    if own_unit in (*ACCELERATION, "g"):
-        return NoiseFacts(channels, own_unit, {"*": 1.0 if own_unit == "g" else STANDARD_GRAVITY}, f"unit {own_unit}")
-    return NoiseFacts(channels, own_unit, {}, "")
-
-
-def _refuse_contradiction(model: Model | None, known: CalibrationRecord | None, unit: str | None) -> None:
-    units = {
-        "--sensor": model.unit if model else None,
-        "--calibration": known.sensor.unit if known else None,
-        "--unit": unit,
-    }
-    said = {name: one for name, one in units.items() if one is not None}
-    if len(set(said.values())) > 1:
-        raise UsageError("the readings have one unit: " + ", but ".join(f"{name} says {u}" for name, u in said.items()))
-    if model and known and set(known.sensor.channels) - set(model.channels):
-        raise UsageError(
-            f"--calibration is of {', '.join(known.sensor.channels)}, and {model.name} has {', '.join(model.channels)}"
+            log, rate, called = str(path), None, str(output or "the record")
+        progress = stack.enter_context(progress_bar("noise"))
+        found = characterise_readings(
+            *(log, facts),
+            rate=rate,
+            columns=columns,
+            averages=sizes,
+            target=target,
+            skip_bad_rows=skip_bad_rows,
+            name=called,
+            progress=progress,
         )
+    if figure is not None:
+        draw_noise(figure, found.channels, found.scale)
+    for remark in found.remarks:
+        click.echo(f"note: {remark}", err=True)
+    click.echo(json.dumps(found.as_data()) if as_json else str(found))
+    return INTERRUPTED if interrupted else 0
 
 
 def _refuse_for_log(log: str | None, samples: int | None, seconds: float | None, output: Path | None) -> None:
@@ -274,31 +195,3 @@ def _recorded(
     kept = f" in {output}" if output is not None else ""
     click.echo(f"{captured.tally.rows} samples{kept}{captured.missing}", err=True)
     return captured.interrupted
-
-
-def _characterised(
-    log: str,
-    columns: str,
-    rate: float | None,
-    facts: NoiseFacts,
-    sizes: tuple[int, ...],
-    skip_bad_rows: bool,
-    called: str | None = None,
-) -> NoiseLog:
-    from tiltcal.cli.progress import progress_bar
-    from tiltcal.core.model import AXES
-    from tiltcal.logs.columns import parse_columns
-    from tiltcal.logs.formats import open_log
-    from tiltcal.logs.noise_log import characterise_log
-    from tiltcal.logs.uniform_sampling import UniformLog
-
-    named = parse_columns(columns, AXES)
-    with (
-        progress_bar("noise") as progress,
-        open_log(log, name=called, skip_bad_rows=skip_bad_rows, progress=progress) as rows,
-    ):
-        asked = tuple(axis for axis in AXES if axis in named)
-        there = tuple(axis for axis in AXES if axis in rows.names)
-        # With neither, x is looked for, and the message that it is not there says how to name it.
-        channels = asked or facts.channels or there or AXES[:1]
-        return characterise_log(UniformLog(rows, channels, named, rate), channels, sizes)

@@ -1,36 +1,25 @@
-"""How noisy a sensor is at rest: table of averages, kinds of noise, advice, and the picture of the Allan deviation."""
+"""How noisy a sensor is at rest: table of averages, kinds of noise, and how many samples a position needs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import degrees, radians, sqrt
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from math import sqrt
+from typing import Any
 
 import numpy as np
 
 from tiltcal.core.noise.allan_fit import FLICKER
 from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.sample_size import Limit, SampleSize, advise, uncertainty
+from tiltcal.core.noise.scale import NoiseScale
 from tiltcal.core.rounding import bracketed
-from tiltcal.files.whole import whole_file
-from tiltcal.report.figure import house_style, save
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-MEASURED, MODEL, PART = "#1f6f8b", "#c0504d", "#8a8a8a"
 
 _SHOWS = 0.1
 """Share of the lowest deviation above which what rounding leaves is worth a word."""
 
 _FEWEST_SAMPLES = 2
 """Of a position, for `measure`."""
-
-_NAMES = {"N": "white noise", "B": "flicker noise", "K": "random walk", "R": "drift"}
-
-_DASHES = {"N": "--", "B": ":", "K": "-.", "R": (0, (8, 3))}
 
 _WHY: dict[Limit, str] = {
     "target": "the smallest number that meets the target",
@@ -41,32 +30,6 @@ _WHY: dict[Limit, str] = {
     "drift": "twice as many gain less than a tenth: it drifts",
     "unknown": "twice as many gain less than a tenth, and none of the usual kinds of noise says why",
 }
-
-
-@dataclass(frozen=True)
-class NoiseScale:
-    """What a reading's unit is worth.
-
-    Attributes
-    ----------
-    unit : str
-    per_g : mapping of str to float
-        Unit/g, of the channels of which it is known; above 0.
-    source : str
-        Where that is from.
-    """
-
-    unit: str
-    per_g: Mapping[str, float]
-    source: str
-
-    def degrees(self, channel: str, value: float) -> float | None:
-        """A small difference of readings as degrees of an axis near level; None where it is not known."""
-        return degrees(value / self.per_g[channel]) if channel in self.per_g else None
-
-    def from_degrees(self, channel: str, angle: float | None) -> float | None:
-        """The inverse of :meth:`degrees`."""
-        return None if angle is None or channel not in self.per_g else radians(angle) * self.per_g[channel]
 
 
 @dataclass(frozen=True)
@@ -300,53 +263,3 @@ def _foretold(advice: SampleSize, interval: float) -> str:
 def _uncertain(channel: str, u: float, scale: NoiseScale) -> str:
     angle = scale.degrees(channel, u)
     return f"{channel} {u:.3g} {scale.unit}" + (f" ({angle:.2g}°)" if angle is not None else "")
-
-
-def draw_noise(path: Path, noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> None:
-    """Write the Allan deviation of every channel, with the kinds of noise in it, as SVG.
-
-    Parameters
-    ----------
-    path : Path
-    noises : mapping of str to ChannelNoise
-    scale : NoiseScale
-    """
-    from matplotlib.figure import Figure
-
-    with house_style(), whole_file(path) as stream:
-        figure = Figure(figsize=(8.0, 1.0 + 3.6 * len(noises)), layout="constrained")
-        panels = figure.subplots(len(noises), 1, squeeze=False)[:, 0]
-        for panel, (channel, noise) in zip(panels, noises.items(), strict=True):
-            _draw_channel(panel, channel, noise, scale)
-        panels[-1].set_xlabel("averaging time [s]")
-        save(figure, stream)
-
-
-def _draw_channel(panel: Axes, channel: str, noise: ChannelNoise, scale: NoiseScale) -> None:
-    tau, deviation = noise.tau, noise.deviation
-    described = np.geomspace(tau[noise.terms.first], tau[-1], 200)
-    parts = noise.terms.parts(described)
-    for name, part in parts.items() if len(parts) > 1 else ():
-        panel.plot(described, part, color=PART, linewidth=0.9, linestyle=_DASHES[name], label=_NAMES[name])
-    label = ("sum, " if len(parts) > 1 else f"{_NAMES[next(iter(parts))]}, ") + (
-        "fitted" if noise.terms.follows else "which does not follow it"
-    )
-    panel.plot(described, np.sqrt(noise.terms.variance(described)), color=MODEL, linewidth=1.2, label=label)
-    within = [deviation - noise.low, noise.high - deviation]
-    panel.errorbar(
-        tau, deviation, within, fmt="o", markersize=3.5, elinewidth=0.9, color=MEASURED, label="measured, 95 %"
-    )
-    panel.set_xscale("log")
-    panel.set_yscale("log")
-    panel.set_ylim(float(noise.low.min()) / 1.6, float(noise.high.max()) * 1.6)
-    panel.set_ylabel(f"Allan deviation of {channel} [{scale.unit}]")
-    panel.grid(which="major", color="#dddddd", linewidth=0.6)
-    panel.set_axisbelow(True)
-    if channel in scale.per_g:
-        factor = degrees(1.0 / scale.per_g[channel])
-        beside = panel.secondary_yaxis(
-            "right", functions=(lambda v: np.multiply(v, factor), lambda v: np.divide(v, factor))
-        )
-        beside.set_ylabel("near level [°]")
-        beside.spines["right"].set_visible(True)
-    panel.legend(loc="best")

@@ -1,0 +1,191 @@
+"""Matching accelerometer pairs by a recorded log: the library's ``match``, which ``tiltcal match`` calls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tiltcal
+from tiltcal.calibration.pair_calibration import PairCalibration
+from tiltcal.core.pair.matching import Matching, matching_with
+from tiltcal.core.pair.matching import match as match_demodulated
+from tiltcal.core.pair.model import Pair
+from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
+from tiltcal.files.pair import PairRecord
+from tiltcal.files.records import LogRecord, PairProvenance
+from tiltcal.logs.formats import open_log
+from tiltcal.logs.log import LogReader, Progress
+from tiltcal.logs.pair_matching import Demodulated, demodulate_log
+from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
+
+
+def match(
+    data: Any,
+    pairs: Sequence[tuple[str, str, str]],
+    *,
+    phase: str | None = None,
+    online: bool = False,
+    loops: bool = False,
+    skip_bad_rows: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> PairCalibration:
+    """Match pairs of accelerometers on a turning stage: scale factor p and misalignment q.
+
+    Parameters
+    ----------
+    data : str, Path or frame
+        A log (CSV, Parquet or NetCDF-4), or a frame of its columns.
+    pairs : sequence of (str, str, str)
+        One or two pairs: the columns of the first and the second accelerometer, and of one a quarter turn away.
+    phase : str, optional
+        The column of the stage angle, degrees. Without it the spin is estimated from the readings and the column
+        ``time``.
+    online : bool
+        Estimate sample by sample, as on a live stream.
+    loops : bool
+        With ``online``: by the two PID loops of the source, not the recursive estimator.
+    skip_bad_rows : bool
+        Leave out rows of a log that cannot be parsed, instead of raising.
+    say : callable, optional
+        Called with each remark about the data.
+
+    Returns
+    -------
+    PairCalibration
+
+    Raises
+    ------
+    UsageError
+        The pairs are not pairs.
+    InputError
+        A column is missing or has no values, or a row cannot be parsed.
+    EstimateError
+        The stage does not turn as it must.
+
+    Examples
+    --------
+    >>> print(tiltcal.match("disk.csv", [("a1", "a2", "a4")], phase="theta"))
+    """
+    return match_log(
+        *(data, pairs_of(pairs)), phase=phase, online=online, loops=loops, skip_bad_rows=skip_bad_rows, say=say
+    ).calibration
+
+
+@dataclass(frozen=True)
+class MatchedLog:
+    """A matching with the data that a figure of it shows.
+
+    Attributes
+    ----------
+    calibration : PairCalibration
+    demodulated : Demodulated
+    spectra : SpectrumObserver or None
+        Where spectra were asked for.
+    online : PairObserver or None
+        Where the estimators ran sample by sample.
+    """
+
+    calibration: PairCalibration
+    demodulated: Demodulated
+    spectra: SpectrumObserver | None
+    online: PairObserver | None
+
+
+def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
+    """Return pairs from their columns.
+
+    Raises
+    ------
+    UsageError
+        There is none or more than two, one is there twice, or its columns are not three different ones.
+    """
+    if not 1 <= len(pairs) <= 2:
+        raise UsageError("at most two pairs are matched at once: those of one disk" if pairs else "name a pair")
+    found = []
+    for first, second, orthogonal in pairs:
+        if len({first, second, orthogonal}) < 3:
+            raise UsageError(
+                f"--pair {first},{second} --orthogonal {orthogonal}: these are to be three different columns"
+            )
+        found.append(Pair(first, second, orthogonal))
+    if len({pair.name for pair in found}) < len(found):
+        raise UsageError(f"--pair {found[0].first},{found[0].second} is given twice")
+    return found
+
+
+def match_log(
+    data: Any,
+    pairs: Sequence[Pair],
+    *,
+    phase: str | None,
+    online: bool = False,
+    loops: bool = False,
+    spectra: bool = False,
+    skip_bad_rows: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+    progress: Progress | None = None,
+) -> MatchedLog:
+    """Match pairs, and keep what a figure shows; the arguments are those of :func:`match`, and:
+
+    Parameters
+    ----------
+    spectra : bool
+        Estimate spectra too.
+    progress : callable, optional
+        Called with the bytes that have been read, after each block.
+
+    Raises
+    ------
+    Stopped
+        Ctrl-C ended a stream before there was a result.
+    """
+    if loops and not online:
+        raise UsageError("--loops says which of the --online estimators is meant; give --online too")
+    channels = tuple(dict.fromkeys(channel for pair in pairs for channel in pair.channels))
+    watch = PairObserver(pairs, channels, say) if online else None
+    spectrum = SpectrumObserver(channels) if spectra else None
+    is_file = isinstance(data, str | Path)
+    with (
+        open_log(data, skip_bad_rows=skip_bad_rows, digest=is_file, live=online, progress=progress) as log,
+        _explained(log),
+    ):
+        observers = [observer for observer in (watch, spectrum) if observer is not None]
+        found = demodulate_log(log, channels, phase, observers=observers, say=say, live=online)
+        matchings = tuple(_matched(found, pair, watch, loops) for pair in pairs)
+    rows = found.rows + found.missing
+    if found.missing:
+        say(f"{found.missing} of {rows} rows have a missing value and are left out")
+    provenance = PairProvenance(
+        made_by="match of a recorded log",
+        software=f"tiltcal {tiltcal.__version__}",
+        log=LogRecord(name=Path(log.name).name, sha256=log.sha256, rows=rows, missing=found.missing)
+        if is_file
+        else None,
+        stage_angle=None if found.spin is None else "estimated from the readings",
+    )
+    record = PairRecord(matchings, phase, found.turns, found.frequency, online, provenance)
+    return MatchedLog(PairCalibration(record), found, spectrum, watch)
+
+
+@contextmanager
+def _explained(log: LogReader) -> Iterator[None]:
+    """Put the log's name in front of why it cannot be matched, and what to do where Ctrl-C came too early."""
+    try:
+        yield
+    except (EstimateError, InputError) as refusal:
+        why = str(refusal) if isinstance(refusal, InputError) else f"{log.name}: {refusal}"
+        if log.interrupted:
+            raise Stopped(f"interrupted, and nothing is written: {why}; let the stream run for longer") from None
+        if isinstance(refusal, EstimateError):
+            raise EstimateError(why) from refusal
+        raise
+
+
+def _matched(found: Demodulated, pair: Pair, watch: PairObserver | None, loops: bool) -> Matching:
+    """A pair, matched by the whole record or by what the online estimators ended with."""
+    if watch is None:
+        return match_demodulated(found.demodulation, pair)
+    return matching_with(found.demodulation, pair, watch.coefficients(pair, loops=loops))

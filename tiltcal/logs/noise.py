@@ -1,0 +1,249 @@
+"""The noise of a sensor at rest: the library's ``noise``, which ``tiltcal noise`` calls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tiltcal.calibration.calibrate import ACCELERATION
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.core.model import AXES
+from tiltcal.core.noise.characterise import ChannelNoise
+from tiltcal.core.noise.scale import NoiseScale
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.device import Model
+from tiltcal.errors import UsageError
+from tiltcal.files.calibration import read_calibration
+from tiltcal.logs.apply import require_unit
+from tiltcal.logs.columns import locate_columns, named_columns
+from tiltcal.logs.formats import open_log
+from tiltcal.logs.log import Progress
+from tiltcal.logs.noise_log import NoiseLog, characterise_log
+from tiltcal.logs.noise_summary import as_data, summary
+from tiltcal.logs.uniform_sampling import UniformLog
+
+STANDARD_GRAVITY = 9.80665
+"""m/s²"""
+
+
+def noise(
+    readings: Any,
+    *,
+    rate: float | None = None,
+    unit: str | None = None,
+    sensor: str | None = None,
+    calibration: Calibration | str | Path | None = None,
+    columns: Mapping[str, str] | str = "",
+    averages: Sequence[int] = (),
+    target: float | None = None,
+    skip_bad_rows: bool = False,
+) -> SensorNoise:
+    """Characterise the noise of a sensor at rest, and how many samples its positions need.
+
+    Parameters
+    ----------
+    readings : str, Path or frame
+        A log (CSV, Parquet or NetCDF-4) of a sensor that was not touched, or a frame of its columns.
+    rate : float, optional
+        Samples a second; without it the column ``time`` shows it.
+    unit : str, optional
+        Of the readings, where neither model nor calibration states it; of m/s2 and g the scale is known.
+    sensor : str, optional
+        The sensor's model: its unit and its nominal sensitivity.
+    calibration : Calibration, str or Path, optional
+        The sensor's own, or its file.
+    columns : mapping of str to str, or str
+        The column of each reading [x, y, z, as far as there] and of ``time``.
+    averages : sequence of int
+        More sizes of averages for the table, beside 1, 10, 100.
+    target : float, optional
+        Standard uncertainty that the mean of a position should have, degrees of an axis near level.
+    skip_bad_rows : bool
+        Count rows of a log that cannot be parsed as missing.
+
+    Returns
+    -------
+    SensorNoise
+
+    Raises
+    ------
+    UsageError
+        What is stated of the sensor contradicts itself, or a target is given and nothing states the scale.
+    InputError
+        A column is missing, a row cannot be parsed, or a reading is stuck.
+    EstimateError
+        The log is too short.
+
+    Examples
+    --------
+    >>> print(tiltcal.noise(readings, rate=102.4, unit="m/s2"))
+    """
+    facts = NoiseFacts.of(sensor, None, calibration, unit)
+    facts.require_scale(target)
+    return characterise_readings(
+        *(readings, facts),
+        rate=rate,
+        columns=columns,
+        averages=averages,
+        target=target,
+        skip_bad_rows=skip_bad_rows,
+    )
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """The noise of a sensor at rest.
+
+    Attributes
+    ----------
+    log : NoiseLog
+        How the readings follow each other, and what disturbed them.
+    scale : NoiseScale
+        How much of the readings' unit a g is, where that is known.
+    target : float or None
+        Standard uncertainty that the mean of a position should have, degrees.
+    """
+
+    log: NoiseLog
+    scale: NoiseScale
+    target: float | None
+
+    @property
+    def channels(self) -> Mapping[str, ChannelNoise]:
+        """Averages, Allan deviation and kinds of noise of each channel, in its unit."""
+        return self.log.channels
+
+    @property
+    def remarks(self) -> list[str]:
+        """What should be known before the numbers are believed."""
+        return self.log.remarks()
+
+    def as_data(self) -> dict[str, Any]:
+        """Everything as plain data."""
+        return {**self.log.as_data(), **as_data(self.channels, self.log.pace.interval, self.scale, self.target)}
+
+    def __str__(self) -> str:
+        return f"{self.log.as_text()}\n{summary(self.channels, self.log.pace.interval, self.scale, self.target)}"
+
+
+@dataclass(frozen=True)
+class NoiseFacts:
+    """What is known of the sensor beside its readings.
+
+    Attributes
+    ----------
+    channels : tuple of str
+        Its readings; empty where the log has to show them.
+    unit : str or None
+    sensitivity : dict of str to float
+        Unit/g, per channel, or under ``*`` for all of them; empty where it is not known.
+    source : str
+        Where the sensitivity is from.
+    """
+
+    channels: tuple[str, ...]
+    unit: str | None
+    sensitivity: dict[str, float]
+    source: str
+
+    @classmethod
+    def of(
+        cls,
+        sensor: str | None,
+        address: str | None,
+        calibration: Calibration | str | Path | None,
+        unit: str | None,
+    ) -> NoiseFacts:
+        """Gather what model, address, calibration and user state.
+
+        Raises
+        ------
+        UsageError
+            They contradict each other.
+        """
+        model = find_model(sensor) if sensor else None
+        if model is not None and address is not None:
+            model = model.at(parse_address(address))
+        known = Calibration(read_calibration(calibration)) if isinstance(calibration, str | Path) else calibration
+        _refuse_contradiction(model, known, unit)
+        own_unit = unit or (known.sensor.unit if known else None) or (model.unit if model else None)
+        channels = tuple(model.channels) if model else known.sensor.channels if known else ()
+        if known is not None:
+            own = {channel: value for (channel, axis), value in known.sensitivity.items() if channel == axis}
+            return cls(channels, own_unit, own, f"calibration of {known.sensor.serial}")
+        if model is not None and model.scaled:
+            return cls(channels, own_unit, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}")
+        if own_unit in (*ACCELERATION, "g"):
+            return cls(channels, own_unit, {"*": 1.0 if own_unit == "g" else STANDARD_GRAVITY}, f"unit {own_unit}")
+        return cls(channels, own_unit, {}, "")
+
+    def require_scale(self, target: float | None) -> None:
+        """Refuse a target in degrees where nothing states how much a degree is.
+
+        Raises
+        ------
+        UsageError
+        """
+        if target is not None and not self.sensitivity:
+            raise UsageError(
+                "--target is in degrees, and nothing says how much a degree is: give the --sensor model, a "
+                "--calibration, or --unit g or m/s2"
+            )
+
+    def scale(self, channels: Sequence[str]) -> NoiseScale:
+        """The scale of some channels."""
+        per_g = {channel: abs(self.sensitivity.get(channel, self.sensitivity.get("*", 0.0))) for channel in channels}
+        return NoiseScale(self.unit or "unit", {c: s for c, s in per_g.items() if s}, self.source)
+
+
+def characterise_readings(
+    readings: Any,
+    facts: NoiseFacts,
+    *,
+    rate: float | None = None,
+    columns: Mapping[str, str] | str = "",
+    averages: Sequence[int] = (),
+    target: float | None = None,
+    skip_bad_rows: bool = False,
+    name: str | None = None,
+    progress: Progress | None = None,
+) -> SensorNoise:
+    """Characterise readings with the facts that are known; the other arguments are those of :func:`noise`, and:
+
+    Parameters
+    ----------
+    facts : NoiseFacts
+    name : str, optional
+        What messages call the log, in place of its own name.
+    progress : callable, optional
+        Called with the bytes that have been read, after each block.
+    """
+    named = named_columns(columns, AXES)
+    with open_log(readings, name=name, skip_bad_rows=skip_bad_rows, progress=progress) as log:
+        asked = tuple(axis for axis in AXES if axis in named)
+        there = tuple(axis for axis in AXES if axis in log.names)
+        # With neither, x is looked for, and the message that it is not there says how to name it.
+        channels = asked or facts.channels or there or AXES[:1]
+        if facts.unit is not None:
+            where = locate_columns(log.names, channels, named, file=log.name, line=log.header_line)
+            require_unit(log, [where[channel] for channel in channels], facts.unit, "the --unit")
+        found = characterise_log(UniformLog(log, channels, named, rate), channels, averages)
+    return SensorNoise(found, facts.scale(list(found.channels)), target)
+
+
+def _refuse_contradiction(model: Model | None, known: Calibration | None, unit: str | None) -> None:
+    units = {
+        "--sensor": model.unit if model else None,
+        "--calibration": known.sensor.unit if known else None,
+        "--unit": unit,
+    }
+    said = {name: one for name, one in units.items() if one is not None}
+    if len(set(said.values())) > 1:
+        raise UsageError("the readings have one unit: " + ", but ".join(f"{name} says {u}" for name, u in said.items()))
+    if model and known and set(known.sensor.channels) - set(model.channels):
+        raise UsageError(
+            f"--calibration is of {', '.join(known.sensor.channels)}, and {model.name} has {', '.join(model.channels)}"
+        )
