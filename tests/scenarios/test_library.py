@@ -130,18 +130,34 @@ def test_apply_and_apply_log_agree(folder: Path, columns: dict[str, Any], segmen
         found.apply(frame, columns=NAMED, unit="g")
 
 
-def test_a_session_gives_the_same_file(tmp_path: Path) -> None:
-    """The virtual bench draws the same part and the same noise for the same seed."""
-    options = {"sensor": "sca100t-d02", "address": "sim:?seed=3", "serial": "A-1"}
-    given = [text for name, value in options.items() for text in (f"--{name}", value)]
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+
+
+@pytest.mark.parametrize(
+    ("procedure", "sensor", "twin", "options"),
+    [
+        ("plane", "sca100t-d02", "sca100t-d02", {"jig": 0.1, "samples": 40}),
+        ("free", "sca3000-d01", "sca3000", {"samples": 40}),
+        ("mounting", "sca100t-d02", "mounting", {"base": FIXTURES / "cross-axis.yaml", "samples": 40}),
+        ("two-temperature", "sca100t-d02", "sca100t-d02", {"samples": 10}),
+        ("rotation", "gradiometer", "disk", {"turns": 16}),
+    ],
+    ids=["positions", "free", "mounting", "temperature", "rotation"],
+)
+def test_a_session_gives_the_same_file(
+    procedure: str, sensor: str, twin: str, options: dict[str, Any], tmp_path: Path
+) -> None:
+    """The same seed is the same part and the same noise, so that the files are the same to the byte."""
+    options |= {"sensor": sensor, "address": f"sim:?twin={FIXTURES / 'twins' / twin}.yaml", "serial": "SIM-42"}
+    given = [str(text) for name, value in options.items() for text in (f"--{name}", value)]
     for folder in ("command", "library"):
         (tmp_path / folder).mkdir()
-    result = command("measure", "plane", *given, "--operator", "sim", "-o", "A-1.yaml", cwd=tmp_path / "command")
+    result = command("measure", procedure, *given, "--operator", "sim", "-o", "it.yaml", cwd=tmp_path / "command")
     assert result.returncode == 0, result.stderr
     with chdir(tmp_path / "library"):
-        found = tiltcal.measure("plane", operator="sim", output="A-1.yaml", **options)
-    assert (tmp_path / "library/A-1.yaml").read_bytes() == (tmp_path / "command/A-1.yaml").read_bytes()
-    assert found == tiltcal.read(tmp_path / "command/A-1.yaml")
+        found = tiltcal.measure(procedure, operator="sim", output="it.yaml", **options)
+    assert (tmp_path / "library/it.yaml").read_bytes() == (tmp_path / "command/it.yaml").read_bytes()
+    assert found == tiltcal.read(tmp_path / "command/it.yaml")
 
 
 def test_a_sensor_is_read() -> None:

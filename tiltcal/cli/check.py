@@ -9,10 +9,8 @@ import click
 
 from tiltcal.errors import UsageError
 from tiltcal.files.bench import read_bench
-from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
-from tiltcal.files.pair import read_pair
 from tiltcal.files.procedure import read_procedure
 from tiltcal.files.records import FileRecord
 from tiltcal.files.twin import read_twin
@@ -60,8 +58,6 @@ def _checked(path: Path) -> tuple[str, list[str]]:
     if named is None:
         raise document.error("the key 'kind' is missing: this is no tiltcal file")
     kind = named.choice(KINDS)
-    if kind == "pair":
-        return "pair calibration", _of_journal_beside(path, read_pair(path).provenance.journal)
     if kind == "procedure":
         read_procedure(path)
         return "procedure", []
@@ -71,7 +67,7 @@ def _checked(path: Path) -> tuple[str, list[str]]:
     if kind == "twin":
         read_twin(path)
         return "twin", []
-    return "calibration", _of_calibration(path)
+    return _of_calibration(path)
 
 
 def _is_journal(path: Path) -> bool:
@@ -92,11 +88,15 @@ def _of_journal(path: Path) -> list[str]:
     return findings
 
 
-def _of_calibration(path: Path) -> list[str]:
+def _of_calibration(path: Path) -> tuple[str, list[str]]:
+    from tiltcal.calibration.calibration import Calibration, read
     from tiltcal.calibration.summary import objections
 
-    calibration = read_calibration(path)
-    return objections(calibration.fit) + _of_journal_beside(path, calibration.provenance.journal)
+    found = read(path)
+    beside = _of_journal_beside(path, found.provenance.journal)
+    if isinstance(found, Calibration):
+        return "calibration", objections(found.fit) + beside
+    return "pair calibration", beside
 
 
 def _of_journal_beside(path: Path, captured: FileRecord | None) -> list[str]:
