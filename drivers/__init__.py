@@ -36,6 +36,7 @@ _BUILT_IN = {
     "adxl202e": "tiltcal.drivers.adxl202:ADXL202E",
     "adxl210": "tiltcal.drivers.adxl202:ADXL210",
     "serial-columns": "tiltcal.drivers.columns:SERIAL_COLUMNS",
+    "modbus-columns": "tiltcal.drivers.modbus:MODBUS_COLUMNS",
     "gradiometer": "tiltcal.drivers.gradiometer:GRADIOMETER",
     "dfrobot-sca100t": "tiltcal.drivers.dfrobot:DFROBOT_SCA100T",
     "sca3000-d01": "tiltcal.drivers.sca3000:D01",

@@ -185,7 +185,7 @@ def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
     written = address.text("columns", default)
     names = tuple("-" if name.strip() in SKIPPED else name.strip() for name in written.split(","))
     for name in names:
-        _require_name(address, name)
+        require_name(address, name)
         if name != "-" and names.count(name) > 1:
             address.refuse(f"columns names {name!r} twice")
     separator = address.text("separator", "any")
@@ -197,7 +197,7 @@ def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
     return columns
 
 
-def _require_name(address: Address, name: str) -> None:
+def require_name(address: Address, name: str) -> None:
     if name != "-" and not _NAME.fullmatch(name):
         address.refuse(f"column {name!r} is neither a name of letters and digits nor - (for one that is skipped)")
     if name != TEMPERATURE and get_close_matches(name.lower(), [TEMPERATURE], cutoff=0.8):
@@ -205,14 +205,33 @@ def _require_name(address: Address, name: str) -> None:
 
 
 def _tailored(model: Model, address: Address) -> Model:
-    """Return the model with the options of the address."""
+    """Return the model with the address's facts of the device."""
     columns = columns_of(address, "x,y,temperature" if address.simulated else None)
-    if address.simulated and not set(columns.channels) <= set(AXES):
+    fitted = with_numbers(model, address, columns.channels, TEMPERATURE in columns.names)
+    return replace(
+        fitted,
+        driver=partial(ColumnsSensor, columns),
+        twin=partial(_twin, columns),
+        default_truth=partial(_default_truth, columns, fitted.offset, fitted.sensitivity),
+    )
+
+
+def with_numbers(
+    model: Model, address: Address, channels: tuple[str, ...], thermometer: bool, unit_option: str = "unit"
+) -> Model:
+    """Return the model of a device that sends numbers, with the unit, scale and rails of its address.
+
+    Raises
+    ------
+    UsageError
+        An option is wrong, or a virtual device would have other channels than x, y and z.
+    """
+    if address.simulated and not set(channels) <= set(AXES):
         address.refuse(
-            "the virtual device has only x, y, z and temperature; a virtual stage with four accelerometers is the "
+            "the virtual device has x, y, z and temperature alone; a virtual stage with four accelerometers is the "
             "model gradiometer"
         )
-    unit = address.text("unit", "g" if address.simulated else UNSTATED)
+    unit = address.text(unit_option, "g" if address.simulated else UNSTATED)
     default = ONE_G.get(unit)
     scaled = default is not None or "sensitivity" in address.options
     sensitivity = address.number("sensitivity", default or UNKNOWN)
@@ -224,17 +243,14 @@ def _tailored(model: Model, address: Address) -> Model:
     offset = address.number("offset", 0.0)
     return replace(
         model,
-        channels=columns.channels,
+        channels=channels,
         unit=unit,
         offset=offset,
         sensitivity=sensitivity,
         offset_spread=OFFSET_SPREAD if "offset" in address.options or default is not None else ANYWHERE,
         scaled=scaled,
         rails=(low, high),
-        thermometer=TEMPERATURE in columns.names,
-        driver=partial(ColumnsSensor, columns),
-        twin=partial(_twin, columns),
-        default_truth=partial(_default_truth, columns, offset, sensitivity),
+        thermometer=thermometer,
     )
 
 

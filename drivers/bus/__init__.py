@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 __all__ = ["link_letter", "open_link"]
 
-_LETTERS = {"spi": "s", "i2c": "i", "serial": "r", "gpio": "e", "vcd": "e"}
+_LETTERS = {"spi": "s", "i2c": "i", "serial": "r", "gpio": "e", "vcd": "e", "modbus": "m"}
 
 _OPENERS = {
     "spi": "tiltcal.drivers.bus.spi:open_spi",
@@ -20,6 +20,7 @@ _OPENERS = {
     "serial": "tiltcal.drivers.bus.serial:open_serial",
     "gpio": "tiltcal.drivers.bus.edges:open_gpio",
     "vcd": "tiltcal.drivers.bus.vcd:open_vcd",
+    "modbus": "tiltcal.drivers.bus.modbus:open_modbus",
 }
 """By the last part of a scheme: ``opener(address, model)`` returns the link."""
 

@@ -8,6 +8,7 @@
     i2c:///dev/i2c-1?address=0x1d
     ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2
     serial:socket://192.168.1.7:4000?columns=x,y
+    modbus:tcp://192.168.1.7:502?columns=x@0:int16*0.001
     sim:?twin=truth.yaml&seed=7         or shorter  sim:twin=truth.yaml&seed=7
 
 A ``%`` with two hexadecimal digits stands for a byte, so a place or value may hold ``?`` (%3F), ``&`` (%26) and ``%``
@@ -30,7 +31,7 @@ _SCHEME = re.compile(r"[a-z][a-z0-9]*(\+[a-z][a-z0-9]*)*")
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
-SCHEMES = ("spi", "i2c", "serial", "gpio", "vcd", "sim")
+SCHEMES = ("spi", "i2c", "serial", "gpio", "vcd", "modbus", "sim")
 """Last part of every known scheme; a converter may stand before it, as in ``ads1115+i2c``."""
 
 

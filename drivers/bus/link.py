@@ -12,7 +12,7 @@ class Link(Protocol):
     """
 
     letter: str
-    """The bus in a journal line: ``s`` SPI, ``i`` I2C, ``r`` serial, ``e`` edges."""
+    """The bus in a journal line: ``s`` SPI, ``i`` I2C, ``r`` serial, ``e`` edges, ``m`` Modbus."""
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Carry out one bus transaction.

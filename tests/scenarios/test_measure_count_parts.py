@@ -119,7 +119,7 @@ SCL_2G = replace(SCL, address=f"{SPI}?range=2.4g", part=Scl3300(noise=178e-6, co
     ("setup", "fault", "why"),
     [
         (SCL_2G, 0, "was reset or its supply failed since it was set up"),
-        (SCL_2G, errno.ENODEV, "/dev/spidev0.0 has gone: plug the SPI adapter in again"),
+        (SCL_2G, errno.ENODEV, "plug the SPI adapter in again"),
         (SETUPS[3], 0, "was reset or its supply failed since it was set up (register 0x28 holds 0x00, not 0x04"),
         (SETUPS[5], errno.EREMOTEIO, "acknowledges at address 0x6a on /dev/i2c-1"),
     ],

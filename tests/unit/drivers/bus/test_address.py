@@ -60,7 +60,7 @@ def test_an_address_of_the_specification_is_understood(
         ("/dev/spidev0.0", "no scheme before a colon (did you mean 'spi:///dev/spidev0.0'?)"),
         ("spo:///dev/spidev0.0", "unknown scheme 'spo' (did you mean 'spi'?)"),
         ("SPI:///dev/spidev0.0", "unknown scheme 'SPI'"),
-        ("http://host/", "unknown scheme 'http' (known: spi, i2c, serial, gpio, vcd, sim)"),
+        ("http://host/", "unknown scheme 'http' (known: spi, i2c, serial, gpio, vcd, modbus, sim)"),
         ("ads1115+:///dev/i2c-1", "unknown scheme 'ads1115+'"),
         ("spi:", "no device after 'spi:'"),
         ("spi:?mode=0", "no device after 'spi:'"),

@@ -1,0 +1,339 @@
+"""Any device with numbers in Modbus registers: ``modbus-columns``.
+
+The address says which registers hold which number::
+
+    modbus:///dev/ttyUSB0?unit=1&columns=x@0:int16*0.001,y@1:int16*0.001,temperature@4:int16*0.1
+    modbus:tcp://192.168.1.7:502?unit=3&table=input&order=cdab&columns=x@100:float32,y@102:float32&measured_in=g
+
+A column is a name, the first register (counted from 0, as it is sent: a manual's 40001 and 30001 are 0), a type
+(``int16`` where none is named) and a factor. ``order`` says how the bytes of a number lie in its registers, written as
+a number of four bytes A to D: ``abcd`` as the protocol has it, ``cdab`` with the lower register first, ``badc`` and
+``dcba`` with the bytes of each register swapped. Names, offset and sensitivity are those of ``serial-columns``;
+``unit`` is the device's number on the line, and ``measured_in`` the unit of its numbers.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT
+from tiltcal.drivers.columns import AXES, OFFSET_SPREAD, RAIL, TEMPERATURE, TIME, require_name, with_numbers
+from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.registers import choose
+from tiltcal.errors import BusError, DeviceFault
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.twin.fixture import HeldPose
+    from tiltcal.drivers.twin.truth import Truth
+
+TYPES = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "int64": "q", "float64": "d"}
+"""How a number is packed, by the word in the address."""
+
+ORDERS = {"abcd": (False, False), "cdab": (True, False), "badc": (False, True), "dcba": (True, True)}
+"""Whether the registers of a number come lowest first, and whether the bytes of each are swapped."""
+
+TABLES = {"holding": HOLDING, "input": INPUT}
+
+UNIT = "measured_in"
+"""The option that says what a number is counted in: ``unit`` is the device on the line."""
+
+LONGEST = 125
+"""Registers of one request."""
+
+RATE = 10.0
+"""Samples a second where the address names no rate."""
+
+EXCEPTIONS = {
+    1: "it does not know this function: try table=input, or table=holding",
+    2: "it has no such register: check the register numbers, which count from 0",
+    3: "it refuses the number of registers",
+    4: "it has failed",
+    6: "it is busy",
+}
+"""What a device means by its exception codes."""
+
+_COLUMN = re.compile(r"([^@:*]+)@(0[xX][0-9a-fA-F]+|[0-9]+)(?::([a-z0-9]+))?(?:\*([-+0-9.eE]+))?")
+
+
+@dataclass(frozen=True)
+class RegisterColumn:
+    """One number in registers.
+
+    Attributes
+    ----------
+    name : str
+    first : int
+        Register, counted from 0.
+    code : str
+        Of :mod:`struct`.
+    scale : float
+    """
+
+    name: str
+    first: int
+    code: str
+    scale: float
+
+    @property
+    def length(self) -> int:
+        """Registers that it takes."""
+        return struct.calcsize(f">{self.code}") // 2
+
+
+@dataclass(frozen=True)
+class RegisterLayout:
+    """Which registers hold which numbers.
+
+    Attributes
+    ----------
+    columns : tuple of RegisterColumn
+    function : int
+        Code that reads them.
+    order : tuple of bool
+        See :data:`ORDERS`.
+    """
+
+    columns: tuple[RegisterColumn, ...]
+    function: int
+    order: tuple[bool, bool]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The axes in the order x, y, z, then the other readings as they are written."""
+        names = [column.name for column in self.columns]
+        others = [name for name in names if name not in (*AXES, TEMPERATURE)]
+        return (*(axis for axis in AXES if axis in names), *others)
+
+    @property
+    def thermometer(self) -> bool:
+        """Whether one of the numbers is the temperature."""
+        return any(column.name == TEMPERATURE for column in self.columns)
+
+    @property
+    def requests(self) -> tuple[bytes, ...]:
+        """What reads all columns: one request for each run of registers without a gap."""
+        runs: list[list[int]] = []
+        for column in sorted(self.columns, key=lambda column: column.first):
+            end = column.first + column.length
+            if runs and column.first <= runs[-1][1] and end - runs[-1][0] <= LONGEST:
+                runs[-1][1] = max(runs[-1][1], end)
+            else:
+                runs.append([column.first, end])
+        return tuple(struct.pack(">BHH", self.function, first, end - first) for first, end in runs)
+
+    def arranged(self, data: bytes) -> bytes:
+        """The bytes of a number in the device's order, from those in the protocol's, or back."""
+        words = [data[at : at + 2] for at in range(0, len(data), 2)]
+        lowest_first, swapped = self.order
+        return b"".join(word[::-1] if swapped else word for word in (words[::-1] if lowest_first else words))
+
+    def numbers(self, registers: Mapping[int, bytes]) -> Iterator[tuple[str, float]]:
+        """Every column's number, scaled, from the two bytes of each register."""
+        for column in self.columns:
+            data = b"".join(registers[column.first + place] for place in range(column.length))
+            (number,) = struct.unpack(f">{column.code}", self.arranged(data))
+            yield column.name, number * column.scale
+
+
+class ModbusColumns:
+    """The driver of a device with numbers in registers.
+
+    Parameters
+    ----------
+    layout : RegisterLayout
+    link : Link
+        Modbus.
+    clock : Clock
+        Unused: the device measures by itself.
+    """
+
+    def __init__(self, layout: RegisterLayout, link: Link, clock: Clock) -> None:
+        self._layout = layout
+        self._link = link
+
+    def probe(self) -> Mapping[str, str]:
+        """Read every number once.
+
+        Returns
+        -------
+        mapping of str to str
+            The numbers by their names.
+
+        Raises
+        ------
+        BusError
+            No answer.
+        DeviceFault
+            The device refuses, or a number is none.
+        """
+        reading = self.read()
+        said = {name: f"{value:g}" for name, value in zip(self._layout.channels, reading.values, strict=True)}
+        if reading.temperature is not None:
+            said[TEMPERATURE] = f"{reading.temperature:.1f} °C"
+        return said
+
+    def read(self) -> Reading:
+        """Read every number.
+
+        Raises
+        ------
+        BusError
+            No answer, or one of another length.
+        DeviceFault
+            The device refuses, or a number is none (a float that is not finite).
+        """
+        registers: dict[int, bytes] = {}
+        for request in self._layout.requests:
+            registers.update(self._registers(request))
+        numbers = dict(self._layout.numbers(registers))
+        for name, number in numbers.items():
+            if not isfinite(number):
+                raise DeviceFault(
+                    f"{name} is {number}: the device has no reading, or order= and the type are not its own"
+                )
+        return Reading(tuple(numbers[channel] for channel in self._layout.channels), numbers.get(TEMPERATURE))
+
+    def discard(self) -> None:
+        """Do nothing: registers hold the latest numbers."""
+
+    def _registers(self, request: bytes) -> dict[int, bytes]:
+        _, first, number = struct.unpack(">BHH", request)
+        answer = self._link.exchange(request)
+        if answer and answer[0] & FAILED:
+            why = EXCEPTIONS.get(answer[1], f"exception {answer[1]}")
+            raise DeviceFault(f"the device refuses to read {number} registers from {first}: {why}")
+        if len(answer) != 2 + 2 * number:
+            raise BusError(f"{number} registers were answered with {len(answer) - 2} bytes: the gateway is at fault")
+        return {first + place: answer[2 + 2 * place : 4 + 2 * place] for place in range(number)}
+
+
+def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
+    """Return what the address says of the registers.
+
+    Parameters
+    ----------
+    address : Address
+    default : str, optional
+        The columns where the address names none; without it they are required.
+
+    Raises
+    ------
+    UsageError
+        A column is wrong, a name is given twice, or there is no reading.
+    """
+    columns = [_column(address, text.strip()) for text in address.text("columns", default).split(",")]
+    names = [column.name for column in columns]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        address.refuse(f"columns names {twice!r} twice")
+    layout = RegisterLayout(
+        tuple(columns),
+        choose(address, "table", TABLES, HOLDING),
+        choose(address, "order", ORDERS, ORDERS["abcd"]),
+    )
+    if not layout.channels:
+        address.refuse("columns names no reading: x, y, z, or another name than temperature")
+    return layout
+
+
+def _column(address: Address, text: str) -> RegisterColumn:
+    matched = _COLUMN.fullmatch(text)
+    if not matched:
+        address.refuse(f"column {text!r} is not of the form name@register:type*factor (such as x@0:int16*0.001)")
+    name, first, word, factor = matched.groups()
+    require_name(address, name)
+    if name == TIME:
+        address.refuse("a column 'time' is of no use: leave it out")
+    word = word or "int16"
+    if word not in TYPES:
+        address.refuse(f"type {word!r} of column {name} is not one of {', '.join(TYPES)}")
+    try:
+        scale = float(factor or 1.0)
+    except ValueError:
+        scale = 0.0
+    if not isfinite(scale) or scale == 0.0:
+        address.refuse(f"factor {factor!r} of column {name} is no number other than 0")
+    column = RegisterColumn(name, int(first, 16 if "x" in first.lower() else 10), TYPES[word], scale)
+    if column.first + column.length > 0x10000:
+        address.refuse(f"register {first} of column {name} is beyond 65535")
+    return column
+
+
+def _tailored(address: Address) -> Model:
+    """Return the model with the address's facts of the device."""
+    layout = layout_of(address, SIMULATED if address.simulated else None)
+    fitted = with_numbers(_MODEL, address, layout.channels, layout.thermometer, UNIT)
+    return replace(
+        fitted,
+        interval=1.0 / address.number("rate", RATE, low=0.001, high=1000.0),
+        driver=partial(ModbusColumns, layout),
+        twin=partial(_twin, layout),
+        default_truth=partial(_default_truth, layout, fitted.offset, fitted.sensitivity),
+    )
+
+
+def _twin(layout: RegisterLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+    from tiltcal.drivers.twin.modbus import ModbusTwin
+
+    return ModbusTwin(layout, truth, fixture, clock)
+
+
+def _default_truth(layout: RegisterLayout, offset: float, sensitivity: float, seed: int) -> Truth:
+    from tiltcal.drivers.twin.columns import draw_truth
+
+    return draw_truth(layout.channels, offset, sensitivity, seed)
+
+
+SIMULATED = "x@0:float32,y@2:float32,temperature@4:float32"
+"""The columns of a virtual device whose address names none."""
+
+_SIMULATED = RegisterLayout(
+    (
+        RegisterColumn("x", 0, "f", 1.0),
+        RegisterColumn("y", 2, "f", 1.0),
+        RegisterColumn(TEMPERATURE, 4, "f", 1.0),
+    ),
+    HOLDING,
+    ORDERS["abcd"],
+)
+
+_MODEL = Model(
+    name="modbus-columns",
+    title="any device with numbers in Modbus registers, RTU or TCP",
+    channels=_SIMULATED.channels,
+    unit="g",
+    schemes=("modbus",),
+    addresses=(
+        "modbus:///dev/ttyUSB0?unit=1&columns=x@0:int16*0.001,y@1:int16*0.001",
+        "modbus:tcp://192.168.1.7:502?unit=1&columns=x@0:float32,y@2:float32,temperature@4:float32",
+    ),
+    offset=0.0,
+    sensitivity=1.0,
+    offset_spread=OFFSET_SPREAD,
+    sensitivity_spread=0.1,
+    rails=(-RAIL, RAIL),
+    resolution=0.0,
+    interval=1.0 / RATE,
+    thermometer=True,
+    driver=partial(ModbusColumns, _SIMULATED),
+    twin=partial(_twin, _SIMULATED),
+    not_modelled=(
+        "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
+        "frames and checksums of RTU and TCP: the twin answers what is inside them",
+        "how often a real device renews its registers, and whether it does so between two of them",
+        "the memory fault (parity) of other parts",
+    ),
+    default_truth=partial(_default_truth, _SIMULATED, 0.0, 1.0),
+    options=("columns", "table", "order", "rate", UNIT, "offset", "sensitivity", "low", "high"),
+)
+
+MODBUS_COLUMNS = replace(_MODEL, configure=_tailored)

@@ -1,0 +1,93 @@
+"""A virtual device with numbers in Modbus registers."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.bus.modbus import FAILED
+from tiltcal.drivers.columns import TEMPERATURE
+from tiltcal.drivers.modbus import RegisterColumn, RegisterLayout
+from tiltcal.drivers.twin.counts import LEVEL, Conversions
+from tiltcal.drivers.twin.noise import normal
+from tiltcal.errors import BusError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.twin.fixture import HeldPose
+    from tiltcal.drivers.twin.truth import Truth
+
+ANSWER_SECONDS = 0.020
+"""From a request to the end of its answer."""
+RATE = 100.0
+"""New numbers a second."""
+TIMEOUT = 1.0
+NO_SUCH_FUNCTION, NO_SUCH_REGISTER = 1, 2
+
+
+class ModbusTwin:
+    """A device that holds the columns of an address.
+
+    Parameters
+    ----------
+    layout : RegisterLayout
+    truth : Truth
+    fixture : HeldPose
+        Holds the sensor; its frame is the sensor's.
+    clock : Clock
+        Session time.
+    """
+
+    letter = "m"
+
+    def __init__(self, layout: RegisterLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        self._layout = layout
+        self._truth = truth
+        self._fixture = fixture
+        self._clock = clock
+        self._conversions = Conversions(truth, fixture, clock)
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Answer one request; see :class:`~tiltcal.drivers.bus.modbus.ModbusLink`."""
+        fault = self._conversions.fault()
+        if fault is not None and fault.kind == "silent":
+            self._clock.sleep(TIMEOUT)
+            raise BusError("the virtual device does not answer: a fault that its twin file names")
+        self._clock.sleep(ANSWER_SECONDS)
+        function, first, number = struct.unpack(">BHH", out)
+        if function != self._layout.function:
+            return bytes([function | FAILED, NO_SUCH_FUNCTION])
+        held = self._registers()
+        if any(register not in held for register in range(first, first + number)):
+            return bytes([function | FAILED, NO_SUCH_REGISTER])
+        data = b"".join(held[register] for register in range(first, first + number))
+        return bytes([function, len(data)]) + data
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _registers(self) -> dict[int, bytes]:
+        held = {}
+        for column in self._layout.columns:
+            data = self._layout.arranged(self._packed(column))
+            held.update({column.first + place: data[2 * place : 2 * place + 2] for place in range(column.length)})
+        return held
+
+    def _packed(self, column: RegisterColumn) -> bytes:
+        number = self._number(column.name) / column.scale
+        if column.code in "fd":
+            return struct.pack(f">{column.code}", number)
+        bits = 16 * column.length
+        low, high = (0, 2**bits - 1) if column.code.isupper() else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+        return struct.pack(f">{column.code}", min(max(round(number), low), high))
+
+    def _number(self, name: str) -> float:
+        if name == TEMPERATURE:
+            return self._conversions.temperature()
+        truth = self._truth
+        fault = self._conversions.fault()
+        if fault is not None and fault.kind == "stuck":
+            return truth.reading(name, LEVEL, truth.ambient)
+        noise = truth.noise.get(name, 0.0)
+        drawn = normal(truth.seed, f"noise {name}", int(self._clock.now_ns() / 1e9 * RATE)) if noise else 0.0
+        return truth.reading(name, self._fixture.gravity, self._fixture.temperature()) + noise * drawn

@@ -1,0 +1,202 @@
+"""``modbus-columns``: registers of the address, through pymodbus against its own server, RTU and TCP."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+import pytest
+
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus import link_letter, open_link
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import VirtualClock
+from tiltcal.drivers.device import Model, Sensor
+from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.drivers.twin.truth import Fault
+from tiltcal.errors import BusError, DeviceFault, UsageError
+
+pytest.importorskip("pymodbus", reason="the pymodbus package is not installed")
+
+from pymodbus.simulator import DataType, SimData
+from support.modbus_slave import slave
+
+ANYWHERE = "tcp://127.0.0.1:502"
+
+
+def at(options: str, place: str = ANYWHERE) -> tuple[Model, str]:
+    written = f"modbus:{place}?{options}"
+    return find_model("modbus-columns").at(parse_address(written)), written
+
+
+def scripted(options: str, **answers: str) -> Sensor:
+    """A driver whose requests, in hexadecimal, have these answers."""
+
+    class Link:
+        letter = "m"
+
+        def exchange(self, out: bytes, count: int = 0) -> bytes:
+            return bytes.fromhex(answers["r" + out.hex()])
+
+    return at(options)[0].driver(Link(), VirtualClock())
+
+
+def test_the_address_names_registers_types_factors_and_order() -> None:
+    model, _ = at("columns=y@1,x@0:int16*0.001,temperature@0x10:uint16*0.1&measured_in=g&sensitivity=1&rate=4")
+    assert (model.channels, model.thermometer, model.unit, model.interval) == (("x", "y"), True, "g", 0.25)
+    sensor = scripted(
+        "columns=y@1,x@0:int16*0.001,temperature@0x10:uint16*0.1",
+        r0300000002="03 04 FE0C 0007",
+        r0300100001="03 02 00EB",
+    )
+    assert sensor.read().values == pytest.approx((-0.5, 7.0))
+    assert sensor.read().temperature == pytest.approx(23.5)
+
+
+@pytest.mark.parametrize(
+    ("order", "registers"),
+    [("abcd", "3F00 0000"), ("cdab", "0000 3F00"), ("badc", "003F 0000"), ("dcba", "0000 003F")],
+)
+def test_a_half_in_every_order(order: str, registers: str) -> None:
+    """0.5 is 3F 00 00 00 as a float of four bytes (IEEE 754)."""
+    sensor = scripted(f"columns=x@8:float32&order={order}&table=input", r0400080002=f"04 04 {registers}")
+    assert sensor.read().values == (0.5,)
+
+
+@pytest.mark.parametrize(
+    ("word", "code", "number"),
+    [
+        ("int16", "h", -12345),
+        ("uint16", "H", 54321),
+        ("int32", "i", -123456789),
+        ("uint32", "I", 4000000000),
+        ("float32", "f", -1.5),
+        ("int64", "q", -(2**40)),
+        ("float64", "d", 0.1),
+    ],
+)
+def test_every_type(word: str, code: str, number: float) -> None:
+    data = struct.pack(f">{code}", number)
+    request = f"r030000{len(data) // 2:04x}"
+    sensor = scripted(f"columns=x@0:{word}", **{request: f"03 {len(data):02x} {data.hex()}"})
+    assert sensor.read().values == (number,)
+
+
+def test_registers_without_a_gap_are_one_request() -> None:
+    model, _ = at("columns=x@0:float32,y@2:float32,temperature@100:int16,z@4")
+    requests = [request.hex() for request in model.driver(None, VirtualClock())._layout.requests]
+    assert requests == ["0300000005", "0300640001"]
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "why"),
+    [
+        ("83 02", DeviceFault, "refuses to read 2 registers from 0: it has no such register"),
+        ("83 0B", DeviceFault, "exception 11"),
+        ("03 04 7FC0 0000", DeviceFault, "x is nan: the device has no reading"),
+        ("03 02 0000", BusError, "2 registers were answered with 2 bytes"),
+    ],
+)
+def test_what_is_no_number_is_no_reading(answer: str, error: type[Exception], why: str) -> None:
+    with pytest.raises(error, match=why):
+        scripted("columns=x@0:float32", r0300000002=answer).read()
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ("columns=x", "column 'x' is not of the form name@register:type.factor"),
+        ("columns=x@0:int8", "type 'int8' of column x is not one of int16"),
+        ("columns=x@0*0", "factor '0' of column x is no number other than 0"),
+        ("columns=x@0*1e", "factor '1e' of column x"),
+        ("columns=x@65535:float32", "register 65535 of column x is beyond 65535"),
+        ("columns=x@0,x@1", "names 'x' twice"),
+        ("columns=temperature@0", "names no reading"),
+        ("columns=x@0&order=acbd", "order=acbd is not one of abcd, cdab, badc, dcba"),
+        ("columns=x@0&table=coils", "table=coils is not one of holding, input"),
+        ("", "option 'columns' is missing"),
+    ],
+)
+def test_a_wrong_option_is_refused(options: str, why: str) -> None:
+    with pytest.raises(UsageError, match=why):
+        at(options)
+
+
+# Against pymodbus' own server
+
+
+BLOCKS = [
+    SimData(0, values=[-500, 250], datatype=DataType.INT16),
+    SimData(4, values=[235], datatype=DataType.INT16),
+    SimData(10, values=[0.125, -0.75], datatype=DataType.FLOAT32),
+]
+
+
+@pytest.mark.parametrize("rtu", [False, True], ids=["tcp", "rtu"])
+def test_a_simulated_slave_is_read(rtu: bool) -> None:
+    with slave(7, BLOCKS, rtu=rtu) as place:
+        model, written = at("unit=7&columns=x@0*0.001,y@10:float32,z@12:float32,temperature@4*0.1", place)
+        link = open_link(parse_address(written), model)
+        sensor = model.driver(link, VirtualClock())
+        assert sensor.probe() == {"x": "-0.5", "y": "0.125", "z": "-0.75", "temperature": "23.5 °C"}
+        reading = sensor.read()
+        assert (reading.values, reading.temperature) == ((-0.5, 0.125, -0.75), 23.5)
+        assert link.letter == "m" == link_letter(parse_address(written), model)
+        link.close()
+        link.close()
+
+
+def test_a_register_that_the_slave_lacks_and_a_unit_that_is_not_there() -> None:
+    with slave(7, BLOCKS, rtu=True) as place:
+        for options, error, why in (
+            ("unit=7&columns=x@500", DeviceFault, "no such register"),
+            ("unit=8&timeout=0.05&columns=x@0", (BusError, DeviceFault), "unit 8|refuses"),
+        ):
+            model, written = at(options, place)
+            link = open_link(parse_address(written), model)
+            with pytest.raises(error, match=why):
+                model.driver(link, VirtualClock()).read()
+            link.close()
+
+
+def test_nobody_at_the_other_end() -> None:
+    model, written = at("columns=x@0&timeout=0.1", "tcp://127.0.0.1:1")
+    with pytest.raises(BusError, match=r"no Modbus server answers at tcp://127.0.0.1:1"):
+        open_link(parse_address(written), model)
+    model, written = at("columns=x@0", "/dev/ttyNONE")
+    with pytest.raises(BusError, match=r"/dev/ttyNONE does not exist"):
+        open_link(parse_address(written), model)
+
+
+@pytest.mark.parametrize(
+    ("place", "options", "why"),
+    [
+        ("tcp://host:99999", "columns=x@0", "'99999' is no port number"),
+        ("tcp://host:502", "columns=x@0&baudrate=9600", "unknown option 'baudrate'"),
+        ("/dev/ttyUSB0", "columns=x@0&unit=300", "unit=300 is too large"),
+        ("/dev/ttyUSB0", "columns=x@0&parity=Q", "parity=Q is not one of N, E, O"),
+    ],
+)
+def test_a_wrong_place_is_refused(place: str, options: str, why: str) -> None:
+    model, written = at(options, place)
+    with pytest.raises(UsageError, match=why):
+        open_link(parse_address(written), model)
+
+
+# The twin
+
+
+@pytest.mark.parametrize("order", ["abcd", "dcba"])
+def test_the_twin_answers_the_columns_of_the_address(order: str) -> None:
+    options = f"columns=x@0:float64,y@9:int32*1e-6,temperature@4:int16*0.1&order={order}"
+    model = find_model("modbus-columns").at(parse_address(f"sim:{options}"))
+    clock = VirtualClock()
+    truth = replace(model.default_truth(3), noise={}, faults=(Fault("silent", 1.0, 2.0),))
+    sensor = model.driver(model.twin(truth, Fixture(clock, ambient=20.04), clock), clock)
+    reading = sensor.read()
+    expected = [truth.reading(channel, (0.0, 0.0, 1.0), 20.04) for channel in "xy"]
+    assert reading.values == pytest.approx(expected, abs=6e-7)
+    assert reading.temperature == pytest.approx(20.0)
+    clock.seek(1_000_000_000)
+    with pytest.raises(BusError, match="does not answer"):
+        sensor.read()
