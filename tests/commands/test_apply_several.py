@@ -47,8 +47,8 @@ def test_a_bad_log_is_named_and_the_others_are_done(bench: Path) -> None:
     (bench / "log2.csv").write_text("x,y\n1,oops\n")
     done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "log3.csv", "-o", "tilt", cwd=bench)
     assert done.returncode == 2
-    assert "log2.csv is left out: log2.csv:2: column 'y': 'oops' is no number" in done.stderr
-    assert "1 of 3 logs could not be done" in done.stderr
+    assert "log2.csv failed and is left out: log2.csv:2: column 'y': 'oops' is no number" in done.stderr
+    assert "1 of 3 logs failed" in done.stderr
     assert sorted(path.name for path in (bench / "tilt").iterdir()) == ["log1.csv", "log3.csv"]
 
 
@@ -100,7 +100,7 @@ def test_a_cluster_gives_what_this_machine_gives(bench: Path, scheduler: str) ->
     logs = ("log1.csv", "log2.csv", "log3.csv")
     done = tiltcal("apply", CAL, *logs, "-o", "tilt", "--scheduler", scheduler, "--json", cwd=bench)
     assert done.returncode == 2, done.stderr
-    assert "log2.csv is left out: " in done.stderr
+    assert "log2.csv failed and is left out: " in done.stderr
     assert "oops" in done.stderr
     assert list(json.loads(done.stdout)["logs"]) == ["log1.csv", "log3.csv"]
     for name in ("log1.csv", "log3.csv"):

@@ -334,12 +334,12 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("arguments", "said"),
         [
-            (("--pair", "a1", "--orthogonal", "a4"), "is no pair"),
+            (("--pair", "a1", "--orthogonal", "a4"), "is not a pair"),
             (("--pair", "a1,a1", "--orthogonal", "a4"), "three different columns"),
             ((*PAIR, "--pair", "a3,a4"), "2 --pair and 1 --orthogonal"),
             ((*PAIR, *PAIR), "given twice"),
             ((*PAIR, *BOTH), "at most two pairs"),
-            ((*PAIR, "--loops"), "give --online too"),
+            ((*PAIR, "--loops"), "--loops needs --online"),
         ],
     )
     def test_options_that_make_no_sense(self, log: Path, arguments: tuple[str, ...], said: str) -> None:

@@ -21,16 +21,14 @@ KINDS = ("tilt", "pair", "procedure", "bench", "twin")
 
 @click.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
 @click.argument("paths", metavar="FILE...", nargs=-1, type=click.Path(path_type=Path))
-@click.option(
-    "--schema", type=click.Choice(KINDS), help="Print the JSON Schema of a kind of file, by which an editor helps."
-)
-@click.option("--json", "as_json", is_flag=True, help="Print a list of objects for a program.")
+@click.option("--schema", type=click.Choice(KINDS), help="Print the JSON Schema of a kind of file, for an editor.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON list.")
 def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     """Check calibration files, procedures, twins and journals.
 
-    A file that cannot be used ends the check with exit code 2, and the message names file, line and key. Exit code 1
-    where a file can be read and is judged failing: a journal that was interrupted, a calibration whose journal lies
-    beside it and does not give it, a fit whose chi-square is not credible.
+    Exit code 2 if a file is wrong; the message names file, line and key. Exit code 1 if a file is readable, but has a
+    negative verdict: an interrupted journal, a calibration that the journal beside it does not give, or a fit whose
+    chi-square is not credible.
     """
     if schema is not None:
         from tiltcal.files.formats import json_schema
@@ -56,7 +54,7 @@ def _checked(path: Path) -> tuple[str, list[str]]:
     document = read_document(path)
     named = document.entries().get("kind")
     if named is None:
-        raise document.error("the key 'kind' is missing: this is no tiltcal file")
+        raise document.error("the key 'kind' is missing: this is not a tiltcal file")
     kind = named.choice(KINDS)
     if kind == "procedure":
         read_procedure(path)
@@ -84,7 +82,7 @@ def _of_journal(path: Path) -> list[str]:
     if journal.torn:
         findings.append("its last line is torn off")
     if journal.end is None:
-        findings.append(f"the session was interrupted; go on with it: tiltcal measure --resume {path}")
+        findings.append(f"the session was interrupted; continue it with: tiltcal measure --resume {path}")
     return findings
 
 

@@ -29,12 +29,12 @@ ROWS, REACH, TEMPERATURES = 1500, 50.0, (28.0, 5.0)
 
 @click.command(epilog="Example: tiltcal demo demo")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False), default=Path("demo"))
-@click.option("--seed", default=1, show_default=True, help="Which virtual part to take.")
+@click.option("--seed", default=1, show_default=True, help="The number of the virtual part.")
 def command(folder: Path, seed: int) -> None:
-    """Do the main job on the virtual bench: measure, calibrate, apply to a recorded log, report.
+    """Measure, calibrate, apply to a recorded log and report, on the virtual bench.
 
-    A virtual SCA100T-D02 is taken through six positions and two temperatures; its calibration file is then
-    applied to a log of the same part with known true tilt. Everything is written into FOLDER.
+    It measures a virtual SCA100T-D02 in seven positions at two temperatures, and applies the calibration to a log of
+    the same part with known true tilt. All files are written into FOLDER.
     """
     model, address = find_model(MODEL), parse_address(f"sim:?seed={seed}")
     try:

@@ -12,9 +12,9 @@ from tiltcal.drivers.device import Model
 
 
 @click.command(epilog="Example: tiltcal devices --json")
-@click.option("--json", "as_json", is_flag=True, help="Print a list of objects for a program.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON list.")
 def command(as_json: bool) -> None:
-    """List the sensor models, with their addresses, units, and what their virtual twins do not model."""
+    """List the sensor models with their addresses, units, and what their virtual twins do not model."""
     known = list(models())
     if as_json:
         click.echo(json.dumps([_facts(model) for model in known], indent=2, ensure_ascii=False))

@@ -11,12 +11,12 @@ import click
 @click.command(epilog="Example: tiltcal diff S-0042-spring.yaml S-0042-autumn.yaml")
 @click.argument("before", type=click.Path(path_type=Path))
 @click.argument("after", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Print an object for a program.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 def command(before: Path, after: Path, as_json: bool) -> None:
-    """Tell whether two calibrations of one sensor differ by more than their uncertainty.
+    """Compare two calibrations of one sensor against their uncertainty.
 
-    Every coefficient's change, and the change over its standard uncertainty. The verdict allows for the number of
-    coefficients that are compared: of two calibrations of an unchanged sensor it calls 5 % different.
+    It prints the change of every coefficient, and the change over its standard uncertainty. The verdict allows for the
+    number of coefficients: of two calibrations of an unchanged sensor it calls 5 % changed.
     """
     from tiltcal.calibration.calibration import Calibration
     from tiltcal.calibration.comparison import compare

@@ -30,52 +30,55 @@ Examples:
 @click.option(
     "--segments",
     type=click.Path(path_type=Path),
-    help="Which rows were taken in which position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz "
-    "where the position is not the procedure's. With PROCEDURE free the still rows are found where it is left out.",
+    help="The rows of each position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz if the "
+    "position is not one of the procedure. Without it, PROCEDURE free finds the static intervals.",
 )
 @click.option(
     "--table",
     is_flag=True,
-    help="LOG is a table of positions already averaged: position, x, y, z, and where known gx, gy, gz, ux, uy, uz (the "
-    "means' standard uncertainties), n, temperature.",
+    help="LOG is a table of means: position, x, y, z, and optionally gx, gy, gz, ux, uy, uz (the standard "
+    "uncertainties of the means), n, temperature.",
 )
 @click.option(
     "--columns",
     default="",
     metavar="x=NAME,...",
-    help="Which column holds which reading [x, y, z, temperature]; in a log without a header by number from 1.",
+    help="The column of each reading [x, y, z, temperature]; in a log without a header a number from 1.",
 )
-@click.option("--unit", help="The readings' unit, such as m/s2, V or count.")
+@click.option("--unit", help="The unit of the readings, such as m/s2, V or count.")
 @click.option("--serial", required=True, help="The sensor's serial number, for the calibration file.")
-@click.option("--sensor", metavar="MODEL", help="The sensor's model, where it is one of `tiltcal devices`.")
+@click.option("--sensor", metavar="MODEL", help="The model of the sensor, if it is one of `tiltcal devices`.")
 @click.option(
     "--jig",
     type=click.FloatRange(0.0),
     metavar="DEGREES",
-    help="Standard uncertainty of a set angle; where it is not stated, the positions' scatter says it.",
+    help="Standard uncertainty of a set angle; without it, it is estimated from the residuals.",
 )
 @click.option(
     "--thermometer",
     type=click.FloatRange(0.0),
     metavar="CELSIUS",
-    help="Standard uncertainty of a temperature; where it is not stated, the step of the --sensor's own thermometer.",
+    help="Standard uncertainty of a temperature; without it, that of the step of the --sensor's own thermometer.",
 )
-@click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
+@click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
 @click.option(
     "--gravity",
     type=click.FloatRange(9.7, 9.9),
     metavar="M/S2",
-    help="Local gravity, to tell the sensitivity per m/s² beside that per g, and for readings in m/s2 the scale error.",
+    help="Local gravity: adds the sensitivity per m/s², and for readings in m/s2 the scale error.",
 )
-@click.option("--window", type=click.IntRange(4), metavar="ROWS", help="How long still is, where the rows are found.")
+@click.option("--window", type=click.IntRange(4), metavar="ROWS", help="Shortest static interval that is found.")
 @click.option(
-    "--segments-out", type=click.Path(path_type=Path), metavar="FILE", help="Write the still rows that were found."
+    "--segments-out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Write the static intervals that were found.",
 )
 @click.option(
     "--base",
     type=click.Path(path_type=Path),
     metavar="CAL",
-    help="The sensor's calibration file, which the mounting procedure completes.",
+    help="The calibration file of the sensor, which the mounting procedure completes.",
 )
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The calibration file to write.")
 def command(
@@ -96,10 +99,10 @@ def command(
     base: Path | None,
     output: Path,
 ) -> None:
-    """Calibrate from a recorded LOG (CSV, Parquet or NetCDF-4) and its still segments, by the positions of PROCEDURE.
+    """Calibrate from a recorded LOG (CSV, Parquet or NetCDF-4) and its segments, by the positions of PROCEDURE.
 
-    With PROCEDURE free nobody has to know the positions: a three-axis sensor is held still in a dozen or more
-    attitudes, whatever they are, and gravity is 1 g in each. How the sensor is mounted stays undetermined.
+    PROCEDURE free needs no known positions: a three-axis sensor is held still in twelve or more attitudes, and gravity
+    is 1 g in each. It does not determine the mounting.
     """
     from tiltcal.calibration.summary import mounting_summary, summary
     from tiltcal.files.procedure import find_procedure
@@ -138,10 +141,10 @@ def command(
 
 
 def _tell_free(calibration: CalibrationRecord) -> None:
-    """What a person should know of a calibration from unit gravity."""
+    """Print the misfit and the warnings of a calibration from unit gravity."""
     fit = calibration.fit
     click.echo(
-        f"  misfit of gravity's length {fit.misfit_rms_mg:g} mg rms over {len(calibration.positions)} positions, "
+        f"  misfit of the length of gravity {fit.misfit_rms_mg:g} mg rms over {len(calibration.positions)} positions, "
         f"{fit.distinct_attitudes} different attitudes"
     )
     click.echo(f"mounting {calibration.derived.mounting}", err=True)

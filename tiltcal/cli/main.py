@@ -12,20 +12,20 @@ from tiltcal import __version__
 from tiltcal.errors import TiltcalError, UsageError
 
 COMMANDS = {
-    "devices": "list the sensor models, their addresses and what their twins leave out",
+    "devices": "list the sensor models, their addresses and the limits of their twins",
     "procedures": "list the procedures, or show one",
-    "probe": "see whether a sensor answers, and test it",
-    "plan": "predict how well a procedure will determine every coefficient",
-    "measure": "walk a sensor through a procedure and write its calibration file",
-    "record": "log the readings of a sensor, or of a whole bench",
-    "verify": "judge a calibration by positions that it was not fitted to",
-    "diff": "tell whether two calibrations of one sensor differ",
-    "replay": "run a captured session again, without hardware",
+    "probe": "test the connection of a sensor",
+    "plan": "predict the uncertainty that a procedure gives",
+    "measure": "measure the positions of a procedure and write the calibration file",
+    "record": "record the readings of a sensor or a bench",
+    "verify": "compare a calibration with positions that it was not fitted to",
+    "diff": "compare two calibrations of one sensor",
+    "replay": "repeat a recorded session without hardware",
     "fit": "calibrate from a recorded log",
-    "apply": "turn a recorded log of readings into compensated tilt",
-    "noise": "tell how noisy a sensor is, and how many samples it takes",
-    "match": "match pairs of accelerometers on a rotary stage",
-    "report": "write the page that is filed with a sensor",
+    "apply": "convert a log of readings to compensated tilt",
+    "noise": "characterise the noise of a sensor and recommend a number of samples",
+    "match": "match accelerometer pairs on a rotary stage",
+    "report": "write an HTML page about a calibration",
     "check": "check any tiltcal file",
     "demo": "measure, calibrate, apply and report on the virtual bench",
 }
@@ -35,7 +35,7 @@ INTERRUPTED = 130
 
 
 class Commands(click.Group):
-    """A group that knows its commands by name and imports the one that is called."""
+    """A group that lists its commands by name and imports only the one that is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -79,9 +79,9 @@ def main(args: list[str] | None = None) -> None:
 
 
 def run(args: list[str] | None = None) -> int:
-    """Run the command line; the exit code.
+    """Run the command line, and return its exit code.
 
-    0 done; 1 done and judged failing; 2 wrong usage or bad input; 3 hardware or bus error; 130 interrupted.
+    0 done; 1 done with a negative verdict; 2 wrong usage or bad input; 3 hardware or bus error; 130 interrupted.
     """
     try:
         result = group.main(args=args, prog_name="tiltcal", standalone_mode=False)
@@ -99,7 +99,7 @@ def run(args: list[str] | None = None) -> int:
         click.echo("tiltcal: interrupted", err=True)
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output is gone, as with `| head`; what Python would still flush has nowhere to go.
+        # The reader of our output has ended, as with `| head`; Python must not flush what remains.
         sys.stdout = None
         return 0
     except OSError as error:

@@ -33,29 +33,29 @@ Examples:
     multiple=True,
     required=True,
     metavar="NAME",
-    help="Column of an accelerometer a quarter turn away; one for each --pair, in order.",
+    help="Column of an accelerometer a quarter turn away; one per --pair, in the same order.",
 )
 @click.option(
     "--phase",
     metavar="NAME",
-    help="Column of the stage angle, degrees. Without it the spin is estimated from the readings and the column time.",
+    help="Column of the stage angle, degrees. Without it, the spin is estimated from the readings and the column time.",
 )
 @click.option(
     "--online",
     is_flag=True,
-    help="Estimate sample by sample, as on a live stream, and say where the stage stops or the stream has a gap.",
+    help="Estimate sample by sample, as on a live stream, and report a standing stage and gaps of the stream.",
 )
 @click.option(
-    "--loops", is_flag=True, help="With --online: p and q from the two PID loops, not the recursive estimator."
+    "--loops", is_flag=True, help="With --online: p and q from the two PID loops instead of the recursive estimator."
 )
-@click.option("--skip-bad-rows", is_flag=True, help="Leave out rows that cannot be parsed, instead of stopping.")
+@click.option("--skip-bad-rows", is_flag=True, help="Leave out rows that cannot be parsed, instead of an error.")
 @click.option(
     "--figure",
     type=click.Path(path_type=Path),
     metavar="SVG",
-    help="Draw the spectra of the first pair before and after, and with --online how the estimators settled.",
+    help="Draw the spectra of the first pair before and after, and with --online the course of the estimates.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print an object for a program.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAIR.yaml", help="The pair file to write.")
 def command(
     log: str,
@@ -69,13 +69,13 @@ def command(
     as_json: bool,
     output: Path | None,
 ) -> None:
-    """Match accelerometer pairs on a turning stage: scale factor p and misalignment q.
+    """Match accelerometer pairs on a rotary stage: scale factor p and misalignment q.
 
     LOG is CSV with a header, Parquet, NetCDF-4, or - for CSV on standard input; it is read once, whatever its size. The
-    sum FIRST + (SECOND + q ORTHOGONAL) / (1 - p) is free of the acceleration that all of them feel; `tiltcal apply`
-    adds it to a log. Two pairs give the gradient signal as well. A column called time is in seconds or ISO 8601.
+    matched sum FIRST + (SECOND + q ORTHOGONAL) / (1 - p) is free of the acceleration that is common to all of them;
+    `tiltcal apply` adds it to a log. Two pairs also give the gradient signal. A column time is in seconds or ISO 8601.
 
-    With --online, Ctrl-C ends a stream that has no end of its own, and what was found until then is the result.
+    With --online, Ctrl-C ends the stream, and the estimates until then are the result.
     """
     from tiltcal.cli.progress import progress_bar
     from tiltcal.files.whole import check_writable
@@ -134,7 +134,7 @@ def _triples(pairs: tuple[str, ...], orthogonals: tuple[str, ...]) -> list[tuple
     for text, orthogonal in zip(pairs, orthogonals, strict=True):
         names = [name.strip() for name in text.split(",")]
         if len(names) != 2 or not all(names):
-            raise UsageError(f"--pair {text!r} is no pair; write two columns, such as a1,a2")
+            raise UsageError(f"--pair {text!r} is not a pair; write two columns, such as a1,a2")
         found.append((names[0], names[1], orthogonal))
     return found
 

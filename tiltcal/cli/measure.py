@@ -15,50 +15,50 @@ from tiltcal.cli.session_options import LEADERS, left_at_default, remark
 )
 @click.argument("procedure", required=False)
 @click.option(
-    "--bench", type=click.Path(path_type=Path), metavar="FILE", help="Several sensors at once, named in a bench file."
+    "--bench", type=click.Path(path_type=Path), metavar="FILE", help="Measure the sensors of a bench file together."
 )
 @click.option("--sensor", metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
-@click.option("--address", help="Where it is connected, such as spi:///dev/spidev0.0, or sim: for its virtual twin.")
+@click.option("--address", help="Its address, such as spi:///dev/spidev0.0, or sim: for its virtual twin.")
 @click.option("--serial", help="Its serial number, for the calibration file.")
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="The calibration file to write; with --bench the folder."
+    "-o", "--output", type=click.Path(path_type=Path), help="The calibration file to write; with --bench a folder."
 )
 @click.option(
     "--operator",
     type=LEADERS,
     default="terminal",
     show_default=True,
-    help="Who brings the sensor into position: a person, a program over JSON Lines, or the virtual jig.",
+    help="Who sets the positions: a person, a program that reads and writes JSON Lines, or the virtual jig.",
 )
-@click.option("--samples", type=click.IntRange(2), help="Samples per position, in place of the procedure's.")
+@click.option("--samples", type=click.IntRange(2), help="Samples per position; overrides the procedure.")
 @click.option(
     "--settle",
     type=click.FloatRange(0.0, min_open=True),
     metavar="SECONDS",
-    help="How long a reading must hold still before it is sampled, in place of the procedure's.",
+    help="How long a reading must be still before it is sampled; overrides the procedure.",
 )
 @click.option(
     "--jig",
     type=click.FloatRange(0.0),
     metavar="DEGREES",
-    help="Standard uncertainty of a set angle; where it is not stated, the positions' scatter says it.",
+    help="Standard uncertainty of a set angle; without it, it is estimated from the residuals.",
 )
-@click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
-@click.option("--turns", type=int, help="The most turns of the stage, in place of the procedure's.")
+@click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
+@click.option("--turns", type=int, help="Largest number of turns of the stage; overrides the procedure.")
 @click.option(
     "--base",
     type=click.Path(path_type=Path),
     metavar="CAL",
-    help="The sensor's calibration file, which the mounting procedure completes.",
+    help="The calibration file of the sensor, which the mounting procedure completes.",
 )
 @click.option(
     "--typical-temperature",
     is_flag=True,
-    help="Where the unit has no temperature run of its own, take the data sheet's mean curves, and say so in the file.",
+    help="Use the mean temperature curves of the data sheet for a unit without its own; the file states this.",
 )
-@click.option("--journal", type=click.Path(path_type=Path), help="Where the session is captured [beside the output].")
-@click.option("--resume", type=click.Path(path_type=Path), metavar="JOURNAL", help="Go on with an interrupted session.")
-@click.option("--plain", is_flag=True, help="Lines only: no live reading, no single keys.")
+@click.option("--journal", type=click.Path(path_type=Path), help="The journal of the session [beside the output].")
+@click.option("--resume", type=click.Path(path_type=Path), metavar="JOURNAL", help="Continue an interrupted session.")
+@click.option("--plain", is_flag=True, help="Plain lines: no live reading, no single keys.")
 def command(
     procedure: str | None,
     bench: Path | None,
@@ -78,11 +78,11 @@ def command(
     resume: Path | None,
     plain: bool,
 ) -> None:
-    """Walk a sensor through the positions of PROCEDURE and write its calibration file.
+    """Measure the positions of PROCEDURE and write the calibration file.
 
     PROCEDURE is one of `tiltcal procedures`, or the path of your own. With `rotation` a stage turns instead, and -o is
-    the file of its pairs. Everything is captured in a journal as it happens: after a crash, a power cut or Ctrl-C,
-    `--resume JOURNAL` goes on from the last byte.
+    the file of its pairs. A journal records everything at once: after a crash, a power cut or Ctrl-C, `--resume
+    JOURNAL` continues from the last byte.
     """
     from tiltcal.bench.measure import measure
 

@@ -23,43 +23,44 @@ Examples:
 
 @click.command(epilog=_EXAMPLES)
 @click.argument("log", required=False)
-@click.option("--sensor", metavar="MODEL", help="The sensor's model; with a LOG it says unit and sensitivity.")
-@click.option("--address", help="Where it is connected, to record it now in place of a LOG.")
-@click.option("--samples", type=click.IntRange(2), help="How many to record.")
-@click.option(
-    "--for", "seconds", type=click.FloatRange(0.0, min_open=True), metavar="SECONDS", help="How long to record."
-)
+@click.option("--sensor", metavar="MODEL", help="The model of the sensor; for a LOG it gives unit and sensitivity.")
+@click.option("--address", help="Its address, to record it now instead of reading a LOG.")
+@click.option("--samples", type=click.IntRange(2), help="Number of samples to record.")
+@click.option("--for", "seconds", type=click.FloatRange(0.0, min_open=True), metavar="SECONDS", help="Time to record.")
 @click.option(
     "--rate",
     type=click.FloatRange(0.0, min_open=True),
     metavar="HZ",
-    help="Samples a second: to record [as fast as the sensor renews itself], or of a LOG [its column time says it].",
+    help="Samples per second: of the recording [the rate of the sensor], or of a LOG [from its column time].",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="LOG", help="Keep what is recorded, as CSV.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="LOG", help="Keep the recording, as CSV.")
 @click.option(
     "--columns",
     default="",
     metavar="x=NAME,...",
-    help="Which column of LOG holds which reading [x, y, z, as far as there], and time; by number without a header.",
+    help="The column of each reading of LOG [x, y, z, if present] and of time; a number without a header.",
 )
 @click.option("--skip-bad-rows", is_flag=True, help="Count rows of LOG that cannot be parsed as missing.")
 @click.option(
-    "--calibration", type=click.Path(path_type=Path), metavar="CAL.yaml", help="The sensor's calibration, for g and °."
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="CAL.yaml",
+    help="The calibration of the sensor, for results in g and °.",
 )
 @click.option(
-    "--unit", help="The readings' unit, where neither model nor calibration says it; of m/s2 and g, g is known."
+    "--unit", help="The unit of the readings, without model and calibration; m/s2 and g imply the sensitivity."
 )
 @click.option(
-    "--averages", metavar="N,...", default="", help="More sizes of averages for the table, beside 1, 10, 100."
+    "--averages", metavar="N,...", default="", help="Additional sizes of averages for the table, beside 1, 10, 100."
 )
 @click.option(
     "--target",
     type=click.FloatRange(0.0, min_open=True),
     metavar="DEGREES",
-    help="Standard uncertainty that the mean of a position should have.",
+    help="Standard uncertainty that the mean of a position must have.",
 )
 @click.option("--figure", type=click.Path(path_type=Path), metavar="SVG", help="Draw the Allan deviation.")
-@click.option("--json", "as_json", is_flag=True, help="Print an object for a program.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 def command(
     log: str | None,
     sensor: str | None,
@@ -77,13 +78,13 @@ def command(
     figure: Path | None,
     as_json: bool,
 ) -> int:
-    """Tell how noisy a sensor is at rest, and how many samples its positions need.
+    """Characterise the noise of a sensor at rest, and recommend the number of samples per position.
 
-    Either a LOG (CSV, Parquet, NetCDF-4, or - for CSV on standard input) of a sensor that nobody touched, or --sensor
-    and --address to record one now. The table shows how averages of 1, 10, 100 samples scatter, beside what independent
-    samples would give; the Allan deviation, which kinds of noise there are and where averaging stops to help. From it
-    follows the number for `measure --samples`: the smallest that meets --target, or without one the largest that is
-    worth its time. Degrees are those of an axis near level.
+    Give a LOG (CSV, Parquet, NetCDF-4, or - for CSV on standard input) of a sensor at rest, or --sensor and --address
+    to record one now. The table shows the scatter of averages of 1, 10, 100 samples, beside that of independent
+    samples. The Allan deviation shows the kinds of noise and where averaging stops to help. The recommended number for
+    `measure --samples` is the smallest that meets --target, or without a target the largest that is worth its time.
+    Degrees are those of an axis near level.
     """
     from tiltcal.cli.progress import progress_bar
     from tiltcal.files.whole import check_writable
@@ -130,7 +131,7 @@ def _refuse_for_log(log: str | None, samples: int | None, seconds: float | None,
         raise UsageError("noise needs either a LOG, or --sensor MODEL and --address ADDRESS to record one now")
     for option, value in (("--samples", samples), ("--for", seconds), ("--output", output)):
         if value is not None:
-            raise UsageError(f"{option} is for recording a sensor with --address; a LOG is taken as it is")
+            raise UsageError(f"{option} is for recording a sensor with --address, not for a LOG")
 
 
 def _refuse_live(
@@ -151,7 +152,7 @@ def _refuse_live(
     if columns or skip_bad_rows:
         raise UsageError("--columns and --skip-bad-rows are for a LOG")
     if samples is None and seconds is None and parse_address(address).simulated:
-        raise UsageError("on the virtual bench time takes no time: say --samples or --for")
+        raise UsageError("a recording on the virtual bench needs --samples or --for")
 
 
 def _sizes(text: str) -> tuple[int, ...]:

@@ -10,15 +10,15 @@ import click
 @click.command(epilog="Example: tiltcal plan cross-axis --sensor sca100t-d02 --jig 0.05")
 @click.argument("procedure")
 @click.option("--sensor", required=True, metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
-@click.option("--address", help="Its address, where that settles facts of the model, such as counts_per_g.")
+@click.option("--address", help="Its address, if an option of it changes the model, such as counts_per_g.")
 @click.option("--jig", type=click.FloatRange(0.0), metavar="DEGREES", help="Standard uncertainty of a set angle.")
 @click.option(
     "--thermometer", type=click.FloatRange(0.0), metavar="CELSIUS", help="Standard uncertainty of a temperature."
 )
 @click.option("--noise", type=click.FloatRange(0.0), help="Standard deviation of one sample, in the sensor's unit.")
-@click.option("--samples", type=click.IntRange(2), help="Samples per position, in place of the procedure's.")
-@click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
-@click.option("--json", "as_json", is_flag=True, help="Print an object for a program.")
+@click.option("--samples", type=click.IntRange(2), help="Samples per position; overrides the procedure.")
+@click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 def command(
     procedure: str,
     sensor: str,
@@ -30,9 +30,9 @@ def command(
     tilt: float | None,
     as_json: bool,
 ) -> None:
-    """Predict how well PROCEDURE will determine every coefficient, before anybody starts.
+    """Predict the standard uncertainty of every coefficient of PROCEDURE.
 
-    A procedure that cannot determine what it asks for is refused (exit code 2), with the position to add.
+    A procedure that cannot determine its coefficients is refused (exit code 2), with the position to add.
     """
     from tiltcal.bench.plan import plan
 

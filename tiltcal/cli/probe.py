@@ -18,14 +18,14 @@ JUDGED_FAILING = 1
 @click.command(epilog="Example: tiltcal probe --sensor sca100t-d02 --address spi:///dev/spidev0.0 --self-test")
 @click.option("--sensor", required=True, metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
 @click.option(
-    "--address", required=True, help="Where it is connected, such as spi:///dev/spidev0.0, or sim: for its twin."
+    "--address", required=True, help="Its address, such as spi:///dev/spidev0.0, or sim: for its virtual twin."
 )
-@click.option("--self-test", "self_test", is_flag=True, help="Let the part test itself; lay it level and still.")
-@click.option("--json", "as_json", is_flag=True, help="Print an object for a program.")
+@click.option("--self-test", "self_test", is_flag=True, help="Start the self-test of the part; lay it level and still.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
-    """See whether a sensor answers, and what it says.
+    """Test the connection of a sensor, and print its answer.
 
-    Exit code 3 where it does not answer, 1 where its self-test fails.
+    Exit code 3 if it does not answer, 1 if its self-test fails.
     """
     model = find_model(sensor).at(parse_address(address))
     with open_sensor(sensor, address) as driver:
@@ -33,7 +33,7 @@ def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
         tests = {}
         if self_test:
             if not isinstance(driver, SelfTesting):
-                raise UsageError(f"{model.name} has no self-test that tiltcal can start")
+                raise UsageError(f"{model.name} has no self-test")
             tests = {channel: driver.self_test(channel) for channel in model.channels}
     passed = all(test.passed for test in tests.values())
     if as_json:

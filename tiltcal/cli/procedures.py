@@ -15,10 +15,10 @@ from tiltcal.files.rotation import Rotation
     epilog="Example: tiltcal procedures plane --source > mine.yaml; edit it; run it: tiltcal measure ./mine.yaml ..."
 )
 @click.argument("procedure", required=False)
-@click.option("--source", is_flag=True, help="Print the file itself, to copy and edit.")
-@click.option("--json", "as_json", is_flag=True, help="Print objects for a program.")
+@click.option("--source", is_flag=True, help="Print the procedure file, to copy and edit.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(procedure: str | None, source: bool, as_json: bool) -> None:
-    """List the procedures, or show the positions of one (a name, or the path of your own)."""
+    """List the procedures, or show the positions of one (its name, or the path of your own)."""
     if procedure is None:
         shown = [find_procedure(name) for name in shipped_procedures()]
     else:

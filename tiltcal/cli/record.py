@@ -15,21 +15,21 @@ INTERRUPTED = 130
 
 
 @click.command(epilog="Example: tiltcal record --bench bench.yaml --rate 10 -o night.csv")
-@click.option("--bench", type=click.Path(path_type=Path), metavar="FILE", help="The sensors, named in a bench file.")
-@click.option("--sensor", metavar="MODEL", help="One sensor's model, where there is no bench file.")
-@click.option("--address", help="Where it is connected.")
+@click.option("--bench", type=click.Path(path_type=Path), metavar="FILE", help="Record the sensors of a bench file.")
+@click.option("--sensor", metavar="MODEL", help="The model of a single sensor.")
+@click.option("--address", help="Its address.")
 @click.option(
     "--rate",
     type=click.FloatRange(0.0, min_open=True),
     metavar="HZ",
-    help="Rows a second [as fast as the sensors renew themselves].",
+    help="Rows per second [the rate of the slowest sensor].",
 )
-@click.option("--rows", type=click.IntRange(1), help="Stop after so many rows.")
+@click.option("--rows", type=click.IntRange(1), help="Stop after this number of rows.")
 @click.option(
-    "--for", "seconds", type=click.FloatRange(0.0, min_open=True), metavar="SECONDS", help="Stop after so long."
+    "--for", "seconds", type=click.FloatRange(0.0, min_open=True), metavar="SECONDS", help="Stop after this time."
 )
 @click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), help="The log to make: .csv or .parquet."
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="The log to write: .csv or .parquet."
 )
 def command(
     bench: Path | None,
@@ -40,11 +40,11 @@ def command(
     seconds: float | None,
     output: Path,
 ) -> int:
-    """Record the readings of a sensor, or of a whole bench, until stopped with Ctrl-C.
+    """Record the readings of a sensor or a bench until Ctrl-C.
 
-    Each row has its time (UTC), the readings and the temperature. A row that is written is kept, whatever happens
-    next; a reading that fails leaves its cells empty and is counted. A .parquet log is captured as CSV beside it and
-    made at the end; if the machine dies before, the CSV is there.
+    Each row has the time (UTC), the readings and the temperature. No row that was written is lost. A reading that fails
+    leaves empty cells and is counted. A .parquet log is written as CSV first and converted at the end; after a power
+    cut the CSV remains.
     """
     if (bench is None) == (sensor is None) or (sensor is None) != (address is None):
         raise UsageError("record needs either --bench FILE, or --sensor MODEL and --address ADDRESS")

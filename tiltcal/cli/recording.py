@@ -73,7 +73,7 @@ def capture(named: BenchFile, rate: float | None, rows: int | None, seconds: flo
     interval = 1.0 / rate if rate else max(one.model.interval for one in sensors)
     wanted = rows if seconds is None else min(rows or sys.maxsize, max(1, round(seconds / interval)))
     if virtual and wanted is None:
-        raise UsageError("on the virtual bench time takes no time: say --rows or --for")
+        raise UsageError("a recording on the virtual bench needs --rows or --for")
     started = VIRTUAL_START if virtual else datetime.now(UTC)
     clock: Clock = VirtualClock() if virtual else SystemClock(int(started.timestamp() * 1e9))
     twins = VirtualBench(clock, devices)

@@ -21,26 +21,26 @@ JUDGED_FAILING = 1
     "-o",
     "--output",
     type=click.Path(path_type=Path),
-    help="Where to write the calibration file [standard output]; of several sensors the folder.",
+    help="The calibration file to write [standard output]; for several sensors a folder.",
 )
 @click.option(
     "--golden",
     type=click.Path(path_type=Path, exists=True),
-    help="Compare with this calibration file, or folder of them, byte for byte; exit code 1 where they differ.",
+    help="Compare with this calibration file or folder, byte for byte; exit code 1 if they differ.",
 )
 @click.option(
     "--samples",
     type=click.Path(path_type=Path),
     metavar="LOG",
-    help="Write every sample of the session, settling and refused ones too, as a CSV log.",
+    help="Write every sample of the session as a CSV log, including settling and refused ones.",
 )
 def command(journal: Path, output: Path | None, golden: Path | None, samples: Path | None) -> int:
-    """Run a captured session again, without hardware, and make its calibration file, identical to the byte."""
+    """Repeat a recorded session without hardware, and make the same calibration file, byte for byte."""
     session = Session.of_journal(journal, remark)
     before = session.journal
     if before is not None and before.end is None:
         raise JournalError(
-            f"the session was interrupted; go on with it: tiltcal measure --resume {journal}",
+            f"the session was interrupted; continue it with: tiltcal measure --resume {journal}",
             file=journal,
             line=len(before.events) + 2,
         )

@@ -36,17 +36,17 @@ _CALIBRATIONS = (".yaml", ".yml")
     "--columns",
     default="",
     metavar="ROLE=NAME,…",
-    help="Which column of a LOG holds which reading, such as x=VoutX,y=VoutY,temperature=T.",
+    help="The column of each reading in a LOG, such as x=VoutX,y=VoutY,temperature=T.",
 )
-@click.option("--skip-bad-rows", is_flag=True, help="Count rows of a LOG that cannot be parsed, instead of stopping.")
+@click.option("--skip-bad-rows", is_flag=True, help="Count rows of a LOG that cannot be parsed, instead of an error.")
 def command(files: tuple[str, ...], output: Path, columns: str, skip_bad_rows: bool) -> None:
-    """Write one HTML page about a calibration, to be read, printed and filed with the sensor.
+    """Write one HTML page about a calibration, to read, print and file with the sensor.
 
-    The page needs nothing but itself, and prints on A4: what was calibrated and how, the coefficients with their
-    uncertainty and where it comes from, how well the positions agree, where the calibration holds and what it does not
-    cover. A LOG, raw or as `tiltcal apply` wrote it, adds its flags and its tilt over time. Of several calibrations of
-    one sensor, oldest first, the page is about the last, and tells what changed since each of the others. For pairs
-    (from `tiltcal match`) it has the components before and after, and with the LOG their spectra.
+    The page needs no other file and prints on A4. It shows what was calibrated and how, the coefficients with their
+    uncertainty and its sources, the residuals, and the range in which the calibration holds. A LOG, raw or as `tiltcal
+    apply` wrote it, adds its flags and its tilt over time. With several calibrations of one sensor, oldest first, the
+    page is about the last one and shows the changes since each of the others. For pairs (from `tiltcal match`) it shows
+    the components before and after, and with the LOG their spectra.
     """
     write_report(files, output, columns=columns, skip_bad_rows=skip_bad_rows)
     click.echo(f"wrote {output}", err=True)

@@ -23,9 +23,9 @@ JUDGED_FAILING = 1
 
 @click.command(epilog="Example: tiltcal verify S-0042.yaml --address spi:///dev/spidev0.0 --limit 0.3")
 @click.argument("calibration", type=click.Path(path_type=Path))
-@click.option("--address", help="Where the sensor is connected, or sim: for its virtual twin.")
+@click.option("--address", help="The address of the sensor, or sim: for its virtual twin.")
 @click.option(
-    "--procedure", default="verify", show_default=True, help="The positions to take: a name, or your own file."
+    "--procedure", default="verify", show_default=True, help="The positions to measure: a name, or your own file."
 )
 @click.option(
     "--limit",
@@ -33,22 +33,21 @@ JUDGED_FAILING = 1
     default=0.5,
     show_default=True,
     metavar="DEGREES",
-    help="The largest error of a tilt that passes.",
+    help="The largest tilt error that passes.",
 )
-@click.option("--tilt", type=float, metavar="DEGREES", help="The angle that the procedure leaves free.")
+@click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
+@click.option("--operator", type=LEADERS, default="terminal", show_default=True, help="Who sets the positions.")
+@click.option("--samples", type=click.IntRange(2), help="Samples per position; overrides the procedure.")
 @click.option(
-    "--operator", type=LEADERS, default="terminal", show_default=True, help="Who brings the sensor into position."
+    "--settle",
+    type=click.FloatRange(0.0, min_open=True),
+    metavar="SECONDS",
+    help="How long a reading must be still; overrides the procedure.",
 )
-@click.option("--samples", type=click.IntRange(2), help="Samples per position, in place of the procedure's.")
-@click.option(
-    "--settle", type=click.FloatRange(0.0, min_open=True), metavar="SECONDS", help="How long a reading must hold still."
-)
-@click.option(
-    "--journal", type=click.Path(path_type=Path), help="Where the session is captured [beside the calibration]."
-)
-@click.option("--resume", type=click.Path(path_type=Path), metavar="JOURNAL", help="Go on with an interrupted session.")
-@click.option("--plain", is_flag=True, help="Lines only: no live reading, no single keys.")
-@click.option("--json", "as_json", is_flag=True, help="Print an object for a program, after the session.")
+@click.option("--journal", type=click.Path(path_type=Path), help="The journal of the session [beside the calibration].")
+@click.option("--resume", type=click.Path(path_type=Path), metavar="JOURNAL", help="Continue an interrupted session.")
+@click.option("--plain", is_flag=True, help="Plain lines: no live reading, no single keys.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session.")
 def command(
     calibration: Path,
     address: str | None,
@@ -63,9 +62,9 @@ def command(
     plain: bool,
     as_json: bool,
 ) -> int:
-    """Measure positions that CALIBRATION was not fitted to, and judge it by them.
+    """Measure positions that CALIBRATION was not fitted to, and compare tilts.
 
-    Exit code 1 where a tilt is off by more than the limit.
+    Exit code 1 if a tilt error is more than the limit.
     """
     from tiltcal.bench.measure import free_journal
     from tiltcal.bench.operators.opening import open_operator
@@ -83,7 +82,7 @@ def command(
         bench = single(judged.sensor.model, judged.sensor.serial, address)
         steps = find_procedure(procedure, tilt)
         if steps.determines.free:
-            raise UsageError(f"{steps.name} sets no position that a calibration could be judged by: name another one")
+            raise UsageError(f"{steps.name} sets no positions to verify with: name another procedure")
         steps.require_positions()
         session = Session(plan_session(steps, bench, [None], path, lead=operator, samples=samples, settle=settle), path)
     session.preflight()

@@ -103,12 +103,12 @@ def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
         There is none or more than two, one is there twice, or its columns are not three different ones.
     """
     if not 1 <= len(pairs) <= 2:
-        raise UsageError("at most two pairs are matched at once: those of one disk" if pairs else "name a pair")
+        raise UsageError("at most two pairs can be matched at once: those of one stage" if pairs else "name a pair")
     found = []
     for first, second, orthogonal in pairs:
         if len({first, second, orthogonal}) < 3:
             raise UsageError(
-                f"--pair {first},{second} --orthogonal {orthogonal}: these are to be three different columns"
+                f"--pair {first},{second} --orthogonal {orthogonal}: these must be three different columns"
             )
         found.append(Pair(first, second, orthogonal))
     if len({pair.name for pair in found}) < len(found):
@@ -143,7 +143,7 @@ def match_log(
         Ctrl-C ended a stream before there was a result.
     """
     if loops and not online:
-        raise UsageError("--loops says which of the --online estimators is meant; give --online too")
+        raise UsageError("--loops needs --online")
     channels = tuple(dict.fromkeys(channel for pair in pairs for channel in pair.channels))
     watch = PairObserver(pairs, channels, say) if online else None
     spectrum = SpectrumObserver(channels) if spectra else None
