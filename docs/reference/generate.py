@@ -1,4 +1,4 @@
-"""Write the generated reference pages: cli.md from --help, library.md from docstrings; --check only compares."""
+"""Write the generated reference pages: cli.md, library.md, and the tables of files.md; --check only compares."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import tables
 from click.testing import CliRunner
 
 import tiltcal
@@ -168,7 +169,7 @@ def _inline(text: str) -> str:
     return text.replace("``", "`")
 
 
-PAGES = {"cli.md": commands_page, "library.md": library_page}
+PAGES = {"cli.md": commands_page, "library.md": library_page, "files.md": tables.page}
 
 
 def main(arguments: list[str]) -> int:
