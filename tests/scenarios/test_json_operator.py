@@ -41,7 +41,6 @@ def test_the_dialogue_is_the_contract(tmp_path: Path) -> None:
     led = table(tmp_path, "plane", ready)
     assert led.exit_code == 0, led.errors
     ask = led.asks[2]
-    assert ask["prompt"].count("30°") == 1
     assert ask == {
         "ask": "position",
         "position": "y-tilt1",
@@ -49,9 +48,8 @@ def test_the_dialogue_is_the_contract(tmp_path: Path) -> None:
         "gravity": [0.0, 0.5, pytest.approx(0.866, abs=1e-3)],
         "heading": 0,
         "temperature": None,
-        "prompt": ask["prompt"],
+        "prompt": "Tilt the +Y side up to 30° and keep X level.",
     }
-    assert "30°" in ask["prompt"]
     accepted = led.events("accepted")
     assert [event["position"] for event in accepted] == ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"]
     assert set(accepted[0]) >= {"event", "position", "mean", "std", "n"}

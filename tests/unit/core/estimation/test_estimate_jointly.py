@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 from math import radians
@@ -12,16 +11,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial.transform import Rotation
-from support import ROOT
+from support.efficiency_study import CLASSES, Regime, bound_of, simulate
 from support.simulated_bench import FACES, POSITIONS, XYZ, design, fixture, measured, part, plan_of
 
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.errors import EstimateError
-
-sys.path.insert(0, str(ROOT / "benchmarks"))
-
-from efficiency import CLASSES, Regime, bound_of, simulate
 
 OFFSETS = [0, 4, 8]
 

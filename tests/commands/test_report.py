@@ -1,0 +1,94 @@
+"""``tiltcal report``: the page that it writes, and what it refuses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import FIXTURES
+from support.command import TILTCAL
+from support.html_page import Page
+
+from tiltcal.cli.main import run
+from tiltcal.files.calibration import read_calibration, write_calibration
+
+
+@pytest.mark.parametrize("file", sorted(FIXTURES.glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_golden_file_has_its_page(file: Path, tmp_path: Path) -> None:
+    output = tmp_path / "report.html"
+    assert run(["report", str(file), "-o", str(output)]) == 0
+    text = output.read_text(encoding="utf-8")
+    assert Page(text).facts["Calibration file"] == file.name
+    assert "{" not in Page(text).root.find("main")[0].text
+
+
+def test_it_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "report.html"
+    assert run(["report", str(FIXTURES / "plane.yaml"), "-o", str(output)]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == f"wrote {output}\n"
+    assert Page(output.read_text(encoding="utf-8")).facts["Calibration file"] == "plane.yaml"
+
+
+def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
+    pages = []
+    for seed in ("1", "2"):
+        output = tmp_path / f"{seed}.html"
+        command = [*TILTCAL, "report", FIXTURES / "complete.yaml", "-o", output]
+        subprocess.run(command, check=True, env={"PYTHONHASHSEED": seed}, capture_output=True)
+        pages.append(output.read_bytes())
+    assert pages[0] == pages[1]
+
+
+@pytest.mark.parametrize(("module", "name"), [("jinja2", "Jinja2"), ("matplotlib", "matplotlib")])
+def test_without_the_extra_it_says_what_to_install(
+    module: str,
+    name: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    output = tmp_path / "report.html"
+    assert run(["report", str(FIXTURES / "plane.yaml"), "-o", str(output)]) == 2
+    said = capsys.readouterr().err
+    assert said == f"tiltcal: a report needs {name}, which is not installed: pip install 'tiltcal[report]'\n"
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    ("files", "why"),
+    [
+        (["log.csv"], "no calibration file is given"),
+        (["nothing.yaml"], "nothing.yaml"),
+        (["plane.yaml", "free.yaml"], "not two calibrations of one sensor"),
+        (["twins/mavs.yaml"], "kind"),
+        (["plane.yaml", "night.parquet"], "cannot read"),
+        (["plane.yaml", "log.csv"], "no column 'y'"),
+    ],
+)
+def test_what_is_refused(files: list[str], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "log.csv").write_text("time,x\n0,1024\n", encoding="utf-8")
+    output = tmp_path / "report.html"
+    output.write_text("as it was", encoding="utf-8")
+    paths = [str((FIXTURES if (FIXTURES / name).exists() else tmp_path) / name) for name in files]
+    assert run(["report", *paths, "-o", str(output)]) == 2
+    assert why in capsys.readouterr().err
+    assert output.read_text(encoding="utf-8") == "as it was"
+
+
+def test_several_calibrations_of_one_sensor(tmp_path: Path) -> None:
+    spring, autumn, output = tmp_path / "spring.yaml", tmp_path / "autumn.yml", tmp_path / "report.html"
+    known = read_calibration(FIXTURES / "plane.yaml")
+    write_calibration(spring, known)
+    offset = known.coefficients.offset + np.array([0.0, 3.0])
+    write_calibration(autumn, replace(known, coefficients=replace(known.coefficients, offset=offset)))
+    assert run(["report", str(spring), str(autumn), "-o", str(output)]) == 0
+    page = Page(output.read_text(encoding="utf-8"))
+    assert page.facts["Calibration file"] == "autumn.yml"
+    assert any(text.startswith("Since spring.yaml") for _, text in page.headings)

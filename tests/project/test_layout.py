@@ -1,0 +1,34 @@
+"""A newcomer finds the tests of a module by its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support import ROOT
+
+UNIT = ROOT / "tests" / "unit"
+
+
+def modules_beside(test: Path) -> set[str]:
+    """Return the names of the modules and packages in the folder that a unit test's folder mirrors."""
+    folder = test.parent.relative_to(UNIT)
+    places = [ROOT / "tiltcal" / folder, ROOT / folder] if folder.parts else [ROOT]
+    found = {path.stem for place in places for path in place.glob("*.py")}
+    return found | {path.parent.name for place in places for path in place.glob("*/__init__.py")} - {"__init__"}
+
+
+@pytest.mark.parametrize("test", sorted(UNIT.glob("**/test_*.py")), ids=lambda path: str(path.relative_to(UNIT)))
+def test_every_unit_test_is_named_for_its_module(test: Path) -> None:
+    """``test_estimate.py``, and beside it ``test_estimate_jointly.py`` where one file would be too long."""
+    name = test.stem.removeprefix("test_")
+    assert any(name == module or name.startswith(f"{module}_") for module in modules_beside(test))
+
+
+def test_benchmarks_use_what_tests_use_and_no_test_uses_a_benchmark() -> None:
+    benchmarks = {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
+    for test in (ROOT / "tests").glob("**/*.py"):
+        text = test.read_text(encoding="utf-8")
+        assert not [name for name in benchmarks if f"\nfrom {name} import" in text or f"\nimport {name}\n" in text], (
+            test
+        )
