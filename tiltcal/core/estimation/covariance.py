@@ -46,7 +46,7 @@ def stated_budget(system: System, near: LinearSolution, bias: Array | None = Non
     return Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), parts))
 
 
-def scaled_budget(system: System, near: LinearSolution, scale: float, dof: int) -> Budget:
+def scaled_budget(system: System, near: LinearSolution, scale: float, dof: float) -> Budget:
     """The coefficients' uncertainty where nothing was stated and the residuals say the size of the noise.
 
     Parameters
@@ -55,7 +55,7 @@ def scaled_budget(system: System, near: LinearSolution, scale: float, dof: int) 
     near : LinearSolution
     scale : float
         Sum of squares over degrees of freedom.
-    dof : int
+    dof : float
     """
     gain = near.gain[: system.coefficients]
     covariance = scale * (gain @ gain.T)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import degrees
+from math import degrees, inf
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from tiltcal.core.model import Array, Coefficients, Thermal
 __all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
+LUCKY = "the residuals are smaller than the noise of the readings, which is luck: the noise counts"
 GAUGE = (
     "unit gravity alone says nothing of the mounting: the frame's z axis is the direction that the z channel senses, "
     "and its y axis lies in the plane of those of y and z"
@@ -246,10 +247,19 @@ def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estima
     residual = even.at(z).residual
     squares = float(residual @ residual)
     stated = even.unexplained(z) / system.sigma
-    budget = scaled_budget(even, near, squares / dof, dof) if dof else stated_budget(even, near)
-    chi_square = float(stated @ stated) if dof else None
-    notes = (GAUGE,) if dof else (GAUGE, NO_FREEDOM)
-    return _estimates(sensors, even, _Found(z, budget, dof, chi_square, not dof, notes=notes))
+    chi_square = float(stated @ stated)
+    lucky = 0.0 < chi_square < dof
+    if lucky:  # the estimate stands on the noise, and on its degrees of freedom
+        budget = scaled_budget(even, near, squares / chi_square, _noise_dof(sensors))
+    else:
+        budget = scaled_budget(even, near, squares / dof, dof) if dof else stated_budget(even, near)
+    notes = (GAUGE, *((LUCKY,) if lucky else ()), *(() if dof else (NO_FREEDOM,)))
+    return _estimates(sensors, even, _Found(z, budget, dof, chi_square if dof else None, not dof, notes=notes))
+
+
+def _noise_dof(sensors: Sequence[SensorObservations]) -> float:
+    """Degrees of freedom of the noise, over all readings."""
+    return sum(inf if one.dof is None else float(np.sum(one.dof)) for sensor in sensors for one in sensor.observations)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,146 @@
+"""Free positions are judged by their expanded uncertainty; readings are simulated here, by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support import DATA
+
+import tiltcal
+from tiltcal.calibration.calibrate import calibrate
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.procedure import find_procedure
+
+SENSOR = SensorIdentity("recorded", "S", "g", ("x", "y", "z"))
+OFFSET = np.array([0.02, -0.03, 0.01])
+SENSITIVITY = np.array([[1.01, 0.005, -0.01], [0.0, 0.98, 0.01], [0.0, 0.0, 1.02]])
+FREE = find_procedure("free")
+
+Directions = NDArray[np.float64]
+
+
+def sphere(count: int) -> Directions:
+    """Directions that point every way, by a golden spiral."""
+    number = np.arange(count)
+    height, angle = 1 - (2 * number + 1) / count, number * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - height**2)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
+
+
+def cone(count: int, half_angle: float, rng: np.random.Generator) -> Directions:
+    """Directions within a cone about +z."""
+    height = rng.uniform(np.cos(np.radians(half_angle)), 1.0, count)
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    ring = np.sqrt(1 - height**2)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
+
+
+def calibrated(up: Directions, noise: float, rng: np.random.Generator) -> CalibrationRecord:
+    mean = OFFSET + up @ SENSITIVITY.T + rng.normal(0.0, noise, up.shape)
+    measurements = [
+        Measurement(
+            f"p{number}",
+            (0.0, 0.0, 1.0),
+            None,
+            None,
+            {axis: SampleSummary(float(row[k]), 10 * noise, 100, noise, 0.0, 9.0) for k, axis in enumerate("xyz")},
+        )
+        for number, row in enumerate(mean)
+    ]
+    return calibrate([MeasuredSensor(SENSOR, measurements)], FREE, BenchUncertainty())[0]
+
+
+def off_by(calibration: CalibrationRecord) -> float:
+    """The largest error of an offset or a sensitivity, mg."""
+    coefficients = calibration.coefficients
+    offsets, sensitivities = coefficients.offset - OFFSET, coefficients.sensitivity - SENSITIVITY
+    return 1e3 * float(max(np.max(np.abs(offsets)), np.max(np.abs(sensitivities))))
+
+
+def test_attitudes_that_point_every_way_need_no_warning() -> None:
+    found = calibrated(sphere(18), 1e-3, np.random.default_rng(1))
+    assert found.fit.warning is None
+    assert off_by(found) < 5.0
+
+
+def test_a_sensor_that_hardly_turns_is_refused_with_the_directions_to_add() -> None:
+    rng = np.random.default_rng(2)
+    with pytest.raises(EstimateError, match=r"mg, more than 50 mg.*add attitudes in which \+x, -x, \+y, -y, -z"):
+        calibrated(cone(20, 40.0, rng), 2e-4, rng)
+
+
+def test_three_faces_taken_again_and_again_are_refused() -> None:
+    rng = np.random.default_rng(3)
+    faces = np.repeat(np.eye(3), 6, axis=0) + rng.normal(0.0, 0.2, (18, 3))
+    with pytest.raises(EstimateError, match="-x, -y, -z"):
+        calibrated(faces / np.linalg.norm(faces, axis=1)[:, None], 1e-3, rng)
+
+
+def test_no_accepted_calibration_is_off_by_more_than_20_mg_without_a_warning() -> None:
+    """Over cones from a narrow one to the whole sphere; most of the narrow ones are refused."""
+    rng = np.random.default_rng(4)
+    silent, warned, refused = [], 0, 0
+    for half_angle in np.linspace(20.0, 180.0, 24):
+        try:
+            found = calibrated(cone(14, half_angle, rng), 2e-3, rng)
+        except EstimateError:
+            refused += 1
+            continue
+        if found.fit.warning is None:
+            silent.append(off_by(found))
+        else:
+            warned += 1
+    assert min(len(silent), warned, refused) >= 2
+    assert max(silent) < 20.0
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ((1, 1, 1.6), "sensitivities come out 1.6 times apart"),
+        ((0, 1, 0.4), r"the axes x and y come out 2[12]° from square"),
+    ],
+    ids=["unequal", "skew"],
+)
+def test_coefficients_of_no_sensor_are_refused(
+    change: tuple[int, int, float], why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row, column, value = change
+    odd = SENSITIVITY.copy()
+    odd[row, column] = value
+    monkeypatch.setitem(globals(), "SENSITIVITY", odd)
+    with pytest.raises(EstimateError, match=why):
+        calibrated(sphere(18), 1e-3, np.random.default_rng(5))
+
+
+def test_residuals_luckier_than_the_noise_are_not_believed() -> None:
+    """By hand: with S near 1 each attitude gives one length, uncertain by the noise, for nine unknowns."""
+    up = sphere(11)
+    rows = [(a, b) for a in range(3) for b in range(a, 3)]
+    design = np.hstack([up, np.stack([up[:, a] * up[:, b] for a, b in rows], axis=1)])
+    noise = 1e-3 * np.linalg.norm(np.linalg.pinv(design)[2])
+    found = [calibrated(up, 1e-3, np.random.default_rng(seed)) for seed in range(12)]
+    lucky = [one for one in found if any("luck" in note for note in one.fit.notes)]
+    assert 3 <= len(lucky) <= 11
+    for one in lucky:
+        assert one.uncertainty["offset.z"] == pytest.approx(noise, rel=0.1)
+        assert one.uncertainty.coverage_factor["offset.z"] == pytest.approx(1.96, abs=0.03)
+    assert all(one.uncertainty["offset.z"] > 0.95 * noise for one in found)
+
+
+@pytest.mark.skipif(not (DATA / "mpu9150_imu0.txt").exists(), reason="the recorded data are not in ../shared/data")
+@pytest.mark.parametrize("half", [slice(0, 7984), slice(7984, None)], ids=["first half", "second half"])
+def test_half_a_real_recording_holds_the_published_offsets(half: slice) -> None:
+    """12 and 11 attitudes with residuals of a fifth of the noise: it was off by 2.5 times what it stated."""
+    readings = np.loadtxt(DATA / "mpu9150_imu0.txt")[half]
+    columns = {axis: readings[:, k] for k, axis in enumerate("xyz")}
+    found = tiltcal.fit("free", columns, serial="S", unit="m/s2", gravity=9.81)
+    for axis, published in {"x": 0.103, "y": 0.097, "z": 0.344}.items():
+        name = f"offset.{axis}"
+        expanded = found.uncertainty[name] * found.uncertainty.coverage_factor[name]
+        assert abs(found.offset[axis] - published) < expanded
+    assert any("smaller than the noise" in note for note in found.fit.notes)
