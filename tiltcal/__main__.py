@@ -1,5 +1,83 @@
-"""``python -m tiltcal`` is the ``tiltcal`` command."""
+"""``python -m tiltcal`` is the ``tiltcal`` command, and so is the installed one.
 
-from tiltcal.cli.main import main
+Ctrl-C ends it with exit code 130 and a message whenever it comes, while modules are imported too.
+"""
 
-main()
+from __future__ import annotations
+
+import os
+import sys
+
+INTERRUPTED = 130
+_WRONG = 2
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the command line and leave with the documented exit code."""
+    args = sys.argv[1:] if args is None else args
+    try:
+        from tiltcal.cli.guard import needs_guard, run_guarded
+
+        code = run_guarded(lambda: _run(args), args) if needs_guard(args) else _run(args)
+    except KeyboardInterrupt:
+        code = _interrupted()
+    _leave(code)
+
+
+def _run(args: list[str]) -> int:
+    """Run a command, and return its exit code when all that it printed is out."""
+    try:
+        from tiltcal.cli.main import run
+
+        code = run(args)
+        _deaf()
+    except BaseException as failure:
+        if not _comes_from_ctrl_c(failure):
+            raise
+        return _interrupted()
+    return _flushed(code)
+
+
+def _comes_from_ctrl_c(failure: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind a failure: libraries that are interrupted while they are imported call it their own."""
+    while failure is not None:
+        if isinstance(failure, KeyboardInterrupt):
+            return True
+        failure = failure.__cause__ or failure.__context__
+    return False
+
+
+def _interrupted() -> int:
+    _deaf()
+    print("tiltcal: interrupted", file=sys.stderr)
+    return INTERRUPTED
+
+
+def _deaf() -> None:
+    """Let no further Ctrl-C interrupt the way out."""
+    from signal import SIG_IGN, SIGINT, signal
+
+    signal(SIGINT, SIG_IGN)
+
+
+def _flushed(code: int) -> int:
+    """Have all output written; where it cannot be, the command has failed."""
+    try:
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:
+                stream.flush()
+    except BrokenPipeError:
+        return code
+    except OSError as failure:
+        print(f"tiltcal: cannot write standard output: {failure.strerror}", file=sys.stderr)
+        return code or _WRONG
+    return code
+
+
+def _leave(code: int) -> None:
+    """Leave without waiting for the engine's threads: one that asks for the interpreter while it shuts down aborts."""
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -228,3 +228,26 @@ def test_the_truth_is_inside_in_95_of_100(stated: bool) -> None:
     assert abs(shares.mean() - 0.95) < 3 * doubt + 0.005, (shares.mean(), doubt)
     if stated:
         assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.06)
+
+
+def test_one_channel_that_is_known_apart_from_the_others() -> None:
+    """A channel with no correlation beside channels that have them, as six faces without a jig error leave it.
+
+    At level, x reads its offset: u(tilt_x) = hypot(u(offset), u(S_xz), u(reading)) / S_xx.
+    """
+    names = [f"offset.{axis}" for axis in XYZ] + [f"sensitivity.{one}.{other}" for one in XYZ for other in XYZ]
+    squares = [[1e-6 * (row == column) for column in range(12)] for row in range(12)]
+    squares[1][2] = squares[2][1] = 5e-7
+    text = SILENT.replace("[x, y]", "[x, y, z]").replace("y: 2.5}", "y: 2.5, z: 2.5}")
+    text = text.replace(
+        "{x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}",
+        "{x: {x: 2, y: 0, z: 0}, y: {x: 0, y: 2, z: 0}, z: {x: 0, y: 0, z: 2}}",
+    )
+    factors = ", ".join(f"{name}: {2.0 if '.x' in name[:13] else 2.1}" for name in names)
+    covariance = f"{{parameters: {json.dumps(names)}, matrix: {json.dumps(squares)}}}"
+    Path("faces.yaml").write_text(
+        f"{text}uncertainty:\n  single_reading: {{x: 0.002, y: 0.002, z: 0.002}}\n"
+        f"  coverage_factor: {{{factors}}}\n  covariance: {covariance}\n"
+    )
+    (found,) = rows(apply("faces.yaml", "-", "--uncertainty", stdin="x,y,z\n2.5,2.5,4.5\n").stdout)
+    assert found["u_tilt_x"] == pytest.approx(degrees(hypot(1e-3, 1e-3, 2e-3) / 2), rel=1e-3)

@@ -315,6 +315,7 @@ class TestUsage:
             (("log.csv", "--averages", "0"), "whole numbers"),
             (("log.csv", "--sensor", "sca100t-d02", "--unit", "V"), "one unit"),
             (("log.csv", "--sensor", "sca100t-d03"), "did you mean"),
+            (("nowhere.parquet",), "cannot read"),
             (("nowhere.csv",), "cannot read"),
         ],
     )

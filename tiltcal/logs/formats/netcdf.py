@@ -10,6 +10,8 @@ sensor's x axis points is unknown.
 
 from __future__ import annotations
 
+import os
+import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,16 +23,22 @@ from typing import Any, NoReturn
 import numpy as np
 
 from tiltcal.core.model import Array
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.logs.cf_attributes import describe, is_judgement, seconds_of_unit
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
 
 _ROWS = 1 << 16
 """Of a block, or as many as a chunk of the file holds, which is unpacked as a whole."""
 
+_MOST_ROWS = 1 << 21
+"""Of a block, however long the chunks are that a file declares."""
+
 _CLASSIC = b"CDF"
 _CHUNK = 1 << 16
 """Rows of a written chunk."""
+
+_OF_THE_SYSTEM = re.compile(r"errno = (\d+)")
+"""What the library's message holds on a full disk, and on all else that the system refuses."""
 
 
 class NetcdfReader(LogReader):
@@ -59,10 +67,28 @@ class NetcdfReader(LogReader):
         if source.stream.read(3) == _CLASSIC:
             self._refuse("this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW")
         with self._refusing_damage():
+            self._require_own_data()
+            # An index would hold a whole variable in memory, as many rows as the file declares.
             self._data = xarray.open_dataset(
-                Path(source.path), engine="h5netcdf", decode_times=False, decode_coords=False, cache=False
+                Path(source.path),
+                engine="h5netcdf",
+                decode_times=False,
+                decode_coords=False,
+                cache=False,
+                create_default_indexes=False,
             )
         self.names = tuple(str(name) for name in self._data.variables)
+
+    def _require_own_data(self) -> None:
+        """Refuse a file whose data stand in other files, which HDF5 would read wherever they are."""
+        import h5py
+
+        with h5py.File(self.source.path) as file:
+            for name in file:
+                link = file.get(name, getlink=True)
+                found = None if isinstance(link, h5py.ExternalLink) else file[name]
+                if found is None or (isinstance(found, h5py.Dataset) and (found.external or found.is_virtual)):
+                    self._refuse(f"variable {name!r} keeps its data in another file: copy them into this one")
 
     def close(self) -> None:
         self._data.close()
@@ -125,7 +151,7 @@ class NetcdfReader(LogReader):
         """Rows of a block: whole chunks, or each would be unpacked for every block that has a part of it."""
         chunks = [self._data[self.names[index]].encoding.get("chunksizes") or (1,) for index in columns]
         longest = max(int(chunk[0]) for chunk in chunks)
-        return -(-_ROWS // longest) * longest
+        return min(-(-_ROWS // longest) * longest, _MOST_ROWS)
 
     def _require_numbers(self, name: str) -> None:
         kind = self._data[name].dtype
@@ -140,7 +166,9 @@ class NetcdfReader(LogReader):
         """Put the libraries' complaints as ours."""
         try:
             yield
-        except (OSError, ValueError, KeyError, RuntimeError) as failure:
+        except InputError:
+            raise
+        except Exception as failure:
             raise InputError(f"this is no NetCDF-4 file, or a damaged one: {failure}", file=self.name) from failure
 
 
@@ -169,7 +197,7 @@ class NetcdfWriter(LogWriter):
         first = next(rows)
         columns = list(first[0].values)
         dimension, like = log.dimension(columns), log.attributes(log.names[columns[0]])
-        with h5netcdf.File(self._sink, "r+", decode_vlen_strings=True) as file:
+        with _refusing_to_add(log.name), h5netcdf.File(self._sink, "r+", decode_vlen_strings=True) as file:
             variables = {name: self._variable(file, name, dimension, like) for name in self._added}
             start = 0
             for block, table in chain([first], rows):
@@ -194,6 +222,20 @@ class NetcdfWriter(LogWriter):
         for key, value in describe(name, self._added, like).items():
             variable.attrs[key] = value
         return variable
+
+
+@contextmanager
+def _refusing_to_add(log: str) -> Iterator[None]:
+    """Put the library's complaints about what it copied as ours, and a full disk as the system's."""
+    try:
+        yield
+    except TiltcalError:
+        raise
+    except Exception as failure:
+        if found := _OF_THE_SYSTEM.search(str(failure)):
+            code = int(found[1])
+            raise OSError(code, os.strerror(code)) from failure
+        raise InputError(f"nothing can be added to this file: {failure}", file=log) from failure
 
 
 def _history(before: Any, origin: Mapping[str, str], moment: datetime) -> str:

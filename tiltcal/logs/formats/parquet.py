@@ -99,7 +99,7 @@ class ParquetReader(LogReader):
 
         try:
             yield
-        except (pl.exceptions.PolarsError, OSError) as failure:
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError, OverflowError) as failure:
             raise InputError(f"this is no Parquet file, or a damaged one: {failure}", file=self.name) from failure
 
 
@@ -126,7 +126,7 @@ class ParquetWriter(LogWriter):
             register_io_source(lambda *_: frames, schema=first.schema).sink_parquet(
                 self._sink, row_group_size=_ROW_GROUP, maintain_order=True, metadata=notes, engine="streaming"
             )
-        except pl.exceptions.ComputeError as failure:
+        except pl.exceptions.PolarsError as failure:
             if found := _OF_THE_SYSTEM.search(str(failure)):
                 code = int(found[1])
                 raise OSError(code, os.strerror(code)) from failure

@@ -1,0 +1,127 @@
+"""Damaged Parquet and NetCDF files end in an error that names them: no traceback, no abort, no endless loop."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import h5netcdf
+import h5py
+import numpy as np
+import polars as pl
+import pytest
+from support import FIXTURES
+from support.command import tiltcal, tiltcal_process
+
+from tiltcal.errors import InputError
+from tiltcal.logs.formats import open_log
+
+DAMAGED = Path(__file__).parents[1] / "support" / "damaged"
+CAL = str(FIXTURES / "mavs.yaml")
+
+
+def netcdf(path: Path, rows: int = 4, **attributes: object) -> None:
+    with h5netcdf.File(path, "w") as file:
+        file.dimensions = {"time": rows}
+        for name in ("time", "x", "y"):
+            variable = file.create_variable(name, ("time",), "f8", chunks=(min(rows, 1024),))
+            for key, value in attributes.items():
+                variable.attrs[key] = value
+            if rows < 100:
+                variable[:] = np.full(rows, 1024.0)
+
+
+@pytest.mark.parametrize("name", ["panic.parquet", "abort.parquet"])
+def test_a_library_that_gives_up(name: str, tmp_path: Path) -> None:
+    """One raises what no handler of errors catches, one ends its process."""
+    shutil.copy(DAMAGED / name, tmp_path)
+    done = tiltcal_process("apply", CAL, name, "-o", "out.csv", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith(f"tiltcal: {name}")
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_library_that_loops_for_ever(tmp_path: Path) -> None:
+    shutil.copy(DAMAGED / "endless.nc", tmp_path)
+    script = (
+        "import tiltcal.cli.guard as guard\nguard.BUSY = 1.0\nfrom tiltcal.__main__ import main\n"
+        f"main(['apply', {CAL!r}, 'endless.nc', '-o', 'out.nc'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("tiltcal: endless.nc cannot be read: its library computed for 1 s without an end")
+
+
+def test_an_offset_that_is_text(tmp_path: Path) -> None:
+    netcdf(tmp_path / "log.nc", add_offset="two")
+    done = tiltcal("apply", CAL, "log.nc", "-o", "out.nc", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("tiltcal: log.nc: this is no NetCDF-4 file, or a damaged one: ")
+
+
+@pytest.mark.parametrize("how", ["raw", "virtual", "link"])
+def test_data_in_another_file_are_not_read(how: str, tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes(bytes(64))
+    netcdf(tmp_path / "log.nc")
+    with h5py.File(tmp_path / "log.nc", "r+") as file:
+        del file["x"]
+        if how == "raw":
+            file.create_dataset("x", (4,), "f8", external=[(str(tmp_path / "secret"), 0, 32)])
+        elif how == "virtual":
+            layout = h5py.VirtualLayout((4,), "f8")
+            layout[:] = h5py.VirtualSource(str(tmp_path / "secret.h5"), "x", (4,))
+            file.create_virtual_dataset("x", layout)
+        else:
+            file["x"] = h5py.ExternalLink(str(tmp_path / "secret.h5"), "x")
+    done = tiltcal("apply", CAL, "log.nc", "-o", "out.nc", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "variable 'x' keeps its data in another file" in done.stderr
+
+
+def test_rows_that_are_only_declared_take_no_memory(tmp_path: Path) -> None:
+    """10¹² rows of three variables would be 24 TB."""
+    netcdf(tmp_path / "log.nc", rows=10**12)
+    with open_log(tmp_path / "log.nc") as log:
+        assert len(next(log.rows([0, 1, 2]))) <= 1 << 21
+
+
+def test_an_error_while_writing(tmp_path: Path) -> None:
+    netcdf(tmp_path / "log.nc")
+    with h5py.File(tmp_path / "log.nc", "r+") as file:
+        file.create_group("flag")  # a name that the result needs, and no variable
+    done = tiltcal("apply", CAL, "log.nc", "-o", "out.nc", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("tiltcal: log.nc: nothing can be added to this file")
+    assert not (tmp_path / "out.nc").exists()
+
+
+def test_every_kind_of_column_to_csv(tmp_path: Path) -> None:
+    """What polars cannot write as text is written in words, or refused."""
+    readings = pl.DataFrame({"x": [1024.0, 1024.0], "y": [1024.0, 1024.0]})
+    columns = {
+        "passed": (pl.Series([90_000_000, None], dtype=pl.Duration("us")), ["PT1M30S", ""]),
+        "day": (pl.Series([0, None], dtype=pl.Date), ["1970-01-01", ""]),
+        "kind": (pl.Series(["a", None], dtype=pl.Categorical), ["a", ""]),
+        "price": (pl.Series(["1.50", None]).cast(pl.Decimal(10, 2)), ["1.50", ""]),
+        "nothing": (pl.Series([None, None], dtype=pl.Null), ["", ""]),
+    }
+    for name, (column, expected) in columns.items():
+        readings.with_columns(column.alias(name)).write_parquet(tmp_path / "log.parquet")
+        done = tiltcal("apply", CAL, "log.parquet", "-o", "out.csv", cwd=tmp_path)
+        assert done.returncode == 0, (name, done.stderr)
+        found = pl.read_csv(tmp_path / "out.csv", infer_schema=False)[name].fill_null("").to_list()
+        assert found == expected
+    readings.with_columns(list=pl.Series([[1], [2]])).write_parquet(tmp_path / "log.parquet")
+    done = tiltcal("apply", CAL, "log.parquet", "-o", "out.csv", cwd=tmp_path)
+    assert (done.returncode, "which CSV has no place for" in done.stderr) == (2, True)
+
+
+def test_the_library_refuses_as_the_command_does(tmp_path: Path) -> None:
+    shutil.copy(DAMAGED / "panic.parquet", tmp_path)
+    with pytest.raises(InputError, match="no Parquet file, or a damaged one"), open_log(tmp_path / "panic.parquet"):
+        pass

@@ -1,0 +1,95 @@
+"""Ctrl-C, a full disk and a reader that is gone, whenever they come: an exit code and a message, never a traceback."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support import FIXTURES
+from support.command import TILTCAL
+
+CAL = str(FIXTURES / "mavs.yaml")
+
+
+def started(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=100, check=False)
+
+
+def memory_of(process: int) -> Iterator[str]:
+    """What libraries a process and its children have loaded."""
+    yield Path(f"/proc/{process}/maps").read_text()
+    for child in Path(f"/proc/{process}/task/{process}/children").read_text().split():
+        yield Path(f"/proc/{child}/maps").read_text()
+
+
+@pytest.mark.parametrize(
+    "module", ["click", "tiltcal.cli.apply", "numpy", "numpy.linalg", "polars", "tiltcal.logs.apply"]
+)
+def test_ctrl_c_while_a_module_is_imported(module: str, tmp_path: Path) -> None:
+    script = f"""
+import os, signal, sys
+from tiltcal.__main__ import main
+
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupt())
+main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])
+"""
+    (tmp_path / "log.csv").write_text("x,y\n1024,1024\n")
+    done = started([sys.executable, "-c", script], tmp_path)
+    assert (done.returncode, done.stderr.strip()) == (130, "tiltcal: interrupted")
+    assert not (tmp_path / "out.csv").exists()
+
+
+@pytest.mark.parametrize("end", ["csv", "parquet"])
+def test_ctrl_c_in_the_middle_of_a_log(end: str, tmp_path: Path) -> None:
+    import polars as pl
+
+    log = tmp_path / f"log.{end}"
+    frame = pl.DataFrame({"x": [1024.0], "y": [1030.0], "temperature": [15.0]})
+    rows = pl.concat([frame] * 1000).sample(2_000_000, with_replacement=True, seed=1)
+    rows.write_csv(log) if end == "csv" else rows.write_parquet(log)
+    process = subprocess.Popen(
+        [*TILTCAL, "apply", CAL, log.name, "-o", f"out.{end}"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    while not any("polars" in maps for maps in memory_of(process.pid)):
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)[1]
+    assert (process.returncode, said.splitlines()[-1]) == (130, "tiltcal: interrupted")
+    assert not (tmp_path / f"out.{end}").exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+@pytest.mark.parametrize("arguments", [["procedures"], ["apply", CAL, "log.csv"], ["check", CAL, "--json"]])
+def test_a_full_disk_behind_standard_output(arguments: list[str], tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("x,y\n1024,1024\n")
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*TILTCAL, *arguments], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == "tiltcal: cannot write standard output: No space left on device"
+
+
+def test_a_reader_that_is_gone(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("x,y\n" + "1024,1024\n" * 100_000)
+    process = subprocess.Popen(
+        [*TILTCAL, "apply", CAL, "log.csv"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdout is not None
+    process.stdout.read(10)
+    process.stdout.close()
+    assert process.stderr is not None
+    said = process.stderr.read().decode()
+    process.stderr.close()
+    assert process.wait(60) == 0
+    assert "Traceback" not in said

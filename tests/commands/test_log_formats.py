@@ -1,0 +1,94 @@
+"""Every command that reads a log reads it in every format, and finds the same."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+import xarray
+from support import FIXTURES
+from support.command import tiltcal
+
+FORMATS = ("csv", "parquet", "nc")
+
+
+def write(frame: pl.DataFrame, folder: Path, stem: str) -> None:
+    frame.write_csv(folder / f"{stem}.csv")
+    frame.write_parquet(folder / f"{stem}.parquet")
+    data = {name: ("row", frame[name].to_numpy()) for name in frame.columns}
+    xarray.Dataset(data).to_netcdf(folder / f"{stem}.nc", engine="h5netcdf")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("formats")
+    draw = np.random.default_rng(3)
+    time = np.arange(6000) * 0.01
+    rest = {name: np.rint(1024.0 + draw.normal(0.0, 1.5, len(time))) for name in ("x", "y")}
+    write(pl.DataFrame({"time": time, **rest, "temperature": np.full(len(time), 15.0)}), folder, "rest")
+    turn = np.arange(8000) * 0.02
+    signals = {"a1": np.sin(turn), "a2": -0.99 * np.sin(turn + 0.002), "a4": np.cos(turn)}
+    noisy = {name: signal + draw.normal(0.0, 1e-5, len(turn)) for name, signal in signals.items()}
+    write(pl.DataFrame({"theta": np.degrees(turn), **noisy}), folder, "disk")
+    return folder
+
+
+def printed(folder: Path, *arguments: str) -> str:
+    done = tiltcal(*arguments, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_noise(folder: Path) -> None:
+    found = [json.loads(printed(folder, "noise", f"rest.{end}", "--unit", "count", "--json")) for end in FORMATS]
+    assert found[0] == found[1] == found[2]
+
+
+def test_match(folder: Path) -> None:
+    pair = ("--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "--json")
+    found = [json.loads(printed(folder, "match", f"disk.{end}", *pair)) for end in FORMATS]
+    assert found[0] == found[1] == found[2]
+
+
+def test_report(folder: Path) -> None:
+    pages = []
+    for end in FORMATS:
+        printed(folder, "report", str(FIXTURES / "mavs.yaml"), f"rest.{end}", "-o", f"{end}.html")
+        page = (folder / f"{end}.html").read_text(encoding="utf-8")
+        assert f"rest.{end}" in page
+        pages.append(re.sub(r"\b[0-9a-f]{64}\b", "", page.replace(f"rest.{end}", "rest")))
+    assert pages[0] == pages[1] == pages[2]
+
+
+def test_fit(folder: Path) -> None:
+    rows = [1000.0 + 800.0 * up for up in (0.0, 0.5)]
+    draw = np.random.default_rng(4)
+    levels = np.repeat([[rows[0], rows[0]], [rows[1], rows[0]], [rows[0], rows[1]]], 200, axis=0)
+    frame = pl.DataFrame(dict(zip("xy", (levels + draw.normal(0.0, 1.0, levels.shape)).T, strict=True)))
+    write(frame, folder, "held")
+    segments = "position,start,end,gx,gy,gz\nlevel,0,200,0,0,1\nx,200,400,0.5,0,0.8660254\ny,400,600,0,0.5,0.8660254\n"
+    (folder / "segments.csv").write_text(segments)
+    files = []
+    for end in FORMATS:
+        options = ("--segments", "segments.csv", "--sensor", "sca100t-d02", "--serial", "S", "-o", f"{end}.yaml")
+        printed(folder, "fit", "zero-45", f"held.{end}", *options, "--jig", "0.1")
+        content = (folder / f"{end}.yaml").read_text(encoding="utf-8").replace(f"held.{end}", "held")
+        files.append(re.sub(r'sha256: "?\w+"?', "", content))
+    assert files[0] == files[1] == files[2]
+
+
+def test_a_recording_in_parquet_has_types(tmp_path: Path) -> None:
+    options = ("--sensor", "sca100t-d02", "--address", "sim:?seed=1", "--rows", "20", "--rate", "10")
+    assert tiltcal("record", *options, "-o", "log.parquet", cwd=tmp_path).returncode == 0
+    found = pl.read_parquet(tmp_path / "log.parquet")
+    assert found.schema == {
+        "time": pl.Datetime("us", "UTC"),
+        "x": pl.Float64(),
+        "y": pl.Float64(),
+        "temperature": pl.Float64(),
+    }
+    assert found["time"].diff().drop_nulls().dt.total_milliseconds().unique().to_list() == [100]

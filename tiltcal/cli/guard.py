@@ -1,0 +1,138 @@
+"""A process of its own for commands that read formats which a C or Rust library parses.
+
+A damaged Parquet or NetCDF file can end the process in its library (an abort, a crash) or keep it there for ever, deaf
+to Ctrl-C. Where such a file is named, the command runs in a child process: this one waits, hands Ctrl-C on, and turns
+a child that was ended, or computes for long with a NetCDF file open and not a byte of progress, into an error that
+names the file. What the child was writing appears whole or not at all, so nothing half done is left.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import PurePath
+
+GUARDED = (".parquet", ".pq", ".nc", ".nc4")
+"""Ends of the names of files that are guarded."""
+
+MAY_LOOP = (".nc", ".nc4")
+"""Those of them whose library reads every byte by a call, so that its progress shows."""
+
+BUSY = 8.0
+"""Processor seconds that a child may take with such a file open and without reading or writing a byte."""
+
+_PATIENCE = 3.0  # seconds in which an interrupted child must leave
+_LOOK = 0.05  # seconds between two looks at the child
+_INTERRUPTED = 130
+_FAILED = 2
+
+
+def needs_guard(args: Sequence[str]) -> bool:
+    """Return whether a command line names a file that is guarded, where processes can be forked."""
+    return hasattr(os, "fork") and sys.platform == "linux" and any(_guarded(args))
+
+
+def run_guarded(run: Callable[[], int], args: Sequence[str]) -> int:
+    """Run a command in a child process, and return its exit code.
+
+    Parameters
+    ----------
+    run : callable
+        Leaves the child by its exit code.
+    args : sequence of str
+        The command line, to name the files in messages.
+    """
+    child = os.fork()
+    if not child:
+        os.environ.setdefault("RUST_BACKTRACE", "0")
+        os._exit(run())
+    files = _guarded(args)
+    interrupted: list[float] = []
+    before = signal.signal(signal.SIGINT, lambda *_: interrupted.append(time.monotonic()))
+    try:
+        code = _watched(child, [name for name in files if _ends(name, MAY_LOOP)], interrupted)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if code >= 0:
+        return code
+    if interrupted:
+        print("tiltcal: interrupted", file=sys.stderr)
+        return _INTERRUPTED
+    print(f"tiltcal: {' or '.join(files)} cannot be read: {_ending(-code)}; the file is damaged", file=sys.stderr)
+    return _FAILED
+
+
+def _guarded(args: Sequence[str]) -> list[str]:
+    return [arg for arg in args if _ends(arg, GUARDED) and os.path.isfile(arg)]
+
+
+def _ends(name: str, suffixes: Sequence[str]) -> bool:
+    return PurePath(name).suffix.lower() in suffixes
+
+
+def _watched(child: int, loopable: Sequence[str], interrupted: list[float]) -> int:
+    """Wait for a child; its exit code, or the negative number of the signal that ended it."""
+    progress, told = _Progress(child, loopable), False
+    while True:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        waited = time.monotonic() - interrupted[0] if interrupted else 0.0
+        if waited > _PATIENCE:
+            os.kill(child, signal.SIGKILL)
+        elif interrupted and not told and waited > 2 * _LOOK:
+            # On a terminal Ctrl-C has reached the child already, which then leaves by itself.
+            told = True
+            os.kill(child, signal.SIGINT)
+        elif progress.stalled():
+            os.kill(child, signal.SIGXCPU)
+        time.sleep(_LOOK)
+
+
+class _Progress:
+    """What a process has read and written, and the processor time that it has taken since that last changed.
+
+    Parameters
+    ----------
+    process : int
+    files : sequence of str
+        Only while one of them is open does the time count.
+    """
+
+    def __init__(self, process: int, files: Sequence[str]) -> None:
+        self._folder = f"/proc/{process}"
+        self._files = {os.path.realpath(name) for name in files}
+        self._tick = os.sysconf("SC_CLK_TCK")
+        self._moved: tuple[bytes, ...] = ()
+        self._since = 0.0
+
+    def stalled(self) -> bool:
+        """Return whether the process computes without a byte of progress."""
+        if not self._files:
+            return False
+        try:
+            with open(f"{self._folder}/io", "rb") as counts:
+                moved = tuple(counts.read().split()[1:8:2])
+            with open(f"{self._folder}/stat", "rb") as line:
+                fields = line.read().rpartition(b")")[2].split()
+        except OSError:  # it has just ended
+            return False
+        busy = (int(fields[11]) + int(fields[12])) / self._tick
+        if moved != self._moved or not self._files & set(self._open_files()):
+            self._moved, self._since = moved, busy
+        return busy - self._since > BUSY
+
+    def _open_files(self) -> Iterator[str]:
+        with suppress(OSError):
+            for handle in os.listdir(f"{self._folder}/fd"):
+                yield os.path.realpath(f"{self._folder}/fd/{handle}")
+
+
+def _ending(number: int) -> str:
+    if number == signal.SIGXCPU:
+        return f"its library computed for {BUSY:g} s without an end"
+    return f"its library was ended by {signal.Signals(number).name}"
