@@ -69,7 +69,7 @@ def _flushed(code: int) -> int:
     except BrokenPipeError:
         return code
     except OSError as failure:
-        print(f"tiltcal: cannot write standard output: {failure.strerror}", file=sys.stderr)
+        print(f"tiltcal: the output cannot be written: {failure.strerror}", file=sys.stderr)
         return code or _WRONG
     return code
 

@@ -6,9 +6,11 @@ import csv
 import json
 from math import cos, degrees, hypot, isnan, nan, radians
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner, Result
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
@@ -230,24 +232,31 @@ def test_the_truth_is_inside_in_95_of_100(stated: bool) -> None:
         assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.06)
 
 
-def test_one_channel_that_is_known_apart_from_the_others() -> None:
-    """A channel with no correlation beside channels that have them, as six faces without a jig error leave it.
+def test_six_faces_without_a_jig_error() -> None:
+    """One channel has correlations there and the others have none; J C Jᵀ by differences gives the same."""
+    file = Path(__file__).parents[1] / "support" / "six_faces.yaml"
+    reading = np.array([1.859361488, 2.263724527, 4.449071183])
+    (found,) = rows(apply(str(file), "-", "--uncertainty", stdin=f"x,y,z\n{','.join(map(str, reading))}\n").stdout)
+    known = yaml.safe_load(file.read_text())
+    stated = known["uncertainty"]["covariance"]
+    values = [*reading]
+    for name in stated["parameters"]:
+        section, *keys = name.split(".")
+        value = known["calibration"][section]
+        for key in keys:
+            value = value[key]
+        values.append(value)
+    names = ["reading.x", "reading.y", "reading.z", *stated["parameters"]]
+    covariance = np.zeros((15, 15))
+    covariance[:3, :3] = np.diag([known["uncertainty"]["single_reading"][axis] ** 2 for axis in XYZ])
+    covariance[3:, 3:] = stated["matrix"]
 
-    At level, x reads its offset: u(tilt_x) = hypot(u(offset), u(S_xz), u(reading)) / S_xx.
-    """
-    names = [f"offset.{axis}" for axis in XYZ] + [f"sensitivity.{one}.{other}" for one in XYZ for other in XYZ]
-    squares = [[1e-6 * (row == column) for column in range(12)] for row in range(12)]
-    squares[1][2] = squares[2][1] = 5e-7
-    text = SILENT.replace("[x, y]", "[x, y, z]").replace("y: 2.5}", "y: 2.5, z: 2.5}")
-    text = text.replace(
-        "{x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}",
-        "{x: {x: 2, y: 0, z: 0}, y: {x: 0, y: 2, z: 0}, z: {x: 0, y: 0, z: 2}}",
-    )
-    factors = ", ".join(f"{name}: {2.0 if '.x' in name[:13] else 2.1}" for name in names)
-    covariance = f"{{parameters: {json.dumps(names)}, matrix: {json.dumps(squares)}}}"
-    Path("faces.yaml").write_text(
-        f"{text}uncertainty:\n  single_reading: {{x: 0.002, y: 0.002, z: 0.002}}\n"
-        f"  coverage_factor: {{{factors}}}\n  covariance: {covariance}\n"
-    )
-    (found,) = rows(apply("faces.yaml", "-", "--uncertainty", stdin="x,y,z\n2.5,2.5,4.5\n").stdout)
-    assert found["u_tilt_x"] == pytest.approx(degrees(hypot(1e-3, 1e-3, 2e-3) / 2), rel=1e-3)
+    def tilt(numbers: list[float]) -> np.ndarray[Any, Any]:
+        at = dict(zip(names, numbers, strict=True))
+        matrix = [[at[f"sensitivity.{channel}.{axis}"] for axis in XYZ] for channel in XYZ]
+        return np.arcsin(np.linalg.solve(matrix, [at[f"reading.{axis}"] - at[f"offset.{axis}"] for axis in XYZ]))
+
+    steps = 1e-6 * np.eye(15)
+    slopes = np.array([(tilt(list(values + step)) - tilt(list(values - step))) / 2e-6 for step in steps]).T
+    expected = np.degrees(np.sqrt(np.diag(slopes @ covariance @ slopes.T)))
+    assert [found[f"u_tilt_{axis}"] for axis in XYZ] == pytest.approx(expected.tolist(), rel=2e-3)

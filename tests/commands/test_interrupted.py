@@ -77,7 +77,7 @@ def test_a_full_disk_behind_standard_output(arguments: list[str], tmp_path: Path
             [*TILTCAL, *arguments], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
     assert done.returncode == 2
-    assert done.stderr.splitlines()[-1] == "tiltcal: cannot write standard output: No space left on device"
+    assert done.stderr.splitlines()[-1] == "tiltcal: the output cannot be written: No space left on device"
 
 
 def test_a_reader_that_is_gone(tmp_path: Path) -> None:

@@ -33,9 +33,6 @@ COMMANDS = {
 
 INTERRUPTED = 130
 
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Failures of an output."""
-
 
 class Commands(click.Group):
     """A group that lists its commands by name and imports only the one that is called."""
@@ -96,9 +93,8 @@ def run(args: list[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         click.echo("tiltcal: interrupted", err=True)
         return INTERRUPTED
-<<<<<<< HEAD
-    except BrokenPipeError:
-        # The reader of our output has ended, as with `| head`; Python must not flush what remains.
+    except (BrokenPipeError, SystemExit):
+        # The reader of our output has ended, as with `| head`, and click leaves; Python must not flush what remains.
         sys.stdout = None
         return 0
     except OSError as error:
@@ -106,15 +102,5 @@ def run(args: list[str] | None = None) -> int:
             raise
         sys.stdout = None
         click.echo(f"tiltcal: the output cannot be written: {error.strerror}", err=True)
-=======
-    except (BrokenPipeError, SystemExit):
-        # The reader of our output is gone, as with `| head`, which click answers by leaving; what Python would still
-        # flush has nowhere to go.
-        sys.stdout = None
-        return 0
-    except OSError as error:
-        what = error.filename or ("cannot write standard output" if error.errno in NO_ROOM else "input or output")
-        click.echo(f"tiltcal: {what}: {error.strerror or error}", err=True)
->>>>>>> f684648 (End damaged logs, Ctrl-C and a full disk in one message each)
         return UsageError.exit_code
     return result if isinstance(result, int) else 0
