@@ -5,10 +5,8 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
-from zipfile import ZipFile
 
 import pytest
 from click.testing import CliRunner
@@ -43,19 +41,6 @@ def tracked_files() -> list[Path]:
 # Packaging
 
 
-def test_every_package_folder_is_listed() -> None:
-    folders = {
-        path.parent for root in ("tiltcal", "drivers", "procedures") for path in ROOT.glob(f"{root}/**/__init__.py")
-    }
-    shipped = {inside_tiltcal(folder.relative_to(ROOT)).as_posix().replace("/", ".") for folder in folders}
-    assert set(PROJECT["tool"]["setuptools"]["packages"]) == shipped
-
-
-def inside_tiltcal(path: Path) -> Path:
-    """Where a file or folder of the repository is in the import package."""
-    return path if path.parts[0] == "tiltcal" else "tiltcal" / path
-
-
 def test_the_version_is_written_once() -> None:
     assert PROJECT["project"]["dynamic"] == ["version"]
     assert PROJECT["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "tiltcal.__version__"}
@@ -76,24 +61,6 @@ def test_constraints_are_exact_versions_of_all_that_is_required() -> None:
 def normal(name: str) -> str:
     """A distribution's name as the installers compare it."""
     return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def test_the_wheel_holds_tiltcal_alone(tmp_path: Path) -> None:
-    pytest.importorskip("setuptools", minversion="77", reason="setuptools is too old to build the wheel")
-    source = tmp_path / "source"
-    for name in ("tiltcal", "drivers", "procedures"):
-        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "README.md", "LICENSE", "MANIFEST.in"):
-        shutil.copy(ROOT / name, source)
-    build = "pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir"
-    subprocess.run([sys.executable, "-m", *build.split(), tmp_path, source], check=True)
-    (wheel,) = tmp_path.glob("*.whl")
-    held = set(ZipFile(wheel).namelist())
-    assert {name.partition("/")[0] for name in held} == {"tiltcal", f"tiltcal-{tiltcal.__version__}.dist-info"}
-    modules = [path for root in ("tiltcal", "drivers") for path in ROOT.glob(f"{root}/**/*.py")]
-    wanted = [*modules, *ROOT.glob("procedures/*.yaml"), *ROOT.glob("tiltcal/report/templates/*")]
-    assert {inside_tiltcal(path.relative_to(ROOT)).as_posix() for path in wanted} <= held
-    assert "tiltcal/py.typed" in held
 
 
 # Start-up
