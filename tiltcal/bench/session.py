@@ -18,7 +18,7 @@ from tiltcal.bench.recording import sample_rows
 from tiltcal.bench.sensor_set import SensorSet, connected, open_device
 from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
 from tiltcal.bench.session_plan import DeviceSetup, SessionPlan
-from tiltcal.bench.verification import VerifiedPosition, verify_positions
+from tiltcal.bench.verification import Verification, verify_positions
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import StreamingSensor
@@ -227,8 +227,8 @@ class Session:
         """Run a captured session again without hardware, as :meth:`run` without an operator."""
         return self.run(None, samples)
 
-    def verify(self, operator: PositionOperator, calibration: CalibrationRecord) -> list[VerifiedPosition]:
-        """Take the positions, or go on with them, and return them as a calibration of the sensor reads them.
+    def verify(self, operator: PositionOperator, calibration: CalibrationRecord, limit: float) -> Verification:
+        """Take the positions, or go on with them, and judge a calibration of the sensor by a limit in degrees.
 
         Raises
         ------
@@ -237,9 +237,11 @@ class Session:
         """
         with self._open(live=True) as opened:
             accepted = self._position_runner(opened, operator).run()
-            found = verify_positions(calibration, self.plan.sensors[0].serial, accepted)
+            (sensor,), jig = self.plan.sensors, self.plan.jig
+            measurements = [one.measurements[sensor.serial] for one in accepted]
+            found = verify_positions(calibration, measurements, jig)
             self._finish(opened)
-            return found
+            return Verification(calibration.sensor, found, limit, jig)
 
     def _position_runner(self, opened: _OpenSession, operator: PositionOperator) -> PositionRunner:
         fixture = self._virtual.fixture if self.plan.virtual and opened.live else None

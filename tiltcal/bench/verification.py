@@ -1,17 +1,32 @@
-"""Verification: positions that a calibration was not fitted to, as the calibration reads them."""
+"""Verification: positions that a calibration was not fitted to, as the calibration reads them, and the verdict.
+
+The decision rule is that of ISO 14253-1: an error is within the limit where it is so with its expanded uncertainty
+added, and beyond it where it is so with that taken off. Between the two it is not decided. The uncertainty is that of
+the verification, from the jig and the noise: what the calibration is uncertain by is what the errors show.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import acos, degrees, hypot, inf, isnan
+from math import acos, cos, degrees, hypot, inf, isfinite, isnan, radians, sqrt
+from typing import Any
 
 import numpy as np
 
-from tiltcal.bench.positions import PositionResult
+from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.frames import Vector, tilt_from_gravity
-from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.core.model import AXES
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+
+PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
+
+_STEEP = cos(radians(89.0))
+"""The slope of an arcsine is followed up to this far from level."""
+
+ANGLE, DIRECTION = 1.959964, 2.447747
+"""Coverage factors for 95 % of an error in one angle, and of one in two (the root of chi-square's quantile)."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +42,8 @@ class VerifiedPosition:
         Angle between the direction as set and as read, degrees; None of a sensor that has no three axes.
     flag : int
         As ``tiltcal apply`` would flag the mean reading.
+    expanded : float
+        Expanded uncertainty (95 %) of the error, degrees, from the jig and the noise.
     """
 
     position: str
@@ -34,6 +51,7 @@ class VerifiedPosition:
     measured: dict[str, float]
     direction: float | None
     flag: int
+    expanded: float = 0.0
 
     @property
     def error(self) -> float:
@@ -43,29 +61,128 @@ class VerifiedPosition:
         errors = [abs(self.measured[axis] - angle) for axis, angle in self.expected.items()]
         return inf if any(isnan(error) for error in errors) else max(errors)
 
+    def verdict(self, limit: float) -> str:
+        """``passed``, ``failed`` or ``not decided`` by a limit in degrees."""
+        if self.error + self.expanded <= limit:
+            return PASSED
+        return FAILED if self.error - self.expanded > limit else UNDECIDED
+
+
+@dataclass(frozen=True)
+class Verification:
+    """How a calibration reads positions that it was not fitted to, judged by a limit.
+
+    Attributes
+    ----------
+    sensor : SensorIdentity
+    positions : tuple of VerifiedPosition
+    limit : float
+        The largest error of a tilt that passes, degrees.
+    jig : float or None
+        Stated standard uncertainty of a set angle, degrees; None: the positions count as exact.
+    """
+
+    sensor: SensorIdentity
+    positions: tuple[VerifiedPosition, ...]
+    limit: float
+    jig: float | None
+
+    @property
+    def verdict(self) -> str:
+        """``failed`` where any position is; ``passed`` where all are."""
+        verdicts = {position.verdict(self.limit) for position in self.positions}
+        return next(verdict for verdict in (FAILED, UNDECIDED, PASSED) if verdict in verdicts)
+
+    @property
+    def worst(self) -> VerifiedPosition:
+        """The position with the largest error."""
+        return max(self.positions, key=lambda position: position.error)
+
+    def as_data(self) -> dict[str, Any]:
+        """The verification as plain data; an error that has no number is None."""
+        return {
+            "sensor": self.sensor.serial,
+            "limit": self.limit,
+            "jig": self.jig,
+            "verdict": self.verdict,
+            "passed": self.verdict == PASSED,
+            "worst": {"position": self.worst.position, "error": _finite(self.worst.error)},
+            "positions": [
+                {
+                    "position": one.position,
+                    "expected": one.expected,
+                    "measured": {axis: _finite(angle) for axis, angle in one.measured.items()},
+                    "error": _finite(one.error),
+                    "expanded": one.expanded,
+                    "flag": one.flag,
+                    "verdict": one.verdict(self.limit),
+                    "passed": one.verdict(self.limit) == PASSED,
+                }
+                for one in self.positions
+            ],
+        }
+
+    def __str__(self) -> str:
+        lines = [f"{self.sensor.model} {self.sensor.serial}, limit {self.limit:g}°"]
+        for one in self.positions:
+            angles = "  ".join(
+                f"{axis} {angle:+8.3f}° read {one.measured[axis]:+8.3f}°" for axis, angle in one.expected.items()
+            )
+            lines.append(
+                f"  {one.position:<12} {angles}   off by {one.error:.3f}° ± {one.expanded:.2g}°   "
+                f"{_loud(one.verdict(self.limit))}"
+            )
+        worst = f"worst {self.worst.error:.3f}° at {self.worst.position}"
+        return "\n".join([*lines, f"{_loud(self.verdict)}: {worst}"])
+
 
 def verify_positions(
-    calibration: CalibrationRecord, serial: str, accepted: Sequence[PositionResult]
-) -> list[VerifiedPosition]:
-    """Return every position of a sensor, as its calibration reads it."""
+    calibration: CalibrationRecord, measurements: Sequence[Measurement], jig: float | None = None
+) -> tuple[VerifiedPosition, ...]:
+    """Return every position of a sensor, as its calibration reads it.
+
+    Parameters
+    ----------
+    calibration : CalibrationRecord
+    measurements : sequence of Measurement
+        In positions that were set.
+    jig : float, optional
+        Standard uncertainty of a set angle, degrees.
+    """
     coefficients = calibration.coefficients
     # What is judged is the sensor's own frame, in which positions are set; the mounting is the application's.
     compensation = Compensation(replace(coefficients, mounting=None), calibration.limits)
     found = []
-    for one in (result.measurements[serial] for result in accepted):
+    for one in measurements:
         readings = np.array([[one.summaries[channel].mean for channel in coefficients.channels]])
         result = compensation(readings, None if one.temperature is None else np.array([one.temperature]))
         expected = _tilt(one.gravity)
+        whole = len(compensation.axes) == 3
         found.append(
             VerifiedPosition(
                 one.position,
                 {axis: expected[axis] for axis in compensation.axes},
                 dict(zip(compensation.axes, result.tilt[0].tolist(), strict=True)),
-                _between(one.gravity, result.gravity[0].tolist()) if len(compensation.axes) == 3 else None,
+                _between(one.gravity, result.gravity[0].tolist()) if whole else None,
                 int(result.flag[0]),
+                (DIRECTION if whole else ANGLE) * hypot(jig or 0.0, _noise(calibration, one, whole)),
             )
         )
-    return found
+    return tuple(found)
+
+
+def _noise(calibration: CalibrationRecord, measurement: Measurement, whole: bool) -> float:
+    """Standard uncertainty of a tilt from that of the mean readings, degrees: the largest of all channels."""
+    coefficients = calibration.coefficients
+    largest = 0.0
+    for row, channel in enumerate(coefficients.channels):
+        if channel not in coefficients.axes or channel not in AXES:
+            continue
+        own = abs(float(coefficients.sensitivity[row, coefficients.axes.index(channel)]))
+        # Of three axes the direction is judged, whose error does not grow where one axis nears the vertical.
+        slope = 1.0 if whole else max(sqrt(1.0 - min(measurement.gravity[AXES.index(channel)] ** 2, 1.0)), _STEEP)
+        largest = max(largest, degrees(measurement.summaries[channel].u / own / slope))
+    return largest
 
 
 def _tilt(gravity: Vector) -> dict[str, float]:
@@ -76,3 +193,12 @@ def _between(a: Sequence[float], b: Sequence[float]) -> float:
     """Angle between two directions, degrees."""
     cross = np.cross(a, b)
     return degrees(float(np.arctan2(hypot(*cross), np.dot(a, b))))
+
+
+def _finite(value: float) -> float | None:
+    """What JSON can hold."""
+    return value if isfinite(value) else None
+
+
+def _loud(verdict: str) -> str:
+    return verdict.upper() if verdict == FAILED else verdict

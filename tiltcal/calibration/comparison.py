@@ -6,8 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.results import NOISE_ALONE
 from tiltcal.core.comparison import CoefficientChange, Verdict, judge
-from tiltcal.files.calibration import SensorIdentity, changes_between, require_same_sensor
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
+
+_INCOMPLETE = (
+    "the uncertainty of the {which} file rests on noise alone and leaves out how well the positions were set: measure "
+    "with --jig, or in more positions"
+)
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class Comparison:
             "sensor": self.sensor.serial,
             "verdict": verdict.word,
             "threshold": verdict.threshold,
-            "changed": list(verdict.changed),
+            "changed": list(verdict.changed) if verdict.word == "changed" else [],
             "coefficients": [
                 {
                     "name": change.name,
@@ -79,6 +85,14 @@ def compare(old: Calibration, new: Calibration) -> Comparison:
     --------
     >>> print(tiltcal.compare(tiltcal.read("spring.yaml"), tiltcal.read("autumn.yaml")))
     """
-    require_same_sensor(old.record, new.record)
-    found = tuple(changes_between(old.record, new.record))
-    return Comparison(new.sensor, found, judge(found))
+    return compare_records(old.record, new.record)
+
+
+def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Comparison:
+    """Compare the contents of two calibration files, as :func:`compare` does."""
+    require_same_sensor(old, new)
+    found = tuple(changes_between(old, new))
+    alone = [which for which, one in (("older", old), ("newer", new)) if one.fit.uncertainty_from == NOISE_ALONE]
+    return Comparison(
+        new.sensor, found, judge(found, _INCOMPLETE.format(which=" and the ".join(alone)) if alone else "")
+    )

@@ -32,6 +32,9 @@ MATRIX_DIGITS = 100.0
 
 SHARE_DIGITS = 3
 
+NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
+"""Where an uncertainty comes from that leaves out how well the positions were set."""
+
 
 def rounded(found: Estimate) -> Coefficients:
     """The coefficients with the digits that their uncertainties warrant."""
@@ -213,7 +216,7 @@ def _source_of_uncertainty(found: Estimate, design: Design) -> str:
     if design.free:
         return "noise alone: no position is left over"
     if design.jig is None:
-        return "noise alone: no jig is stated, and no position is left over"
+        return NOISE_ALONE
     return "stated noise and jig"
 
 

@@ -118,10 +118,13 @@ class Verdict:
         How many standard uncertainties each change may be; empty where none has one to be compared with.
     changed : tuple of str
         The coefficients that changed by more.
+    incomplete : str
+        Why the uncertainties are too small to call anything changed; empty where they are whole.
     """
 
     thresholds: Mapping[str, float]
     changed: tuple[str, ...]
+    incomplete: str = ""
 
     @property
     def threshold(self) -> float | None:
@@ -131,23 +134,33 @@ class Verdict:
     @property
     def word(self) -> str:
         """``changed``, ``unchanged`` or ``unknown``."""
-        return "unknown" if not self.thresholds else "changed" if self.changed else "unchanged"
+        if not self.thresholds or (self.changed and self.incomplete):
+            return "unknown"
+        return "changed" if self.changed else "unchanged"
 
     def __str__(self) -> str:
         if not self.thresholds:
             return "no verdict: the files state no uncertainties to compare with"
         if not self.changed:
             return "unchanged: no change is more than its threshold of standard uncertainties"
-        return f"changed: {', '.join(self.changed)} by more than the threshold of standard uncertainties"
+        more = f"{', '.join(self.changed)} by more than the threshold of standard uncertainties"
+        return f"no verdict: {more}, but {self.incomplete}" if self.incomplete else f"changed: {more}"
 
 
-def judge(found: Sequence[CoefficientChange]) -> Verdict:
-    """Whether any of some changes is too large for chance, allowing for their number (Šidák)."""
+def judge(found: Sequence[CoefficientChange], incomplete: str = "") -> Verdict:
+    """Whether any of some changes is too large for chance, allowing for their number (Šidák).
+
+    Parameters
+    ----------
+    found : sequence of CoefficientChange
+    incomplete : str
+        Why the uncertainties are too small; empty where they are whole.
+    """
     judged = [change for change in found if change.ratio is not None]
     confidence = COVERAGE ** (1.0 / max(len(judged), 1))
     thresholds = {change.name: change.threshold(confidence) for change in judged}
     changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
-    return Verdict(thresholds, changed)
+    return Verdict(thresholds, changed, incomplete)
 
 
 def referred(coefficients: Coefficients, reference: float) -> Coefficients:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.labels import symbol, unit_of, words
-from tiltcal.core.comparison import judge
-from tiltcal.files.calibration import CalibrationRecord, changes_between
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.number_format import AlignedNumber, column, measured, plain
 from tiltcal.report.provenance import period
 
@@ -45,8 +45,8 @@ class ChangeSection:
 
 def drift(before: CalibrationRecord, name: str, after: CalibrationRecord) -> ChangeSection:
     """Every coefficient that both files have, the earlier ones at the later one's reference temperature."""
-    found = changes_between(before, after)
-    verdict = judge(found)
+    comparison = compare_records(before, after)
+    found, verdict = comparison.changes, comparison.verdict
     old = column(_told(one.before, before.uncertainty.get(one.name)) for one in found)
     new = column(_told(one.after, after.uncertainty.get(one.name)) for one in found)
     moved = column(_told(one.difference, one.u) for one in found)

@@ -1,0 +1,68 @@
+"""The decision rule of a verification (ISO 14253-1), over parts that are simulated here, by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tiltcal.bench.verification import Verification, VerifiedPosition, verify_positions
+from tiltcal.calibration.measurement import Measurement
+from tiltcal.core.model import Coefficients
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.procedure import find_procedure
+
+SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
+PERFECT = CalibrationRecord(
+    SENSOR, Coefficients(("x", "y"), ("x", "y"), np.array([1024.0, 1024.0]), np.diag([819.0, 819.0]))
+)
+POSITIONS = find_procedure("verify").positions
+NOISE = 0.06
+
+
+def verified(rng: np.random.Generator, jig: float, bias: float = 0.0, stated: float | None = None) -> Verification:
+    """A part that reads every angle ``bias`` degrees too high, in positions that are set with an error of ``jig``."""
+    measurements = []
+    for position in POSITIONS:
+        tilt = np.degrees(np.arcsin(position.gravity[:2])) + rng.normal(0.0, jig, 2) + bias
+        mean = 1024.0 + 819.0 * np.sin(np.radians(tilt)) + rng.normal(0.0, NOISE, 2)
+        summaries = {c: SampleSummary(float(v), 0.6, 100, NOISE, 0.0, 9.0) for c, v in zip("xy", mean, strict=True)}
+        measurements.append(Measurement(position.name, position.gravity, position.tilt, None, summaries))
+    return Verification(SENSOR, verify_positions(PERFECT, measurements, stated), 0.3, stated)
+
+
+def test_a_perfect_part_does_not_fail_for_its_jig() -> None:
+    """At 0.3° with a jig of 0.1° 16 % failed, where the positions counted as exact."""
+    rng = np.random.default_rng(1)
+    exact = [verified(rng, 0.1).verdict for _ in range(60)]
+    stated = [verified(rng, 0.1, stated=0.1).verdict for _ in range(60)]
+    assert exact.count("failed") >= 2
+    assert stated.count("failed") == 0
+
+
+def test_a_bad_part_fails_and_does_not_pass() -> None:
+    rng = np.random.default_rng(2)
+    assert {verified(rng, 0.05, bias=0.6, stated=0.05).verdict for _ in range(15)} == {"failed"}
+
+
+def test_a_good_part_passes_with_a_good_jig() -> None:
+    rng = np.random.default_rng(3)
+    assert {verified(rng, 0.02, stated=0.02).verdict for _ in range(15)} == {"passed"}
+
+
+@pytest.mark.parametrize(
+    ("error", "verdict"), [(0.10, "passed"), (0.11, "not decided"), (0.49, "not decided"), (0.50, "failed")]
+)
+def test_the_limit_is_guarded_on_both_sides(error: float, verdict: str) -> None:
+    """U = 1.96 times 0.1° = 0.196°: within 0.3 - 0.196 = 0.104 passed, beyond 0.3 + 0.196 = 0.496 failed."""
+    position = VerifiedPosition("p", {"x": 10.0}, {"x": 10.0 + error}, None, 1, 1.959964 * 0.1)
+    assert position.verdict(0.3) == verdict
+
+
+def test_noise_counts_by_the_slope_of_the_angle() -> None:
+    """At 30° a count is degrees(1 / 819 / cos 30°) = 0.0808°."""
+    summaries = {"x": SampleSummary(1433.5, 10.0, 100, 1.0), "y": SampleSummary(1024.0, 0.1, 100, 0.01)}
+    one = Measurement("x-30", (0.5, 0.0, float(np.sqrt(0.75))), {"x": 30.0}, None, summaries)
+    (found,) = verify_positions(PERFECT, [one])
+    assert found.expanded == pytest.approx(1.96 * 0.0808, rel=1e-3)
+    assert found.error == pytest.approx(0.0, abs=1e-9)
