@@ -149,10 +149,15 @@ class Inclinometer:
 
     def _sample(self) -> tuple[dict[str, int], float]:
         """Every word in counts and the temperature in °C, once it is sure that a part has sent them."""
-        frames = {channel: self._fresh(command, 0, 0) for channel, command in self.COMMANDS.items()}
-        t = self._fresh(RWTR, 0)
-        check_data_line(b"".join(frames.values()) + t)
-        return {channel: self._checked(channel, frame) for channel, frame in frames.items()}, decode_temperature(t)
+        answers = []
+        for frame in (*((command, 0, 0) for command in self.COMMANDS.values()), (RWTR, 0)):
+            self._clock.sleep(self.REFRESH)
+            answers.append(_whole(self._link.exchange(bytes(frame)), len(frame)))
+        check_data_line(b"".join(answers))
+        words = {
+            channel: self._checked(channel, answer) for channel, answer in zip(self.COMMANDS, answers, strict=False)
+        }
+        return words, decode_temperature(answers[-1])
 
     def _checked(self, channel: str, frame: bytes) -> int:
         """The word of a frame; a fault signal is none."""
@@ -167,16 +172,18 @@ class Inclinometer:
     def _fresh(self, *frame: int) -> bytes:
         """Exchange a frame that reads a register, after the reload time of the register."""
         self._clock.sleep(self.REFRESH)
-        answer = self._link.exchange(bytes(frame))
-        if len(answer) != len(frame):
-            raise BusError(
-                f"a frame of {len(frame)} bytes was answered with {len(answer)}: the SPI adapter is at fault"
-            )
-        return answer
+        return _whole(self._link.exchange(bytes(frame)), len(frame))
 
     def _command(self, command: int) -> None:
         self._clock.sleep(self.RECOVERY)
         self._link.exchange(bytes([command]))
+
+
+def _whole(answer: bytes, size: int) -> bytes:
+    """Return an answer that is as long as its frame."""
+    if len(answer) != size:
+        raise BusError(f"a frame of {size} bytes was answered with {len(answer)}: the SPI adapter is at fault")
+    return answer
 
 
 class Sca100t(Inclinometer):

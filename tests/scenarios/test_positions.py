@@ -114,7 +114,7 @@ def test_a_fault_that_passes_costs_a_redo(kind: str, why: str, bench: Path) -> N
 
 
 def test_a_stuck_reading_is_refused_as_a_wrong_position(bench: Path) -> None:
-    twin_with("faults: [{kind: stuck, start: 3.05, end: 6.2}]")
+    twin_with("faults: [{kind: stuck, start: 3.1, end: 6.2}]")
     _, said = run()
     assert any("x-tilt2 refused" in line for line in said)
 

@@ -6,21 +6,23 @@ hears comes from the event log, so a session that is replayed runs exactly as it
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from datetime import timedelta
 from functools import partial
 
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import PositionOperator
 from tiltcal.bench.positions import PositionResult, as_set, temperature_of
+from tiltcal.bench.sample_checks import far_off, require_agreement, require_few, require_living, require_off_rails
 from tiltcal.bench.sensor_set import ConnectedSensor, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan, stamp
-from tiltcal.bench.settle import Unsettled, Window, movement, wait_until_still
+from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.statistics import summarise
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.device import Reading
 from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.errors import HardwareError, InputError, JournalError, SensorError
 from tiltcal.files.procedure import Position
@@ -114,14 +116,11 @@ class PositionRunner:
         look = partial(self._look, position)
         window = self._window(position, accepted, answer.temperature)
         wait_until_still(self._sensors, self._clock, window, look)
-        held: list[tuple[float, Sample]] = []
-        while len(held) < self._settings.samples:
-            sample = self._sensors.read()
-            held.append((self._clock.now_ns() / 1e9, sample))
-            look(sample, f"sample {len(held)} of {self._settings.samples}")
-            self._clock.sleep(max(model.interval for model in self._sensors.models))
+        held, left_out = self._sampled(look, thermometers=answer.temperature is None)
         self._sensors.succeeded()
-        result = self._result(actual, held, answer.temperature, self._expectations(accepted), accepted)
+        result = self._result(actual, held, answer.temperature, accepted)
+        result = replace(result.with_left_out(left_out), asked=position.temperature)
+        self._check(result, accepted)
         verdict = log.ask("review", operator.review, result)
         if verdict.word != "accept":
             return verdict.word
@@ -163,36 +162,66 @@ class PositionRunner:
         target = position.temperature if typed is None else None
         return Window(self._settings.soak, self._procedure.soak_drift, target)
 
+    def _sampled(self, look: Callable[[Sample, str], None], *, thermometers: bool) -> tuple[list[Timed], int]:
+        """Return the samples of a position, and how many that were far off have been taken again.
+
+        Raises
+        ------
+        Unsettled
+            Too many are far off.
+        """
+        held: list[Timed] = []
+        left_out, wanted = 0, self._settings.samples
+        while True:
+            while len(held) < wanted:
+                sample = self._sensors.read()
+                held.append((self._clock.now_ns() / 1e9, sample))
+                look(sample, f"sample {len(held)} of {wanted}")
+                self._clock.sleep(max(model.interval for model in self._sensors.models))
+            wrong = far_off(held, self._sensors.models, thermometers=thermometers)
+            if not wrong:
+                return held, left_out
+            left_out += len(wrong)
+            require_few(left_out, wanted, next(iter(wrong.values())))
+            held = [one for number, one in enumerate(held) if number not in wrong]
+
     def _result(
-        self,
-        position: Position,
-        held: Sequence[tuple[float, Sample]],
-        typed: float | None,
-        expectations: Mapping[str, ExpectedReadings],
-        accepted: Sequence[PositionResult],
+        self, position: Position, held: Sequence[Timed], typed: float | None, accepted: Sequence[PositionResult]
     ) -> PositionResult:
         """Return what the samples give.
 
         Raises
         ------
         Unsettled
-            They moved, are at a rail, or are those of another position.
+            They moved, or are at a rail.
         """
         moved = movement(held, self._sensors.models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(held) > 2 else None
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
-        measurements, expected = {}, {}
+        measurements, expected, expectations = {}, {}, self._expectations(accepted)
         time = stamp(self._plan.started + timedelta(microseconds=self._log.now_ns() / 1000))
         for index, one in enumerate(self._sensors.sensors):
             readings = [sample[index] for _, sample in held]
-            _require_off_rails(readings, one.model)
+            require_off_rails(readings, one.model)
             measurements[one.serial] = _measurement(one, position, readings, typed, time)
             gravity = measurements[one.serial].gravity
             predicted = one.model.scaled and not self._procedure.determines.free
             expected[one.serial] = expectations[one.serial].expected(gravity) if predicted else {}
-        result = PositionResult(position, measurements, typed is not None, expected)
-        self._require_plausible(result, expectations, accepted)
-        return result
+        return PositionResult(position, measurements, typed is not None, expected)
+
+    def _check(self, result: PositionResult, accepted: Sequence[PositionResult]) -> None:
+        """Refuse a position whose temperature is absurd, whose sensor is stuck, or that is another position.
+
+        Raises
+        ------
+        Unsettled
+            With the reason.
+        """
+        last = len(accepted) == len(self._procedure.positions) - 1
+        require_agreement(result, accepted, asked=result.asked)
+        for one in self._sensors.sensors:
+            require_living(one, result, accepted, last=last)
+        self._require_plausible(result, self._expectations(accepted), accepted)
 
     def _expectations(self, accepted: Sequence[PositionResult]) -> dict[str, ExpectedReadings]:
         """Return what predicts each sensor's readings: its model and the positions accepted so far."""
@@ -256,14 +285,3 @@ def _measurement(
         {"time": time},
         heading=position.heading,
     )
-
-
-def _require_off_rails(readings: Sequence[Reading], model: Model) -> None:
-    low, high = model.rails
-    for place, channel in enumerate(model.channels):
-        for reading in readings:
-            if not low < reading.values[place] < high:
-                raise Unsettled(
-                    f"{channel} reads {reading.values[place]:.6g}, at its rail: is the angle within the sensor's "
-                    "range, and is it wired right?"
-                )

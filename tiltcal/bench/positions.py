@@ -49,12 +49,27 @@ class PositionResult:
     expected : mapping of str to mapping of str to float
         By serial number and channel: the reading that the positions before predict, in the sensor's unit; empty where
         nothing predicts it.
+    left_out : int
+        Samples that were far off, and were taken again.
+    asked : float or None
+        The temperature that the procedure asks for, °C.
     """
 
     position: Position
     measurements: Mapping[str, Measurement]
     typed: bool = False
     expected: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    left_out: int = 0
+    asked: float | None = None
+
+    def with_left_out(self, count: int) -> PositionResult:
+        """Return this position with the number of samples that were taken again, which its file states."""
+        if not count:
+            return self
+        measurements = {
+            serial: replace(one, when={**one.when, "left_out": count}) for serial, one in self.measurements.items()
+        }
+        return replace(self, measurements=measurements, left_out=count)
 
     def mean(self, serial: str) -> Array:
         """Return the mean reading of each channel of a sensor, in its unit."""
@@ -68,6 +83,7 @@ class PositionResult:
             "std": {channel: summary.std for channel, summary in one.summaries.items()},
             "n": next(iter(one.summaries.values())).n,
             "temperature": one.temperature,
+            **({"left_out": self.left_out} if self.left_out else {}),
         }
 
     def record(self) -> dict[str, Any]:

@@ -37,6 +37,7 @@ BURST = 5.0
 """So is a scatter within a block beyond so many times the usual one."""
 
 _SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
+_SIGMA_OF_NEAREST = 1.267  # and over the root mean square of the nearest 90 % of them
 _CHUNK = 1 << 14
 
 
@@ -269,5 +270,8 @@ def outliers(samples: Sequence[float] | Array, step: float = 0.0, sigmas: float 
     """
     values = np.asarray(samples, dtype=float)
     distance = np.abs(values - np.median(values))
-    usual = max(_SIGMA_OF_MEDIAN * float(np.median(distance)), step / sqrt(12.0))
+    # Where more than half of the samples are in one step, the median of the distances is 0; the nearest 90 % are not.
+    nearest = np.sort(distance)[: max(1, round(0.9 * len(values)))]
+    trimmed = _SIGMA_OF_NEAREST * float(np.sqrt(np.mean(nearest**2)))
+    usual = max(_SIGMA_OF_MEDIAN * float(np.median(distance)), trimmed, step / sqrt(12.0))
     return np.flatnonzero(distance > max(sigmas * usual, 2.0 * step))

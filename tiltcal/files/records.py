@@ -289,6 +289,9 @@ class PositionRecord:
     std: Mapping[str, float] | None = entry(ByChannel(SHARE), "standard deviations of the samples, unit", default=None)
     u: Mapping[str, float] | None = entry(ByChannel(SHARE), "standard uncertainties of the means, unit", default=None)
     n: int | None = entry(Integer(minimum=0), "number of samples", default=None)
+    left_out: int | None = entry(
+        Integer(minimum=0), "samples that were far off the others and were taken again", default=None
+    )
     temperature: float | None = entry(Number(), "°C", default=None)
     time: str | None = entry(Text(), "when it was measured, UTC", default=None)
     rows: tuple[tuple[int, int], ...] | None = entry(

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from tiltcal.core.pair.matching import Matching, PairCoefficients
     from tiltcal.core.pair.model import Pair
 
+TEMPERATURES = (-60.0, 150.0)
+"""What a sensor at a bench can have, °C: a DS18B20 that fails reads -127."""
+
 Live = Callable[[], Mapping[str, Reading]]
 """Takes one sample of every sensor, by serial number."""
 

@@ -32,7 +32,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn
+from tiltcal.bench.operators.operator import TEMPERATURES, Live, OperatorAnswer, StageTurn
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import InputError, Stopped, UsageError
 from tiltcal.files.procedure import Position
@@ -223,7 +223,7 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
         word,
         {str(axis): _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()},
         tuple(_number(component, "gravity") for component in gravity) if gravity is not None else None,
-        None if temperature is None else _number(temperature, "temperature"),
+        None if temperature is None else _temperature(temperature),
     )
 
 
@@ -241,6 +241,13 @@ def _values(result: PositionResult, serial: str) -> dict[str, Any]:
 def _coefficients(pairs: Mapping[str, PairCoefficients | Matching]) -> dict[str, dict[str, float]]:
     """Return p, q and their uncertainties, each by the name of the pair."""
     return {key: {name: getattr(one, key) for name, one in pairs.items()} for key in ("p", "q", "u_p", "u_q")}
+
+
+def _temperature(value: object) -> float:
+    temperature, (low, high) = _number(value, "temperature"), TEMPERATURES
+    if not low <= temperature <= high:
+        raise InputError(f"temperature in the answer is {temperature:g} °C, not between {low:g} and {high:g}")
+    return temperature
 
 
 def _number(value: object, key: str) -> float:

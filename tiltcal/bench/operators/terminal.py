@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tiltcal.bench.operators.keys import ENTER, Keys
-from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn, pair_in_words
+from tiltcal.bench.operators.operator import TEMPERATURES, Live, OperatorAnswer, StageTurn, pair_in_words
 from tiltcal.core.frames import gravity_from_tilt, normalised
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import HardwareError, InputError, Stopped
@@ -127,7 +127,7 @@ class TerminalOperator(_Terminal):
             if key in ("b", "r"):
                 return OperatorAnswer("back" if key == "b" else "redo")
             if key == "t":
-                temperature = self._number("temperature in °C", -100.0, 200.0, temperature)
+                temperature = self._number("temperature in °C", *TEMPERATURES, temperature)
             elif key == "a" and position.tilt is not None:
                 tilt = self._angles(position.tilt, tilt)
             elif key == "a":

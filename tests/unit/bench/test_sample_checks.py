@@ -1,0 +1,216 @@
+"""Sessions of virtual parts whose sensor, line or thermometer fails: no wrong number without a word."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tiltcal import Calibration, measure
+from tiltcal.bench import sensor_set
+from tiltcal.bench.operators.rig import understood
+from tiltcal.calibration.calibrate import calibrate
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.core.statistics import summarise
+from tiltcal.errors import EstimateError, InputError, Stopped
+from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
+from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.procedure import find_procedure
+
+TWIN = """\
+tiltcal: 1
+kind: twin
+model: sca100t-d02
+seed: 5
+truth:
+  offset: {x: 1026.0, y: 1021.0}
+  sensitivity: {x: {x: 817.4, y: 11.2, z: 0.0}, y: {x: -7.9, y: 821.6, z: 0.0}}
+  temperature: {reference: 24.0, offset: {x: [0.4], y: [-0.1]}}
+  noise: {x: 0.6, y: 0.6}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("twin.yaml").write_text(TWIN)
+
+
+def session(procedure: str, said: list[str] | None = None, **options: Any) -> Calibration:
+    chosen = {"sensor": "sca100t-d02", "address": "sim:?twin=twin.yaml", "serial": "S-1", "output": "S-1.yaml"}
+    remark = (said if said is not None else []).append
+    found = measure(procedure, operator="sim", remark=remark, **{**chosen, **options})
+    assert isinstance(found, Calibration)
+    return found
+
+
+Change = Callable[[bytes, bytes, int], bytes]
+
+
+def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
+    """Let ``change(out, answer, number)`` alter what the virtual part answers to its n-th transaction of a kind."""
+    connect = sensor_set.open_device
+
+    class Disturbed:
+        letter = "s"
+
+        def __init__(self, *args: Any) -> None:
+            self._link = connect(*args)
+            self._counts: dict[bytes, int] = {}
+            self.close = self._link.close
+
+        def exchange(self, out: bytes, count: int = 0) -> bytes:
+            self._counts[out] = self._counts.get(out, 0) + 1
+            return change(out, self._link.exchange(out, count), self._counts[out])
+
+    monkeypatch.setattr(sensor_set, "open_device", Disturbed)
+
+
+def word(value: int) -> bytes:
+    """An SCA100T's answer: 11 bits behind the first byte."""
+    return bytes([0, value >> 3, (value & 7) << 5])
+
+
+@pytest.mark.parametrize(
+    ("procedure", "why"),
+    [
+        ("reversal", "x of S-1 is stuck: all 400 samples of 4 positions read 1024 count"),
+        ("two-temperature", "x of S-1 is stuck: all 200 samples of 2 positions read 1024 count"),
+        ("plane", "x reads 1024 where about 1433.5 is expected"),
+    ],
+)
+def test_a_sensor_that_is_stuck_from_the_first_sample_is_refused(
+    procedure: str, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disturb(monkeypatch, lambda out, answer, n: word(1024) if out[0] in (0x10, 0x11) else answer)
+    with pytest.raises(Stopped, match=why):
+        session(procedure)
+    assert not Path("S-1.yaml").exists()
+
+
+def test_a_coarse_reading_that_stands_still_in_a_position_is_not_stuck() -> None:
+    """Noise of a tenth of a step: within a position every sample is the same, over ±30° they differ by 800 steps."""
+    Path("twin.yaml").write_text(TWIN.replace("noise: {x: 0.6, y: 0.6}", "noise: {x: 0.05, y: 0.05}"))
+    found = session("plane")
+    assert found.offset["x"] == pytest.approx(1026.0, abs=1.0)
+
+
+def test_one_sample_of_a_hundred_that_is_far_off_is_taken_again_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """578 counts in one of a hundred samples would move a mean by 5.8 counts, ten times the noise."""
+    undisturbed = session("plane", journal="first.jsonl")
+    seen: list[int] = []
+
+    def change(out: bytes, answer: bytes, number: int) -> bytes:
+        if out[0] == 0x10 and number == 120:
+            seen.append(number)
+            return word((answer[1] << 3 | answer[2] >> 5) - 578)
+        return answer
+
+    disturb(monkeypatch, change)
+    found = session("plane", journal="second.jsonl")
+    assert seen
+    assert [one.left_out for one in found.positions].count(1) == 1
+    assert [one.left_out for one in found.positions].count(None) == 3
+    assert found.offset["x"] == pytest.approx(undisturbed.offset["x"], abs=0.4)
+    assert [one.n for one in found.positions] == [100] * 4
+
+
+def test_many_samples_far_off_are_a_fault_that_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def change(out: bytes, answer: bytes, number: int) -> bytes:
+        if out[0] == 0x10 and number % 12 == 0:
+            return word((answer[1] << 3 | answer[2] >> 5) - 60)
+        return answer
+
+    disturb(monkeypatch, change)
+    with pytest.raises(Stopped, match="samples of a position of 100 are far off: x reads"):
+        session("plane", settle=0.05)
+
+
+# An SCA100T's thermometer: T = (counts - 197) / -1.083.
+def degrees(celsius: float) -> bytes:
+    return bytes([0, max(0, min(255, round(197 - 1.083 * celsius)))])
+
+
+def test_one_absurd_temperature_is_taken_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One conversion in a hundred says 135 °C: the mean would be 1.1 °C off, and the drift with it."""
+    disturb(monkeypatch, lambda out, answer, n: degrees(135) if out[0] == 0x08 and n % 100 == 50 else answer)
+    found = session("two-temperature", samples=50)
+    assert all(-5 < one.temperature < 35 for one in found.positions)
+    assert sum(one.left_out or 0 for one in found.positions) >= 1
+
+
+def test_a_thermometer_that_says_85_all_the_time_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    disturb(monkeypatch, lambda out, answer, n: degrees(85) if out[0] == 0x08 else answer)
+    with pytest.raises(Stopped, match=r"is what the thermometer reads, and 24 °C was asked for: one of them is wrong"):
+        session("two-temperature")
+
+
+class Typist:
+    """A program that answers one temperature to every position."""
+
+    def __init__(self, temperature: float) -> None:
+        self.why: list[str] = []
+        self._temperature = temperature
+
+    def position(self, ask: Any) -> dict[str, Any]:
+        return {"answer": "quit"} if len(self.why) > 2 else {"answer": "ready", "temperature": self._temperature}
+
+    def refused(self, event: Any) -> None:
+        self.why.append(event["why"])
+
+
+@pytest.mark.parametrize(
+    ("temperature", "why"),
+    [
+        (9999.0, "temperature in the answer is 9999 °C, not between -60 and 150"),
+        (-127.0, "temperature in the answer is -127 °C, not between -60 and 150"),
+        (55.0, "55 °C was typed, and 24 °C was asked for: one of them is wrong"),
+    ],
+)
+def test_a_temperature_that_is_answered_is_judged_too(temperature: float, why: str) -> None:
+    rig = Typist(temperature)
+    with pytest.raises(Stopped):
+        measure(
+            "two-temperature",
+            operator=rig,
+            sensor="sca100t-d02",
+            address="sim:?twin=twin.yaml",
+            serial="S-1",
+            output="S-1.yaml",
+        )
+    assert why in rig.why[0]
+
+
+def test_an_answer_of_minus_127_is_no_answer() -> None:
+    with pytest.raises(InputError, match="not between"):
+        understood({"answer": "ready", "temperature": -127})
+
+
+def test_a_bench_thermometer_is_judged_as_the_sensors_own() -> None:
+    bench = BenchFile(
+        (BenchSensor("S-1", "sca100t-d02", "sim:?twin=twin.yaml"),),
+        thermometer=BenchThermometer("sca100t-d02", "sim:?seed=3"),
+    )
+    found = measure("two-temperature", operator="sim", bench=bench, samples=20)
+    assert isinstance(found, Calibration)
+
+
+def test_a_channel_that_does_not_react_to_gravity_has_no_sensitivity() -> None:
+    """Noise alone on y, from a generator of its own: 2.5 V with 1 mV over ±30° of both axes."""
+    noise = np.random.default_rng(3)
+    measurements = []
+    for position in find_procedure("plane").positions:
+        x = 2.5 + 2.0 * position.gravity[0] + noise.normal(0.0, 1e-3, 100)
+        y = 2.5 + noise.normal(0.0, 1e-3, 100)
+        summaries = {"x": summarise(x.tolist()), "y": summarise(y.tolist())}
+        measurements.append(Measurement(position.name, position.gravity, position.tilt, None, summaries))
+    sensor = MeasuredSensor(SensorIdentity("any", "A-1", "V", ("x", "y")), measurements)
+    with pytest.raises(EstimateError, match=r"y of A-1 does not react to gravity: its sensitivity is .* V/g"):
+        calibrate([sensor], find_procedure("plane"), BenchUncertainty(jig=0.05))
+    still = [replace(one, summaries={**one.summaries, "y": summarise([2.5] * 100)}) for one in measurements]
+    with pytest.raises(EstimateError, match="y of A-1 does not react to gravity"):
+        calibrate([replace(sensor, measurements=still)], find_procedure("plane"), BenchUncertainty())

@@ -1,0 +1,160 @@
+"""What is wrong with the samples of a position: values far off, absurd temperatures, rails, a channel that is stuck."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+
+import numpy as np
+
+from tiltcal.bench.operators.operator import TEMPERATURES
+from tiltcal.bench.positions import PositionResult
+from tiltcal.bench.sensor_set import ConnectedSensor
+from tiltcal.bench.settle import Timed, Unsettled
+from tiltcal.core.detection import outliers, resolution
+from tiltcal.drivers.device import Model, Reading
+
+FEWEST = 8
+"""Readings among which one can be called far off."""
+
+LEFT_OUT = 0.05
+"""The largest share of a position's samples that is taken again; more is a fault that a position must not hide."""
+
+TEMPERATURE_JUMP = 5.0
+"""A temperature this far from the median of a position's is a failed conversion, °C."""
+
+AGREEMENT = 20.0
+"""How far a position's temperature may be from the one asked for, or from that of its neighbours, °C."""
+
+DIFFERENT = 0.1
+"""A difference of gravity along a channel that every sensor reads as a change, g."""
+
+
+def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: bool) -> dict[int, str]:
+    """Return the samples that are no measurement, by their number, with the reason.
+
+    Parameters
+    ----------
+    held : sequence of (seconds, sample)
+        Of one position.
+    models : sequence of Model
+        Of the sensors in each sample.
+    thermometers : bool
+        Whether temperatures count; not where the operator typed one.
+    """
+    found: dict[int, str] = {}
+    for index, model in enumerate(models):
+        readings = [sample[index] for _, sample in held]
+        if len(readings) >= FEWEST:
+            for place, channel in enumerate(model.channels):
+                values = np.array([reading.values[place] for reading in readings])
+                for number in outliers(values, model.resolution or resolution([values])).tolist():
+                    middle = float(np.median(values))
+                    found[number] = f"{channel} reads {values[number]:.6g} where the other samples read {middle:.6g}"
+        if thermometers:
+            found |= _absurd_temperatures(readings)
+    return found
+
+
+def require_few(count: int, wanted: int, why: str) -> None:
+    """Refuse a position of which too many samples had to be taken again.
+
+    Raises
+    ------
+    Unsettled
+        With the last reason.
+    """
+    if count > max(1, LEFT_OUT * wanted):
+        raise Unsettled(f"{count} samples of a position of {wanted} are far off: {why}; look for a loose contact")
+
+
+def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
+    """Refuse readings at a rail.
+
+    Raises
+    ------
+    Unsettled
+        With the channel.
+    """
+    low, high = model.rails
+    for place, channel in enumerate(model.channels):
+        for reading in readings:
+            if not low < reading.values[place] < high:
+                raise Unsettled(
+                    f"{channel} reads {reading.values[place]:.6g}, at its rail: is the angle within the sensor's "
+                    "range, and is it wired right?"
+                )
+
+
+def require_agreement(result: PositionResult, accepted: Sequence[PositionResult], *, asked: float | None) -> None:
+    """Refuse a temperature that fits neither the one asked for nor those of the positions before.
+
+    Raises
+    ------
+    Unsettled
+        With both temperatures.
+    """
+    source = "was typed" if result.typed else "is what the thermometer reads"
+    for serial, measurement in result.measurements.items():
+        temperature = measurement.temperature
+        alike = [one.measurements[serial].temperature for one in accepted if one.asked == asked]
+        others = [(asked, "was asked for"), *((one, "was measured in a position before") for one in alike)]
+        for other, whose in others:
+            if temperature is not None and other is not None and abs(temperature - other) > AGREEMENT:
+                raise Unsettled(f"{temperature:g} °C {source}, and {other:g} °C {whose}: one of them is wrong")
+
+
+def require_living(
+    sensor: ConnectedSensor, result: PositionResult, accepted: Sequence[PositionResult], *, last: bool
+) -> None:
+    """Refuse a channel that reads one value, never another, where something else has changed.
+
+    A reading that stands still within a position is coarse. One that stands still over positions of other tilt is
+    stuck, and so is one that has never changed when the session ends: other headings or temperatures change it.
+
+    Parameters
+    ----------
+    sensor : ConnectedSensor
+    result : PositionResult
+    accepted : sequence of PositionResult
+        The positions before.
+    last : bool
+        Whether this is the last position of the procedure.
+
+    Raises
+    ------
+    Unsettled
+        With the channel and the value.
+    """
+    now = result.measurements[sensor.serial]
+    for channel, summary in now.summaries.items():
+        before = [one.measurements[sensor.serial] for one in accepted]
+        same = [
+            one
+            for one in before
+            if summary.std == one.summaries[channel].std == 0.0 and summary.mean == one.summaries[channel].mean
+        ]
+        turned = any(abs(one.gravity[_axis(channel)] - now.gravity[_axis(channel)]) > DIFFERENT for one in same)
+        if same and (turned or (last and len(same) == len(before))):
+            count = summary.n + sum(one.summaries[channel].n for one in same)
+            raise Unsettled(
+                f"{channel} of {sensor.serial} is stuck: all {count} samples of {len(same) + 1} positions read "
+                f"{summary.mean:.6g} {sensor.model.unit}; see that the sensor converts, and that its axis is wired"
+            )
+
+
+def _axis(channel: str) -> int:
+    return "xyz".index(channel)
+
+
+def _absurd_temperatures(readings: Sequence[Reading]) -> dict[int, str]:
+    """Return the samples whose temperature no bench has, or that none of the others has."""
+    low, high = TEMPERATURES
+    known = {number: one.temperature for number, one in enumerate(readings) if one.temperature is not None}
+    possible = [temperature for temperature in known.values() if low <= temperature <= high]
+    middle = median(possible) if possible else None
+    return {
+        number: f"the thermometer reads {temperature:g} °C"
+        for number, temperature in known.items()
+        if not low <= temperature <= high or (middle is not None and abs(temperature - middle) > TEMPERATURE_JUMP)
+    }
