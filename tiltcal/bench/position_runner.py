@@ -284,4 +284,5 @@ def _measurement(
         },
         {"time": time},
         heading=position.heading,
+        stage=position.stage,
     )

@@ -273,6 +273,7 @@ def _procedure(
 
 def _set(measurement: Measurement) -> PositionSet:
     """What was actually set in a position."""
+    turned = PositionSet(heading=measurement.heading, stage=measurement.stage)
     if measurement.tilt is not None:
-        return PositionSet(tilt={axis: float(angle) for axis, angle in measurement.tilt.items()})
-    return PositionSet(gravity=tuple(significant(component, 9) for component in measurement.gravity))
+        return replace(turned, tilt={axis: float(angle) for axis, angle in measurement.tilt.items()})
+    return replace(turned, gravity=tuple(significant(component, 9) for component in measurement.gravity))

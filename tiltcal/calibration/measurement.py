@@ -50,6 +50,8 @@ class Measurement:
         How the position is found again: its time, or its rows of a log.
     heading : float or None
         How far the fixture was turned about the vertical, degrees.
+    stage : float or None
+        Angle of the rotary stage, degrees; recorded, and used by no estimate.
     """
 
     position: str
@@ -59,6 +61,7 @@ class Measurement:
     summaries: Mapping[str, SampleSummary]
     when: Mapping[str, Any] = field(default_factory=dict)
     heading: float | None = None
+    stage: float | None = None
 
     def record(self, channels: Sequence[str]) -> PositionRecord:
         """Return what was measured, for the calibration file, with the digits that its uncertainty warrants."""

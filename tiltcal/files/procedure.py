@@ -186,7 +186,9 @@ class PositionSection:
     )
     temperature: float | None = entry(_TEMPERATURE, "°C", default=None)
     stage: float | None = entry(
-        Number("degrees"), "angle of the rotary stage, degrees; no estimate uses it yet", default=None
+        Number("degrees"),
+        "angle of the rotary stage, degrees; no estimate uses it",
+        default=None,
     )
 
 

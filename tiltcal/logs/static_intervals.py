@@ -223,7 +223,14 @@ def _place(hold: StaticInterval, known: Mapping[str, Position], procedure: Proce
 def _placed(hold: StaticInterval, position: Position) -> Measurement:
     temperature = position.temperature if hold.temperature is None else hold.temperature
     return Measurement(
-        hold.name, position.gravity, position.tilt, temperature, hold.summaries, hold.where, heading=position.heading
+        hold.name,
+        position.gravity,
+        position.tilt,
+        temperature,
+        hold.summaries,
+        hold.where,
+        position.heading,
+        position.stage,
     )
 
 

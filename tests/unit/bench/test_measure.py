@@ -309,3 +309,18 @@ def test_output_to_a_full_device_is_an_error_in_words() -> None:
             [sys.executable, "-m", "tiltcal", "procedures"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60
         )
     assert (done.returncode, done.stderr) == (2, "tiltcal: the output cannot be written: No space left on device\n")
+
+
+def test_headings_and_stage_angles_are_shown_and_recorded() -> None:
+    Path("own.yaml").write_text(
+        "tiltcal: 1\nkind: procedure\nname: own\ntitle: Two headings on a stage\ndetermines: {axes: []}\npositions:\n"
+        "  - {name: first, tilt: {x: 0, y: 0}, heading: 0, stage: 12.5, prompt: Lay it down.}\n"
+        "  - {name: second, tilt: {x: 0, y: 0}, heading: 180, stage: 192.5, prompt: Turn it round.}\n"
+    )
+    rig = Rig()
+    found = measure("own.yaml", operator=rig, output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    assert isinstance(found, Calibration)
+    assert [(one["heading"], one["stage"]) for one in rig.told if "ask" in one] == [(0, 12.5), (180, 192.5)]
+    written = tiltcal.read("S-1.yaml")
+    assert isinstance(written, Calibration)
+    assert [(one.heading, one.stage) for one in written.procedure.set.values()] == [(0, 12.5), (180, 192.5)]

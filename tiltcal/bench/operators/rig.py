@@ -113,6 +113,7 @@ class RigPositionOperator(_Rig):
             "gravity": [round(component, 9) + 0.0 for component in position.gravity],
             "heading": position.heading or 0,
             "temperature": position.temperature,
+            **({} if position.stage is None else {"stage": position.stage}),
             "prompt": position.prompt,
         }
         return self._ask(ask, TO_POSITION, position.name)
