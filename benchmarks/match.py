@@ -23,8 +23,8 @@ from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
 from tiltcal.logs.formats import open_log
-from tiltcal.logs.pair_block import PairBlock
 from tiltcal.logs.pair_matching import demodulate_log
+from tiltcal.logs.pair_rows import PairBlock
 
 PAIR = Pair("a1", "a2", "a4")
 CHANNELS = ("a1", "a2", "a3", "a4")

@@ -15,8 +15,7 @@ from tiltcal.core.pair.spin import Spin, estimate_spin, followed_spin
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.logs.columns import TIME, locate_columns
 from tiltcal.logs.log import LogReader
-from tiltcal.logs.pair_block import PairBlock
-from tiltcal.logs.stuck_values import StuckValues
+from tiltcal.logs.pair_rows import PairBlock, StuckValues
 
 ROWS_FOR_SPIN = 1 << 20
 """Rows from whose beginning the spin is estimated where there is no encoder; they are what is kept in memory."""

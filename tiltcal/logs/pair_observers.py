@@ -15,8 +15,8 @@ from tiltcal.core.pair.online import Online, OnlineHistory
 from tiltcal.core.pair.sectors import COARSE
 from tiltcal.core.pair.spectrum import Spectra
 from tiltcal.errors import EstimateError
-from tiltcal.logs.pair_block import PairBlock
 from tiltcal.logs.pair_matching import Demodulated
+from tiltcal.logs.pair_rows import PairBlock
 
 _TURNS_OF_SEGMENT = 8
 _LONGEST_SEGMENT = 1 << 18

@@ -1,8 +1,9 @@
-"""Values that a channel keeps while the stage turns on: stuck, not still.
+"""Rows of a log of accelerometer pairs: blocks in order, and the stuck values that are left out of them.
 
-A converter that hangs, or an input that is held at its rail, repeats a value that nobody would miss and that counts
-heavily. No channel that feels the turning keeps one for a quarter of a turn, unless its steps are a third of what it
-feels. Such values are left out as missing ones are, from the first to the last.
+A channel that keeps its value while the stage turns on is stuck, not still: a converter that hangs, or an input that is
+held at its rail, repeats a value that counts heavily. No channel that senses the turning keeps one for a quarter of a
+turn, unless its steps are a third of its amplitude. Such values are left out as missing ones are, from the first to the
+last.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 from tiltcal.core.detection import repeated, run_bounds
 from tiltcal.core.model import Array
 from tiltcal.core.pair.encoder import AngleTracker
-from tiltcal.logs.pair_block import PairBlock
 
 _TURN = 0.25
 """Turns over which a value must stay the same to be stuck."""
@@ -25,6 +25,52 @@ _STANDING = 0.01
 _FEW = 16
 _MOST_HELD = 1 << 20
 """Rows."""
+
+
+@dataclass(frozen=True)
+class PairBlock:
+    """Some rows of a log, in order.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (n,)
+        Stage angle, degrees; NaN where it is missing.
+    readings : ndarray, shape (n, channels)
+        NaN where a value is missing.
+    time : ndarray, shape (n,), or None
+        Seconds; None where the log has no such column.
+    first : int
+        Number of the first row, counted from 0.
+    """
+
+    theta: Array
+    readings: Array
+    time: Array | None
+    first: int
+
+    def complete(self) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Angle, readings and number of the rows in which no value is missing."""
+        rows = self.first + np.arange(len(self.theta), dtype=np.int64)
+        good = np.isfinite(self.theta) & np.isfinite(self.readings).all(axis=1)
+        if good.all():
+            return self.theta, self.readings, rows
+        return self.theta[good], self.readings[good], rows[good]
+
+    def rows(self, where: slice) -> PairBlock:
+        """Some of the rows."""
+        time = None if self.time is None else self.time[where]
+        first = self.first + where.indices(len(self.theta))[0]
+        return PairBlock(self.theta[where], self.readings[where], time, first)
+
+    def followed_by(self, other: PairBlock) -> PairBlock:
+        """One stretch of this one and the next."""
+        time = None if self.time is None or other.time is None else np.concatenate([self.time, other.time])
+        return PairBlock(
+            np.concatenate([self.theta, other.theta]),
+            np.concatenate([self.readings, other.readings]),
+            time,
+            self.first,
+        )
 
 
 class StuckValues:
