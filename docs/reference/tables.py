@@ -11,6 +11,7 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, LimitsSection, SensorIdentity
 from tiltcal.files.coefficients import CoefficientsSection
 from tiltcal.files.declaration import ByKey, ByName, Converted, Either, Entry, Format, ListOf, Section, entries_of
+from tiltcal.files.journal import Header
 from tiltcal.files.pair import PairFile
 from tiltcal.files.positions import TabledRow
 from tiltcal.files.procedure import PositionsProcedure
@@ -40,6 +41,7 @@ TABLES: dict[str, type[Any]] = {
     "disk": DiskSection,
     "segments": SegmentRow,
     "table": TabledRow,
+    "journal-header": Header,
 }
 
 _TABLE = re.compile(r"(<!-- table ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -8,7 +8,7 @@ the live thing happen and appends it. So recording, replaying and resuming are o
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any, ParamSpec
 
@@ -60,11 +60,11 @@ class EventLog:
         self._clock = clock
         self._journal = journal
         self._writer = writer
-        self._events: list[Event] = list(journal.events) if journal else []
+        self._events: Sequence[Event] = journal.events if journal else ()
         self._next = 0
         self._now_ns = 0
         if journal is not None and writer is not None and clock.real:
-            self._events.append(self._resumption(writer))
+            self._events = journal.events.followed_by(self._resumption(writer))
         self.state = SessionState.PLAYING if self._events else SessionState.LIVE
 
     def now_ns(self) -> int:

@@ -22,7 +22,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
-from tiltcal.files.journal import Journal
+from tiltcal.files.journal import DeviceHeader, Journal
 from tiltcal.files.procedure import Procedure, procedure_from_record
 
 VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
@@ -65,10 +65,10 @@ class DeviceSetup:
         }
 
     @classmethod
-    def from_record(cls, record: dict[str, Any]) -> DeviceSetup:
-        """The inverse of :meth:`record`."""
-        turned = orientation(record["axes"]) if "axes" in record else STRAIGHT
-        return cls(record["model"], record["serial"], record["address"], record["output"], turned)
+    def from_header(cls, device: DeviceHeader) -> DeviceSetup:
+        """Return the setup of a device as a journal's header has it."""
+        turned = STRAIGHT if device.axes is None else orientation(device.axes)
+        return cls(device.model, device.serial, device.address, device.output, turned)
 
 
 @dataclass(frozen=True)
@@ -158,27 +158,26 @@ class SessionPlan:
         JournalError
             The header lacks something.
         """
-        header = journal.header
+        header, file = journal.plan(), str(journal.path)
+        settings = header.settings
         try:
-            settings = header["settings"]
-            file = str(journal.path)
-            procedure = procedure_from_record(header["procedure"], settings["angle"], file=file, line=1)
+            procedure = procedure_from_record(header.procedure, settings.angle, file=file, line=1)
             return cls(
-                procedure=procedure.with_turns(settings.get("turns")),
-                sensors=tuple(DeviceSetup.from_record(sensor) for sensor in header["sensors"]),
-                settings=SessionSettings(settings["samples"], settings["settle"], settings["soak"]),
-                jig=settings["jig"],
-                lead=header["operator"],
-                person=header.get("person"),
-                started=datetime.fromisoformat(header["started"]),
-                software=header["software"],
-                journal=header["journal"],
-                thermometer=DeviceSetup.from_record(header["thermometer"]) if "thermometer" in header else None,
-                thermometer_uncertainty=settings.get("thermometer"),
-                base=header.get("base"),
-                typical=header.get("typical_temperature", False),
+                procedure=procedure.with_turns(settings.turns),
+                sensors=tuple(DeviceSetup.from_header(sensor) for sensor in header.sensors),
+                settings=SessionSettings(settings.samples, settings.settle, settings.soak),
+                jig=settings.jig,
+                lead=header.operator,
+                person=header.person,
+                started=datetime.fromisoformat(header.started),
+                software=header.software,
+                journal=header.journal,
+                thermometer=None if header.thermometer is None else DeviceSetup.from_header(header.thermometer),
+                thermometer_uncertainty=settings.thermometer,
+                base=header.base,
+                typical=header.typical_temperature,
             )
-        except (KeyError, TypeError, ValueError, InputError) as error:
+        except (ValueError, InputError, UsageError) as error:
             raise JournalError(f"the header cannot be used: {error}", file=journal.path, line=1) from None
 
 

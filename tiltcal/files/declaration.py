@@ -159,10 +159,12 @@ def entries_of(record: type[Any]) -> dict[str, Entry]:
 
 @dataclass(frozen=True)
 class Text(Format[str]):
-    """A text that is not empty."""
+    """A text; an empty one only where it may be ``blank``."""
+
+    blank: bool = False
 
     def read(self, node: Node, context: Context = ANY) -> str:
-        return node.text()
+        return "" if self.blank and node.is_blank else node.text()
 
     def schema(self) -> dict[str, Any]:
         return {"type": "string"}
@@ -423,6 +425,19 @@ class Imported(Format[T]):
         """The format."""
         found: Format[T] = getattr(import_module(self.module), self.name)
         return found
+
+
+@dataclass(frozen=True)
+class Anything(Format[Any]):
+    """A mapping that another declaration reads."""
+
+    def read(self, node: Node, context: Context = ANY) -> dict[str, Any]:
+        node.entries()
+        plain: dict[str, Any] = node.plain()
+        return plain
+
+    def schema(self) -> dict[str, Any]:
+        return {"type": "object"}
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,19 @@ import fcntl
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+import re
+from array import array
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, overload
 from zlib import crc32
 
-from tiltcal.errors import JournalError, UsageError
+from tiltcal.errors import InputError, JournalError, UsageError
+from tiltcal.files.declaration import Anything, Flag, Integer, ListOf, Number, Section, Text, entry
+from tiltcal.files.node import document_of
 
 VERSION = 1
 HARDWARE_ERROR = "!"
@@ -39,8 +44,71 @@ LIVE_READING = "live"
 RESUMED = "resumed"
 END = "end"
 
+HEADER_LIMIT = 16_000_000
+"""Bytes of the first line, which holds the procedure and, of a mounting, the base calibration."""
+LINE_LIMIT = 4_000_000
+"""Bytes of an event's line."""
+DIGIT_LIMIT = 20
+BLOCK = 4096
+"""Events that are in memory at once."""
+
+_BUS = re.compile("[a-z]")
+_BYTES = re.compile("(?:[0-9a-f]{2})*")
+_ANSWER_KEYS = {"to", "answer", "tilt", "gravity", "temperature"}
 _ARRAY_CHECK = len(',"00000000"]')
 _OBJECT_CHECK = len(',"check":"00000000"}')
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceHeader:
+    """A sensor or the thermometer in the header."""
+
+    model: str = entry(Text(), "as `--sensor`")
+    serial: str = entry(Text(blank=True), "serial number; empty of a thermometer")
+    address: str = entry(Text(), "as `--address`")
+    output: str = entry(Text(blank=True), "calibration file, relative to the journal; empty where none is made")
+    axes: tuple[str, ...] | None = entry(
+        ListOf(Text(), 3, 3), "how it sits, where it does not sit straight", default=None
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettingsHeader:
+    """How the session measures."""
+
+    samples: int = entry(Integer(minimum=2), "samples a position")
+    settle: float = entry(Number(above=0.0), "seconds over which the reading must hold still")
+    soak: float = entry(Number(above=0.0), "seconds of the window at a new temperature")
+    jig: float | None = entry(Number(minimum=0.0), "standard uncertainty of a set angle, degrees", default=None)
+    thermometer: float | None = entry(Number(minimum=0.0), "standard uncertainty of a temperature, °C", default=None)
+    angle: float | None = entry(Number(), "the angle that the procedure leaves free, degrees", default=None)
+    turns: int | None = entry(Integer(minimum=1), "the most turns of a rotation", default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """The plan of a session, the first line of its journal."""
+
+    software: str = entry(Text(), "who wrote the journal")
+    journal: str = entry(Text(), "its file name")
+    started: str = entry(Text(), "when, UTC")
+    virtual: bool = entry(Flag(), "whether every device is a twin")
+    operator: str = entry(Text(), "who leads: `terminal`, `json`, `sim` or `python`")
+    person: str | None = entry(Text(), "the name in the bench file", default=None)
+    sensors: tuple[DeviceHeader, ...] = entry(
+        ListOf(Section(DeviceHeader), 1, says="a session has at least one sensor"), "the sensors, in order"
+    )
+    thermometer: DeviceHeader | None = entry(Section(DeviceHeader), "of a bench that has one", default=None)
+    settings: SettingsHeader = entry(Section(SettingsHeader), "how the session measures")
+    procedure: Mapping[str, Any] = entry(Anything(), "the procedure file in full")
+    base: str | None = entry(Text(), "the text of the calibration file that a mounting completes", default=None)
+    typical_temperature: bool = entry(
+        Flag(), "`true` where the data sheet's mean temperature curves were asked for", default=False
+    )
+
+
+HEADER = Section(Header)
+"""The header of a journal, without the version and the check."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +133,60 @@ class Event:
     payload: tuple[Any, ...]
 
 
+class Events(Sequence[Event]):
+    """The events of a journal, read from its file a block at a time: a night of six sensors has millions.
+
+    Parameters
+    ----------
+    path : Path
+        The journal, which was checked.
+    starts : array of int
+        Where the lines of the events begin, and where the last one ends.
+    more : tuple of Event
+        What follows them.
+    """
+
+    def __init__(self, path: Path, starts: array[int], more: tuple[Event, ...] = ()) -> None:
+        self._path = path
+        self._starts = starts
+        self._more = more
+        self._first = 0
+        self._block: list[bytes] = []
+
+    def __len__(self) -> int:
+        return len(self._starts) - 1 + len(self._more)
+
+    @overload
+    def __getitem__(self, index: int) -> Event: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Event]: ...
+
+    def __getitem__(self, index: int | slice) -> Event | Sequence[Event]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        place, read = range(len(self))[index], len(self._starts) - 1
+        if place >= read:
+            return self._more[place - read]
+        if not self._first <= place < self._first + len(self._block):
+            self._first = place - place % BLOCK
+            self._block = self._lines(self._first, min(self._first + BLOCK, read))
+        number = place + 2
+        return _event_of(_loads(_body(self._block[place - self._first]), self._path, number), number)
+
+    def followed_by(self, event: Event) -> Events:
+        """Return these events and another one."""
+        return Events(self._path, self._starts, (*self._more, event))
+
+    def _lines(self, first: int, last: int) -> list[bytes]:
+        with open(self._path, "rb") as stream:
+            stream.seek(self._starts[first])
+            lines = stream.read(self._starts[last] - self._starts[first]).split(b"\n")[:-1]
+        if len(lines) < last - first:
+            raise JournalError("the journal was made shorter while it was read", file=self._path, line=first + 2)
+        return lines
+
+
 @dataclass(frozen=True)
 class Journal:
     """A journal that was read and found sound.
@@ -73,7 +195,7 @@ class Journal:
     ----------
     path : Path
     header : dict
-    events : tuple of Event
+    events : Events
         Without the end record.
     end : dict or None
         The end record; None where the session was interrupted.
@@ -83,22 +205,42 @@ class Journal:
         Whether a torn line was dropped.
     crc : int
         Running CRC-32 after the last whole line.
-    sha256 : str
-        Of everything before the end record, or of all whole lines where there is none.
+    digest : hash
+        SHA-256 of everything before the end record, or of all whole lines where there is none.
     """
 
     path: Path
     header: dict[str, Any]
-    events: tuple[Event, ...]
+    events: Events
     end: dict[str, Any] | None
     size: int
     torn: bool
     crc: int
-    sha256: str
+    digest: hashlib._Hash
+
+    def plan(self) -> Header:
+        """Return what the header says of the session.
+
+        Raises
+        ------
+        JournalError
+            It is no plan of a session.
+        """
+        try:
+            return HEADER.read(document_of(self.header, str(self.path), 1))
+        except InputError as error:
+            raise JournalError(
+                f"the header cannot be used: {error.message}", file=self.path, line=1, key=error.key
+            ) from None
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of everything before the end record, or of all whole lines where there is none."""
+        return self.digest.hexdigest()
 
 
 def read_journal(path: str | Path) -> Journal:
-    """Read a journal and check every line of it.
+    """Read a journal and check every line of it; memory stays small whatever the file's size.
 
     Raises
     ------
@@ -107,27 +249,43 @@ def read_journal(path: str | Path) -> Journal:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
+        with open(path, "rb") as stream:
+            return _read(stream, path)
     except OSError as error:
         raise JournalError(f"cannot be read: {error.strerror}", file=path) from None
-    size = data.rfind(b"\n") + 1
-    lines = data[:size].split(b"\n")[:-1]
-    if not lines:
+
+
+def _read(stream: BinaryIO, path: Path) -> Journal:
+    line = stream.readline(HEADER_LIMIT)
+    if not line.endswith(b"\n"):
+        if len(line) == HEADER_LIMIT:
+            raise _too_long(path, 1)
         raise JournalError("holds no complete header: nothing was captured; start the session anew", file=path)
-    header, crc = _header(lines[0], path)
-    events: list[Event] = []
+    header, crc = _header(line[:-1], path)
+    starts, digest = array("Q", [len(line)]), hashlib.sha256(line)
+    size, number, torn = len(line), 1, False
     end: dict[str, Any] | None = None
-    digest = hashlib.sha256(lines[0] + b"\n")
-    for number, line in enumerate(lines[1:], start=2):
+    while line := stream.readline(LINE_LIMIT):
+        number += 1
+        if not line.endswith(b"\n"):
+            if len(line) == LINE_LIMIT:
+                raise _too_long(path, number)
+            torn = True
+            break
         if end is not None:
             raise JournalError("something follows the end record; nothing may", file=path, line=number)
-        event, crc = _event(line, crc, path, number)
+        event, crc = _event(line[:-1], crc, path, number)
+        size += len(line)
         if event.kind == END:
-            end = _checked_end(event, len(events), digest.hexdigest(), path)
+            end = _checked_end(event, len(starts) - 1, digest.hexdigest(), path)
         else:
-            events.append(event)
-            digest.update(line + b"\n")
-    return Journal(path, header, tuple(events), end, size, size < len(data), crc, digest.hexdigest())
+            starts.append(size)
+            digest.update(line)
+    return Journal(path, header, Events(path, starts), end, size, torn, crc, digest)
+
+
+def _too_long(path: Path, number: int) -> JournalError:
+    return JournalError("the line is longer than any of a journal", file=path, line=number)
 
 
 class JournalWriter:
@@ -186,9 +344,7 @@ class JournalWriter:
             raise JournalError(f"cannot be continued: {error.strerror}", file=journal.path) from None
         _lock(descriptor, journal.path)
         os.ftruncate(descriptor, journal.size)
-        digest = hashlib.sha256()
-        digest.update(journal.path.read_bytes()[: journal.size])
-        return cls(journal.path, descriptor, journal.crc, len(journal.events), digest, journal.size)
+        return cls(journal.path, descriptor, journal.crc, len(journal.events), journal.digest.copy(), journal.size)
 
     def append(self, dt_ns: int, kind: str, *payload: Any) -> None:
         """Write one event, whole or not at all.
@@ -268,7 +424,7 @@ def _header(line: bytes, path: Path) -> tuple[dict[str, Any], int]:
     crc = crc32(body)
     if line[-_OBJECT_CHECK:] != f',"check":"{crc:08x}"}}'.encode():
         raise JournalError("the line is damaged: its check does not fit its content", file=path, line=1)
-    header: dict[str, Any] = json.loads(body)
+    header: dict[str, Any] = _loads(body, path, 1)
     version = header.pop("tiltcal-journal")
     if version != VERSION:
         raise JournalError(f"is of journal version {version}; this tiltcal reads version {VERSION}", file=path, line=1)
@@ -276,12 +432,100 @@ def _header(line: bytes, path: Path) -> tuple[dict[str, Any], int]:
 
 
 def _event(line: bytes, crc: int, path: Path, number: int) -> tuple[Event, int]:
-    body = line[:-_ARRAY_CHECK] + b"]"
+    body = _body(line)
     crc = crc32(body, crc)
     if line[-_ARRAY_CHECK:] != f',"{crc:08x}"]'.encode():
         raise JournalError("the line is damaged: its check does not fit its content", file=path, line=number)
-    dt_ns, kind, *payload = json.loads(body)
-    return Event(number, dt_ns, kind, tuple(payload)), crc
+    found = _loads(body, path, number)
+    if not _is_event(found):
+        raise JournalError("the line is no event of a journal, though its check fits", file=path, line=number)
+    return _event_of(found, number), crc
+
+
+def _body(line: bytes) -> bytes:
+    """A line without its check."""
+    return line[:-_ARRAY_CHECK] + b"]"
+
+
+def _event_of(found: list[Any], number: int) -> Event:
+    return Event(number, found[0], found[1], tuple(found[2:]))
+
+
+def _loads(body: bytes, path: Path, number: int) -> Any:
+    """The JSON of a line, without numbers that no session has and nesting that no reader survives."""
+    try:
+        return json.loads(body, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
+    except RecursionError:
+        raise JournalError("the line is nested too deeply", file=path, line=number) from None
+    except ValueError as error:
+        raise JournalError(f"the line is not JSON: {error}", file=path, line=number) from None
+
+
+def _whole(literal: str) -> int:
+    if len(literal) > DIGIT_LIMIT:
+        raise ValueError(f"a number of {len(literal)} digits is too large")
+    return int(literal)
+
+
+def _finite(literal: str) -> float:
+    value = float(literal)
+    if not isfinite(value):
+        raise ValueError(f"{literal[:20]} is no finite number")
+    return value
+
+
+def _is_event(found: Any) -> bool:
+    """Whether a line has the elements of its kind, each of its type."""
+    if not isinstance(found, list) or len(found) < 2 or not _is_count(found[0]):
+        return False
+    _, kind, *payload = found
+    match kind:
+        case "live" | "resumed":
+            return not payload
+        case "end":
+            return len(payload) == 1 and isinstance(payload[0], dict)
+        case "a":
+            return len(payload) == 1 and _is_answer(payload[0])
+        case "p":
+            return len(payload) == 1 and isinstance(payload[0], dict)
+        case "!":
+            return _is_transaction(payload) and isinstance(payload[1], str)
+        case str():
+            return _BUS.fullmatch(kind) is not None and _is_transaction(payload) and _is_bytes(payload[1])
+    return False
+
+
+def _is_transaction(payload: list[Any]) -> bool:
+    return len(payload) in (2, 3) and _is_bytes(payload[0]) and all(map(_is_count, payload[2:]))
+
+
+def _is_answer(answer: Any) -> bool:
+    """Whether this is what an operator says: words, angles of axes, a direction, a temperature."""
+    if not isinstance(answer, dict) or not {"to", "answer"} <= answer.keys() <= _ANSWER_KEYS:
+        return False
+    tilt, gravity = answer.get("tilt", {}), answer.get("gravity", [0, 0, 1])
+    return (
+        isinstance(answer["to"], str)
+        and isinstance(answer["answer"], str)
+        and isinstance(tilt, dict)
+        and all(map(_is_number, tilt.values()))
+        and isinstance(gravity, list)
+        and len(gravity) == 3
+        and all(map(_is_number, gravity))
+        and _is_number(answer.get("temperature", 0.0))
+    )
+
+
+def _is_bytes(value: Any) -> bool:
+    return isinstance(value, str) and _BYTES.fullmatch(value) is not None
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**63
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _checked_end(event: Event, events: int, sha256: str, path: Path) -> dict[str, Any]:

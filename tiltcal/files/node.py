@@ -63,6 +63,11 @@ class Node:
         return self._plain(_NULL) is not None
 
     @property
+    def is_blank(self) -> bool:
+        """Whether this is the text ``""``."""
+        return self.content == Scalar("", plain=False)
+
+    @property
     def is_mapping(self) -> bool:
         """Whether this is a mapping."""
         return isinstance(self.content, dict)

@@ -1,0 +1,132 @@
+"""Journals whose checks fit and whose content no session writes: each is refused in our words, none is a traceback."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import FIXTURES
+
+from tiltcal.bench.session import Session
+from tiltcal.bench.session_plan import SessionPlan
+from tiltcal.errors import TiltcalError
+from tiltcal.files.journal import read_journal
+
+WRONG: list[Any] = [None, True, -1, 10**18, 1.5, "x", "zz", "", [], ["x"], {}, {"to": 3}, [[]]]
+
+
+@cache
+def lines_of(name: str) -> list[Any]:
+    """The lines of a fixture without their checks and without the end record."""
+    values = [json.loads(line) for line in (FIXTURES / f"{name}.journal.jsonl").read_text().splitlines()]
+    values[0].pop("check")
+    return [values[0], *(value[:-1] for value in values[1:-1])]
+
+
+def written(path: Path, lines: list[Any]) -> Path:
+    """A journal of these lines with checks that fit, made from the documented format."""
+    crc, texts = 0, []
+    for line in lines:
+        body = json.dumps(line, ensure_ascii=False, separators=(",", ":"))
+        crc = zlib.crc32(body.encode(), crc)
+        check = f',"check":"{crc:08x}"}}' if body.endswith("}") else f',"{crc:08x}"]'
+        texts.append(body[:-1] + check + "\n")
+    path.write_text("".join(texts))
+    return path
+
+
+def replay(path: Path) -> None:
+    journal = read_journal(path)
+    Session(SessionPlan.from_journal(journal), path, journal).replay()
+
+
+def first_of_each_kind(name: str) -> dict[str, int]:
+    kinds: dict[str, int] = {}
+    for number, line in enumerate(lines_of(name)[1:], start=1):
+        kinds.setdefault(line[1], number)
+    return kinds
+
+
+def wrong_events() -> Iterator[tuple[str, int, list[Any]]]:
+    """One element of the first event of each kind replaced, left out, or doubled."""
+    for kind, number in first_of_each_kind("plane").items():
+        event = lines_of("plane")[number]
+        yield kind, number, event[:1]
+        yield kind, number, [*event, *event]
+        for place in range(len(event)):
+            yield kind, number, event[:place] + event[place + 1 :]
+            for wrong in WRONG:
+                yield kind, number, [*event[:place], wrong, *event[place + 1 :]]
+        if isinstance(event[2], dict):
+            for key in event[2]:
+                for wrong in WRONG:
+                    yield kind, number, [*event[:2], {**event[2], key: wrong}]
+
+
+def test_events_of_wrong_types_are_refused(tmp_path: Path) -> None:
+    tried = 0
+    for _, number, event in wrong_events():
+        lines = lines_of("plane")
+        path = written(tmp_path / "plane.journal.jsonl", [*lines[:number], event, *lines[number + 1 : number + 3]])
+        with pytest.raises(TiltcalError):
+            replay(path)
+        tried += 1
+    assert tried > 150
+
+
+def wrong_headers() -> Iterator[dict[str, Any]]:
+    header = lines_of("plane")[0]
+    for key, value in header.items():
+        yield {name: kept for name, kept in header.items() if name != key}
+        for wrong in WRONG:
+            yield {**header, key: wrong}
+        if isinstance(value, dict):
+            for inner in value:
+                for wrong in WRONG:
+                    yield {**header, key: {**value, inner: wrong}}
+    for key in header["sensors"][0]:
+        for wrong in WRONG:
+            yield {**header, "sensors": [{**header["sensors"][0], key: wrong}]}
+
+
+def test_headers_of_wrong_types_are_refused_or_read(tmp_path: Path) -> None:
+    for header in wrong_headers():
+        if header.get("tiltcal-journal") != 1 or header.get("journal") != "plane.journal.jsonl":
+            continue
+        path = written(tmp_path / "plane.journal.jsonl", [header, *lines_of("plane")[1:20]])
+        with pytest.raises(TiltcalError):
+            replay(path)
+
+
+@pytest.mark.parametrize("number", ["1" * 400, "1e999", "-1e999", "NaN", "Infinity"])
+def test_a_number_that_no_session_has(tmp_path: Path, number: str) -> None:
+    """It stands in the header, in its settings, where a float is needed."""
+    header = json.dumps(lines_of("plane")[0], separators=(",", ":")).replace('"settle":1.0', f'"settle":{number}')
+    assert number in header
+    line = header[:-1] + f',"check":"{zlib.crc32(header.encode()):08x}"}}\n'
+    path = tmp_path / "plane.journal.jsonl"
+    path.write_text(line)
+    with pytest.raises(TiltcalError, match="jsonl:1: "):
+        replay(path)
+
+
+def test_a_header_nested_two_hundred_thousand_deep(tmp_path: Path) -> None:
+    header = '{"tiltcal-journal":1,"settings":' + "[" * 200_000 + "]" * 200_000 + "}"
+    path = tmp_path / "plane.journal.jsonl"
+    path.write_text(header[:-1] + f',"check":"{zlib.crc32(header.encode()):08x}"}}\n')
+    with pytest.raises(TiltcalError, match="nested too deeply"):
+        replay(path)
+
+
+def test_a_line_without_an_end_is_not_read_into_memory(tmp_path: Path) -> None:
+    path = tmp_path / "plane.journal.jsonl"
+    with path.open("wb") as stream:
+        stream.write(b'{"tiltcal-journal":1,')
+        stream.truncate(10**9)  # a sparse file: a gigabyte that takes no room
+    with pytest.raises(TiltcalError, match="longer than any of a journal"):
+        read_journal(path)
