@@ -230,7 +230,7 @@ class Scl3300:
         _, low, high, _ = self._asked((BANK_1, SERIAL1, SERIAL2, BANK_0))
         said = {
             "part": self._part.name,
-            "serial number": f"{(high.data << 16 | low.data)}B33",
+            "serial": f"{(high.data << 16 | low.data)}B33",
             "range": str(self._range),
         }
         said.update((channel, f"{value:.0f} count") for channel, value in zip("xyz", reading.values, strict=True))

@@ -21,6 +21,8 @@ import pytest
 from support import ROOT
 from support.command import Completed, tiltcal
 
+from tiltcal.drivers import models
+
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(ROOT.glob("docs/**/*.md"))
 WITH_COMMANDS = [page for page in PAGES if "```console" in page.read_text(encoding="utf-8")]
 LIBRARY = ROOT / "docs" / "library.md"
@@ -125,6 +127,11 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert goal.exists(), target
         if heading:
             assert heading in headings_of(goal), f"{target}#{heading}"
+
+
+def test_every_model_is_on_the_page_that_leads_to_it() -> None:
+    page = (ROOT / "docs" / "which-sensor.md").read_text(encoding="utf-8")
+    assert [model.name for model in models() if f"`{model.name}`" not in page] == []
 
 
 def headings_of(page: Path) -> set[str]:

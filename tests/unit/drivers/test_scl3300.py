@@ -186,7 +186,7 @@ def test_the_start_up_is_that_of_the_data_sheet() -> None:
 def test_probe_says_which_part_it_is() -> None:
     sensor, link = bench(SCL)
     said = dict(sensor.probe())
-    assert (said["part"], said["serial number"]) == ("SCL3300-D01", "1021704154B33")
+    assert (said["part"], said["serial"]) == ("SCL3300-D01", "1021704154B33")
     assert said["range"] == "±1.2 g (mode 1), 6000 count/g, 40 Hz"
     sensor.read()
     link.close()
