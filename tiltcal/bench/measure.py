@@ -160,6 +160,9 @@ def measure(
 
         return PairCalibration(found[0])  # type: ignore[arg-type]
     calibrations = [Calibration(one) for one in found if isinstance(one, CalibrationRecord)]
+    for one in calibrations:
+        for note in one.fit.notes:
+            remark(f"{one.sensor.serial}: {note}")
     return calibrations[0] if len(session.plan.sensors) == 1 else calibrations
 
 

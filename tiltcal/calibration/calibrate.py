@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from tiltcal.calibration.channels import require_own_readings
 from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
@@ -69,6 +70,8 @@ def calibrate(
         The positions cannot determine the coefficients.
     """
     require_no_jig(procedure, bench.jig)
+    for sensor in sensors:
+        require_own_readings(sensor)
     if procedure.determines.mounting:
         if base is None:
             raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor that is mounted")

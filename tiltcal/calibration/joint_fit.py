@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.calibration.channels import judge_channels
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
 from tiltcal.calibration.results import derived_record, fit_record, rounded, uncertainty_of
 from tiltcal.core.comparison import values
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
-from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
+from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.model import AXES, Array, Limits
 from tiltcal.core.rounding import significant
@@ -21,11 +22,6 @@ from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.records import PositionSet, ProcedureRecord
-
-REACTION = 3.0
-"""Expanded uncertainties that a sensitivity must be apart from zero: noise alone is beyond one of them in 5 of 100."""
-DUST = 1e-9
-"""The share of a reading below which a number is what arithmetic leaves of nothing."""
 
 
 def fit_jointly(
@@ -63,7 +59,8 @@ def fit_jointly(
     calibrations = []
     for sensor, seen, one in zip(sensors, observed, estimate_jointly(observed), strict=True):
         design = seen.design
-        _require_reaction(sensor, one)
+        remarks = () if design.priors else judge_channels(sensor, one)
+        fit = fit_record(one, design, _largest_noise(sensor.measurements, design.channels))
         calibrations.append(
             CalibrationRecord(
                 sensor=replace(sensor.sensor, channels=design.channels),
@@ -71,33 +68,12 @@ def fit_jointly(
                 uncertainty=uncertainty_of(one, _reading(sensor.measurements, design)),
                 limits=_limits(design, sensor, base, one.coefficients.thermal is not None),
                 derived=derived_record(one, design, assumed),
-                fit=fit_record(one, design, _largest_noise(sensor.measurements, design.channels)),
+                fit=replace(fit, notes=(*fit.notes, *remarks)),
                 procedure=_procedure(procedure, sensor.measurements, settings or {}),
                 positions=tuple(measurement.record(design.channels) for measurement in sensor.measurements),
             )
         )
     return calibrations
-
-
-def _require_reaction(sensor: MeasuredSensor, found: Estimate) -> None:
-    """Refuse a channel whose sensitivity to its own axis is zero within its uncertainty.
-
-    No reading is exact: a sensitivity below a billionth of the readings is the dust of arithmetic.
-    """
-    u, factors, coefficients = found.uncertainty(), found.coverage_factors(), found.coefficients
-    for row, channel in enumerate(coefficients.channels):
-        name = f"sensitivity.{channel}.{channel}"
-        if name not in u or channel not in coefficients.axes:
-            continue
-        sensitivity = abs(float(coefficients.sensitivity[row, coefficients.axes.index(channel)]))
-        largest = max(abs(measurement.summaries[channel].mean) for measurement in sensor.measurements)
-        expanded = factors.get(name, 2.0) * u[name]
-        if sensitivity <= max(REACTION * expanded, DUST * largest):
-            raise EstimateError(
-                f"{channel} of {sensor.sensor.serial} does not react to gravity: its sensitivity is "
-                f"{significant(sensitivity, 3):g} ± {significant(expanded, 2):g} "
-                f"{sensor.sensor.unit}/g; see that the channel is wired, and that its sensor converts"
-            )
 
 
 def observed_sensor(

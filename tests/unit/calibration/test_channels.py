@@ -1,0 +1,70 @@
+"""Channels that are not what they are called; readings are simulated here, by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tiltcal.calibration.calibrate import calibrate
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.procedure import find_procedure
+
+SENSOR = SensorIdentity("recorded", "S", "V", ("x", "y"))
+PLANE = find_procedure("plane")
+NOISE = 1e-4
+
+Wiring = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+def calibrated(wiring: Wiring) -> CalibrationRecord:
+    """A sensor of 2 V/g and 2.5 V at level, whose channels are wired in some way."""
+    rng = np.random.default_rng(1)
+    measurements = []
+    for position in PLANE.positions:
+        true = 2.5 + 2.0 * np.array([position.gravity[0], position.gravity[1] + 0.01 * position.gravity[0]])
+        mean = wiring(true) + rng.normal(0.0, NOISE, 2)
+        summaries = {c: SampleSummary(float(v), 1e-3, 100, NOISE, 0.0, 9.0) for c, v in zip("xy", mean, strict=True)}
+        measurements.append(Measurement(position.name, position.gravity, position.tilt, None, summaries))
+    return calibrate([MeasuredSensor(SENSOR, measurements)], PLANE, BenchUncertainty(0.05))[0]
+
+
+def test_a_sensor_wired_as_it_is_called_needs_no_remark() -> None:
+    assert calibrated(lambda true: true).fit.notes == ()
+
+
+def test_two_copies_of_one_channel_are_refused() -> None:
+    """Each with its own noise, so that the matrix can be inverted: tilt came out 64 degrees wrong with flag 1."""
+    with pytest.raises(EstimateError, match=r"x and y answer to gravity alike.*two copies of one channel"):
+        calibrated(lambda true: true[[0, 0]])
+
+
+def test_a_copy_with_its_sign_turned_is_a_copy() -> None:
+    with pytest.raises(EstimateError, match="two copies of one channel"):
+        calibrated(lambda true: np.array([true[0], 5.0 - true[0]]))
+
+
+def test_swapped_channels_are_remarked() -> None:
+    (note,) = calibrated(lambda true: true[::-1]).fit.notes
+    assert note.startswith("x and y are swapped")
+
+
+def test_a_turned_sign_is_remarked() -> None:
+    (note,) = calibrated(lambda true: np.array([true[0], 5.0 - true[1]])).fit.notes
+    assert note.startswith("the sign of y is turned")
+
+
+def test_the_same_readings_twice_are_refused_where_no_sensitivity_is_determined() -> None:
+    reversal = find_procedure("reversal")
+    summary = SampleSummary(2.5, 1e-3, 100, NOISE, 0.0, 9.0)
+    measurements = [
+        Measurement(one.name, one.gravity, one.tilt, None, {"x": summary, "y": summary}, heading=one.heading)
+        for one in reversal.positions
+    ]
+    with pytest.raises(EstimateError, match="x and y read the same in every position"):
+        calibrate([MeasuredSensor(SENSOR, measurements)], reversal, BenchUncertainty(0.05))

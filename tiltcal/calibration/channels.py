@@ -1,0 +1,114 @@
+"""Channels that are not what they are called: two copies of one, two that are swapped, one whose sign is turned.
+
+A calibration of swapped or turned channels corrects them, so that it is remarked and not refused: it goes with the
+wiring as it is. Two copies of one channel determine nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from math import acos, degrees
+
+import numpy as np
+
+from tiltcal.calibration.measurement import MeasuredSensor
+from tiltcal.core.estimation.estimate import Estimate
+from tiltcal.core.model import Coefficients
+from tiltcal.core.rounding import significant
+from tiltcal.errors import EstimateError
+
+APART = 15.0
+"""Channels whose directions are closer together are one channel twice, degrees."""
+
+REACTION = 3.0
+"""Expanded uncertainties that a sensitivity must be apart from zero: noise alone is beyond one of them in 5 of 100."""
+DUST = 1e-9
+"""The share of a reading below which a number is what arithmetic leaves of nothing."""
+
+CLEARLY = 2.0
+"""A channel that answers to another axis so many times more than to its own is that axis's channel."""
+
+
+def require_own_readings(sensor: MeasuredSensor) -> None:
+    """Refuse two channels that read the same in every position, noise and all.
+
+    Raises
+    ------
+    EstimateError
+    """
+    for first, second in combinations(sensor.sensor.channels, 2):
+        pairs = [(one.summaries[first], one.summaries[second]) for one in sensor.measurements]
+        if any(a.std for a, _ in pairs) and all(a.mean == b.mean and a.std == b.std for a, b in pairs):
+            raise EstimateError(f"{first} and {second} read the same in every position: {_COPIES}")
+
+
+def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
+    """Return what the sensitivities tell of the wiring.
+
+    Raises
+    ------
+    EstimateError
+        A channel does not react to gravity, or two answer to it alike.
+    """
+    _require_reaction(sensor, found)
+    _require_apart(found.coefficients)
+    return tuple(_remarks(found.coefficients))
+
+
+_COPIES = "two copies of one channel? Look at the wiring, and at --columns"
+
+
+def _require_reaction(sensor: MeasuredSensor, found: Estimate) -> None:
+    """Refuse a channel whose sensitivity to every axis is zero within its uncertainty.
+
+    No reading is exact: a sensitivity below a billionth of the readings is the dust of arithmetic.
+    """
+    u, factors, coefficients = found.uncertainty(), found.coverage_factors(), found.coefficients
+    for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
+        sensitivity, axis = max((abs(float(value)), axis) for axis, value in zip(coefficients.axes, row, strict=True))
+        name = f"sensitivity.{channel}.{axis}"
+        largest = max(abs(measurement.summaries[channel].mean) for measurement in sensor.measurements)
+        expanded = factors.get(name, 2.0) * u[name]
+        if sensitivity <= max(REACTION * expanded, DUST * largest):
+            raise EstimateError(
+                f"{channel} of {sensor.sensor.serial} does not react to gravity: its sensitivity is "
+                f"{significant(sensitivity, 3):g} ± {significant(expanded, 2):g} "
+                f"{sensor.sensor.unit}/g; see that the channel is wired, and that its sensor converts"
+            )
+
+
+def _require_apart(coefficients: Coefficients) -> None:
+    rows = dict(zip(coefficients.channels, coefficients.sensitivity, strict=True))
+    for (first, a), (second, b) in combinations(rows.items(), 2):
+        size = float(np.linalg.norm(a) * np.linalg.norm(b))
+        if size == 0.0:
+            continue
+        angle = degrees(acos(min(abs(float(a @ b)) / size, 1.0)))
+        if angle < APART:
+            raise EstimateError(f"{first} and {second} answer to gravity alike, {angle:.1f}° apart: {_COPIES}")
+
+
+def _remarks(coefficients: Coefficients) -> Iterator[str]:
+    axes = coefficients.axes
+    takes = {
+        channel: _axis_of(row, axes, channel)
+        for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True)
+        if channel in axes
+    }
+    for first, second in combinations(takes, 2):
+        if takes[first] == second and takes[second] == first:
+            yield f"{first} and {second} are swapped: each answers to the other's axis; look at the wiring or --columns"
+    for channel, axis in takes.items():
+        if axis != channel and takes.get(axis) != channel:
+            yield f"channel {channel} answers to axis {axis} more than to its own: look at the wiring or --columns"
+        own = float(coefficients.sensitivity[coefficients.channels.index(channel), axes.index(channel)])
+        if axis == channel and own < 0.0:
+            yield f"the sign of {channel} is turned: it reads less where +{channel} points up; look at how it sits"
+
+
+def _axis_of(row: Sequence[float], axes: Sequence[str], own: str) -> str:
+    """The axis that a channel answers to: its own, unless another is clearly stronger."""
+    strength = dict(zip(axes, np.abs(row).tolist(), strict=True))
+    strongest = max(strength, key=lambda axis: strength[axis])
+    return strongest if strength[strongest] > CLEARLY * strength[own] else own
