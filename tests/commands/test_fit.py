@@ -81,7 +81,7 @@ def test_with_a_stated_jig_the_chi_square_is_told(folder: Path) -> None:
     )
     assert result.returncode == 0, result.stderr
     assert "chi-square" in result.stdout
-    assert "further off than the jig should be, the worst first: " in result.stdout
+    assert "further off than the stated jig allows, the worst first: " in result.stdout
     judged = tiltcal("check", "tight.yaml", cwd=folder)
     assert judged.returncode == 1
     assert "is not credible: noise, jig or the" in judged.stdout

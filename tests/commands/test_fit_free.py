@@ -220,7 +220,7 @@ def refused(folder: Path, procedure: str, log: str, *options: str) -> str:
         ("free", ("--table", "--window", "50"), "--window"),
         ("six-face", ("--segments", "seg.csv", "--segments-out", "out.csv"), "--segments-out"),
         ("free", ("--sensor", "sca100t-d02"), "three channels"),
-        ("free", (), "no threshold of stillness"),
+        ("free", (), "no threshold finds enough attitudes"),
         ("free", ("--gravity", "1.0"), "--gravity"),
         ("free", ("--segments", "three.csv"), "3 free positions"),
     ],

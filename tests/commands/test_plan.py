@@ -33,7 +33,7 @@ def test_a_jig_adds_what_its_angle_is_worth() -> None:
 def test_nothing_left_over_is_said() -> None:
     """{0°, 45°} has no degree of freedom left."""
     assert plan("zero-45")["degrees_of_freedom"] == 0
-    assert "nothing is left to check the result by" in tiltcal("plan", "zero-45", "--sensor", "sca100t-d02").stdout
+    assert "no residuals are left to check the result" in tiltcal("plan", "zero-45", "--sensor", "sca100t-d02").stdout
 
 
 PROCEDURE = """\

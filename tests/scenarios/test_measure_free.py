@@ -99,8 +99,8 @@ def test_several_sensors_that_sit_differently_share_the_attitudes(tmp_path: Path
 
 REFUSED = {
     "a sensor of two axes": (("measure", "free", "--sensor", "sca100t-d02"), "three channels"),
-    "a stated jig": (("measure", "free", "--sensor", "sca3000-d01", "--jig", "0.3"), "trust no jig"),
-    "a stated jig in a plan": (("plan", "free", "--sensor", "sca3000-d01", "--jig", "0.3"), "trust no jig"),
+    "a stated jig": (("measure", "free", "--sensor", "sca3000-d01", "--jig", "0.3"), "use no jig"),
+    "a stated jig in a plan": (("plan", "free", "--sensor", "sca3000-d01", "--jig", "0.3"), "use no jig"),
 }
 
 

@@ -166,7 +166,7 @@ def test_quit_keeps_the_journal_and_the_session_goes_on(tmp_path: Path) -> None:
         assert not (tmp_path / "pair.yaml").exists()
         resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
-    assert '"why": "the session was interrupted here; what was collected before counts"' in resumed.stdout
+    assert '"why": "the session was interrupted here; the samples before count"' in resumed.stdout
     require_truth(tmp_path / "pair.yaml")
     require_replay(tmp_path)
 
@@ -209,8 +209,9 @@ def test_interrupted_by_the_keyboard(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
         program = led(tmp_path, serial(path), hear=interrupt)
         assert program.exit_code == 130
-        assert f"tiltcal: interrupted; what was measured is kept; go on with: tiltcal measure --resume {JOURNAL}" in (
-            program.errors
+        assert (
+            f"tiltcal: interrupted; everything measured is kept; continue with: tiltcal measure --resume {JOURNAL}"
+            in (program.errors)
         )
         resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
@@ -390,7 +391,7 @@ def test_plan_says_why_there_is_nothing_to_predict() -> None:
     done = tiltcal("plan", "rotation", "--sensor", "gradiometer")
     assert done.returncode == 0
     assert "a1 and a2, orthogonal a4, in up to 100 turns" in done.stdout
-    assert "nothing to predict before the stage turns" in done.stdout
+    assert "nothing can be predicted before the stage turns" in done.stdout
 
 
 def test_in_plain_lines_what_waits_for_the_last_question_is_left_for_it(tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ def test_the_angle_actually_set_the_temperature_and_a_redo(tmp_path: Path) -> No
     terminal.send("a")
     terminal.expect("tilt of x actually set")
     terminal.sendline("lots")
-    terminal.expect("will not do")
+    terminal.expect("is not accepted")
     terminal.sendline("44.9")
     terminal.expect("live")
     terminal.send("t")

@@ -132,5 +132,5 @@ class _Channels:
         found = self._by_channel.get(name, [])
         if len(found) > 1:
             columns = " or ".join(ref.column for ref in found)
-            raise UsageError(f"{len(found)} devices have a channel {name!r}: say in the procedure which, {columns}")
+            raise UsageError(f"{len(found)} devices have a channel {name!r}: name one in the procedure: {columns}")
         return found[0] if found else None

@@ -198,7 +198,7 @@ class EventLog:
         if self._writer is None and self._journal is not None:
             path = self._journal.path
             raise JournalError(
-                f"the session was interrupted here; go on with it: tiltcal measure --resume {path}",
+                f"the session was interrupted here; continue it with: tiltcal measure --resume {path}",
                 file=path,
                 line=len(self._events) + 1,
             )
@@ -230,7 +230,7 @@ class EventLog:
     def _mismatch(self, event: Event, wanted: str) -> JournalError:
         held = " ".join(str(part) for part in (event.kind, *event.payload))
         return JournalError(
-            f"the journal holds {held!r} where {wanted}: another version of tiltcal or of the procedure captured it",
+            f"the journal holds {held!r} where {wanted}: another version of tiltcal or of the procedure recorded it",
             file=self._journal.path if self._journal else None,
             line=event.line,
         )

@@ -204,7 +204,7 @@ def free_journal(output: Path, remark: Callable[[str], None]) -> Path:
         path = output.with_name(f"{output.stem}.{number}.journal.jsonl")
         number += 1
     if number > 2:
-        remark(f"an earlier journal is kept; this session is captured in {path}")
+        remark(f"an earlier journal is kept; this session is recorded in {path}")
     return path
 
 
@@ -213,7 +213,7 @@ def _require_named(procedure: object, bench: object, resume: object, single: Map
     wanted = {"PROCEDURE": procedure, **(single if bench is None else {})}
     missing = [name for name, value in wanted.items() if value is None]
     if resume is not None and missing:
-        raise JournalError("no such journal; nothing was captured there", file=str(resume))
+        raise JournalError("no such journal", file=str(resume))
     if missing:
         raise UsageError(f"measure needs {', '.join(missing)} (or --resume JOURNAL); see tiltcal measure --help")
     if bench is not None and any(value for name, value in single.items() if name != "-o"):
@@ -253,7 +253,7 @@ def _require_no_positions(samples: int | None, settle: float | None, jig: float 
     """Refuse what only positions have."""
     for option, value in (("--samples", samples), ("--settle", settle), ("--jig", jig)):
         if value is not None:
-            raise UsageError(f"a stage that turns has no positions: leave {option} out; --turns says how long it turns")
+            raise UsageError(f"a rotation has no positions: leave {option} out; --turns limits its length")
 
 
 def _outputs(

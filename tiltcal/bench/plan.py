@@ -14,8 +14,8 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.files.procedure import find_procedure
 
 _NOT_PREDICTED = (
-    "nothing to predict before the stage turns: p and q come out with a standard uncertainty of 2 s / (A sqrt(n)), "
-    "after n samples of noise s, where A is the amplitude that an accelerometer has at the turning; it shows then"
+    "nothing can be predicted before the stage turns: p and q will have a standard uncertainty of 2 s / (A sqrt(n)), "
+    "after n samples of noise s, where A is the amplitude of an accelerometer at the spin frequency"
 )
 
 

@@ -33,7 +33,7 @@ LARGEST_BLOCK = 16
 SOONEST = 5
 """Turns before p and q are called known: from fewer nobody sees how the turns scatter."""
 
-KEPT = "what was collected before counts"
+KEPT = "the samples before count"
 CONVERGED, ALL_TURNS, STOPPED = "p and q are known as asked", "all turns are made", "the operator stopped"
 
 

@@ -145,10 +145,10 @@ class RotationSamples:
         if self._stream.turns > self._began or STANDSTILL <= turned < 1.0:
             return ""
         if turned >= 1.0:
-            return f"the stage turns, and nothing of it can be used: {self._stream.why}"
+            return f"the stage turns, but no sample can be used: {self._stream.why}"
         if turned <= -STANDSTILL:
             return "the stage turns backwards: its angle is to count up; swap the tracks of the encoder"
-        return "the stage does not turn: start it, and see that the encoder counts"
+        return "the stage does not turn: start it, and check that the encoder counts"
 
     def take(self, block: SampleBlock) -> list[str]:
         """Take a block.

@@ -140,7 +140,7 @@ class Session:
         if named is None and self._outside:
             named = self.outputs[0] if len(self.outputs) == 1 else self.outputs[0].parent
         where = "" if named is None else f" -o {named}"
-        go_on = f"what was measured is kept; go on with: tiltcal {command} --resume {self.path}{where}"
+        go_on = f"everything measured is kept; continue with: tiltcal {command} --resume {self.path}{where}"
         try:
             yield
         except KeyboardInterrupt:

@@ -269,11 +269,13 @@ def _require_population(plan: SessionPlan) -> None:
     if plan.procedure.rotation is not None:
         raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: a pair has no temperature terms")
     if determines.drift or determines.gain or determines.mounting:
-        raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: it does without, or measures its own")
+        raise UsageError(
+            f"{plan.procedure.name} needs no --typical-temperature: it has no temperature terms, or measures them"
+        )
     for device in plan.sensors:
         if device.model.population is None:
             raise UsageError(
-                f"no source tells how a {device.model_name} behaves over temperature on average: measure it"
+                f"no source states how a {device.model_name} behaves over temperature on average: measure it"
             )
 
 

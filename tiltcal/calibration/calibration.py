@@ -194,7 +194,7 @@ class Calibration:
         write_calibration(path, self.record)
 
     def report(self, path: str | Path) -> None:
-        """Write the HTML page that is filed with the sensor; it needs nothing but itself, and prints on A4.
+        """Write the HTML page that is filed with the sensor; it needs no other file, and prints on A4.
 
         Raises
         ------

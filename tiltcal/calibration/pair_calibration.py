@@ -87,7 +87,7 @@ class PairCalibration:
         write_pair(path, self.record)
 
     def report(self, path: str | Path) -> None:
-        """Write the HTML page that is filed with the accelerometers; it needs nothing but itself, and prints on A4.
+        """Write the HTML page that is filed with the accelerometers; it needs no other file, and prints on A4.
 
         Raises
         ------

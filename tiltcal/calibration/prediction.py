@@ -74,10 +74,10 @@ class PredictedUncertainty:
             if u > 0.0 or not free:
                 yield f"  {name:<28} {u:.2g} {unit_of(name, self.unit)}"
         yield f"  degrees of freedom {prediction.dof}" + (
-            "" if prediction.dof else ": nothing is left to check the result by"
+            "" if prediction.dof else ": no residuals are left to check the result"
         )
         for first, second, correlation in prediction.correlations[:SHOWN]:
-            yield f"  {first} and {second} are hardly told apart (correlation {correlation:+.2f})"
+            yield f"  {first} and {second} are hardly separated (correlation {correlation:+.2f})"
         for name, coefficient, share in prediction.worth_adding[:SHOWN]:
             yield f"  adding {name} would bring {coefficient} to {100 * share:.0f} % of its uncertainty"
 
@@ -112,7 +112,7 @@ class PredictedMounting:
         with_what = f"with its noise and {_jig_in_words(self.jig)}"
         return "\n".join(
             [
-                f"predicted standard uncertainty of a sensor that sits straight, {with_what}:",
+                f"predicted standard uncertainty of a sensor that is mounted straight, {with_what}:",
                 *(f"  {angle:<6} {u:.2g}°" for angle, u in self.angles.items()),
                 "  that of its calibration comes on top",
             ]

@@ -214,7 +214,7 @@ def _source_of_uncertainty(found: Estimate, design: Design) -> str:
     if not found.stated:
         return "residuals"
     if design.free:
-        return "noise alone: no position is left over"
+        return "noise alone: no residuals are left"
     if design.jig is None:
         return NOISE_ALONE
     return "stated noise and jig"

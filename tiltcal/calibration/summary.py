@@ -74,7 +74,7 @@ def _fit_lines(calibration: CalibrationRecord) -> Iterator[str]:
         yield f"  degrees of freedom {fit.degrees_of_freedom}{origin}{chi_square}"
     yield from (f"  {objection}" for objection in objections(fit))
     if fit.jig_estimated_degrees is not None:
-        yield f"  the positions scatter as with a jig of {fit.jig_estimated_degrees:g}°"
+        yield f"  the residuals correspond to a jig of {fit.jig_estimated_degrees:g}°"
     yield from (f"  {note}" for note in fit.notes)
 
 
@@ -85,12 +85,12 @@ def objections(fit: FitRecord) -> list[str]:
     if p is not None and p < INCREDIBLE:
         found.append(
             f"chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom (probability {p:.1g}) is "
-            "not credible: noise, jig or thermometer are worse than stated, and so is the uncertainty"
+            "not credible: noise, jig or thermometer are worse than stated, and the uncertainties are too small"
         )
     if fit.suspect_positions:
         told = [f"{position} ({one.off_degrees:g}°)" for position, one in fit.suspect_positions.items()]
         more = f" and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
-        found.append(f"further off than the jig should be, the worst first: {', '.join(told[:SHOWN])}{more}")
+        found.append(f"further off than the stated jig allows, the worst first: {', '.join(told[:SHOWN])}{more}")
     return found
 
 

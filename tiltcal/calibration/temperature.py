@@ -171,7 +171,7 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
     """
     population = None if sensor.nominal is None else sensor.nominal.population
     if population is None:
-        raise EstimateError(f"no source tells how a {calibration.sensor.model} behaves over temperature: measure it")
+        raise EstimateError(f"no source states how a {calibration.sensor.model} behaves over temperature: measure it")
     coefficients = calibration.coefficients
     if coefficients.thermal is not None:
         raise EstimateError("the unit's own temperature run is in this calibration: leave --typical-temperature out")

@@ -42,7 +42,7 @@ def require_no_jig(procedure: Procedure, jig: float | None) -> None:
     UsageError
     """
     if procedure.determines.free and jig is not None:
-        raise UsageError("free positions trust no jig: leave --jig out, or name a procedure whose positions are set")
+        raise UsageError("free positions use no jig: leave --jig out, or name a procedure whose positions are set")
 
 
 def directed(sensors: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
@@ -60,7 +60,7 @@ def directed(sensors: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
     """
     leader = next((one for one in sensors if set(AXES) <= set(one.sensor.channels)), None)
     if leader is None:
-        raise EstimateError("free positions need a sensor of three channels: unit gravity says too little of fewer")
+        raise EstimateError("free positions need a sensor of three channels: unit gravity does not determine fewer")
     seen = directions([one.summaries for one in leader.measurements]) @ np.array(leader.orientation)
     return [replace(one, measurements=_turned(one, seen)) for one in sensors]
 

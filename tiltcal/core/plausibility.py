@@ -156,9 +156,7 @@ class ExpectedReadings:
         for name, before in readings.items():
             other = np.array(self._in_g(before))
             if float(own @ other) > cos(SAME) * float(np.linalg.norm(own) * np.linalg.norm(other)):
-                return (
-                    f"this is the attitude of {name} again: hold the sensor another way, the more different the better"
-                )
+                return f"this is the attitude of {name} again: hold the sensor in a different attitude"
         return None
 
     def _in_g(self, reading: Array) -> list[float]:

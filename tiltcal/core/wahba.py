@@ -81,7 +81,7 @@ def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> Mou
     spread = np.linalg.svd(known, compute_uv=False)
     if len(known) < 2 or spread[1] < ONE_LINE * spread[0]:
         raise EstimateError(
-            "gravity has the same line in every position, so the turn about it is undetermined: add a position in "
+            "gravity has the same line in every position, so the rotation about it is undetermined: add a position in "
             "which another axis points up"
         )
     weights = np.ones(len(known)) if sigma is None else 1.0 / np.maximum(sigma, 1e-12) ** 2

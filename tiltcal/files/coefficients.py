@@ -165,7 +165,7 @@ def _matrix(
     matrix = np.array([[rows[channel][axis] for axis in axes] for channel in channels])
     values = np.linalg.svd(matrix[:, square], compute_uv=False)
     if not values[-1] >= _SINGULAR * values[0] or values[0] == 0.0:
-        raise node.error("the matrix is singular: its rows do not tell the axes apart; measure the sensitivity again")
+        raise node.error("the matrix is singular: its rows do not separate the axes; measure the sensitivity again")
     return axes, matrix
 
 

@@ -414,7 +414,7 @@ def _lock(descriptor: int, path: Path) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         os.close(descriptor)
-        raise JournalError("another tiltcal is writing this journal; let it end first", file=path) from None
+        raise JournalError("another tiltcal is writing this journal; wait until it ends", file=path) from None
 
 
 def _header(line: bytes, path: Path) -> tuple[dict[str, Any], int]:

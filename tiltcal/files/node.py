@@ -81,7 +81,7 @@ class Node:
         if not isinstance(self.content, Scalar) or self.is_null:
             raise self._unexpected("text")
         if not self.content.text.strip():
-            raise self.error("the text is empty; write what it should say")
+            raise self.error("the text is empty; write a text")
         return self.content.text
 
     def number(self, *, minimum: float | None = None, above: float | None = None) -> float:
@@ -282,7 +282,7 @@ def _node_of(data: Any, file: str | None, line: int | None, key: str | None, dep
     elif isinstance(data, int | float):
         content = Scalar(repr(data), plain=True)
     else:
-        raise InputError(f"a {type(data).__name__} has no place in a document", file=file, line=line, key=key)
+        raise InputError(f"a {type(data).__name__} cannot be in a document", file=file, line=line, key=key)
     return Node(content, file, line, key)
 
 

@@ -73,7 +73,7 @@ class Rotation:
                 Converted(Section(PairSelection), _pair_of),
                 1,
                 2,
-                says="one or two pairs are matched at once, those of one disk; found {found}",
+                says="one or two pairs can be matched at once, those of one stage; found {found}",
             ),
             _distinct,
         ),
@@ -111,7 +111,7 @@ def require_turns(turns: int) -> int:
         Too few, or more than anyone waits for.
     """
     if not FEWEST <= turns <= MOST:
-        raise UsageError(f"{turns} turns cannot be: at least {FEWEST} are needed, and at most {MOST} counted")
+        raise UsageError(f"{turns} turns are impossible: at least {FEWEST} are needed, and at most {MOST} counted")
     return turns
 
 

@@ -114,7 +114,7 @@ def locate_columns(
 
 def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
-        return f"the header {names[0]!r} is one single column: part the columns with commas"
+        return f"the header {names[0]!r} is a single column: separate the columns with commas"
     if all(is_number(name) for name in names if name):
         if is_number(column):
             return f"there is no column {column}; the log has {len(names)} columns, called 1 to {len(names)}"

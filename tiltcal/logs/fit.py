@@ -292,7 +292,7 @@ def _identity(
                 raise UsageError(f"{what} {said} contradicts the --base, which has {known}: leave it out")
         return base.sensor
     if unit is None and model is None:
-        raise UsageError("say the readings' --unit (such as m/s2), or the --sensor model that has it")
+        raise UsageError("state the --unit of the readings (such as m/s2), or the --sensor model")
     if model is not None and unit not in (None, model.unit) and not steps.determines.axes:
         raise UsageError(
             f"{steps.name} takes the nominal sensitivity of {model.name}, which is per g in {model.unit} and not in "

@@ -26,9 +26,9 @@ _WHY: dict[Limit, str] = {
     "record": "the longest that the record tells of, and more still help: record longer to see where they stop",
     "rounding": "more do not help: the noise is too small to average the rounding out",
     "flicker": "twice as many gain less than a tenth: flicker noise stays, however long the average",
-    "walk": "twice as many gain less than a tenth: its zero wanders (random walk)",
-    "drift": "twice as many gain less than a tenth: it drifts",
-    "unknown": "twice as many gain less than a tenth, and none of the usual kinds of noise says why",
+    "walk": "twice as many gain less than a tenth: random walk",
+    "drift": "twice as many gain less than a tenth: drift",
+    "unknown": "twice as many gain less than a tenth, for none of the usual kinds of noise",
 }
 
 
@@ -253,9 +253,13 @@ def _advice(found: NoisePositions, interval: float, scale: NoiseScale, target: f
 
 def _foretold(advice: SampleSize, interval: float) -> str:
     if advice.predicted is None:
-        return " with any number of samples" if advice.met is False else " with so many samples; fewer would do for it"
+        return (
+            " with any number of samples"
+            if advice.met is False
+            else " with this number of samples; fewer are sufficient for it"
+        )
     return (
-        f" with any number that this record tells of; if its noise stayed white, {advice.predicted} samples would "
+        f" with any number of samples within this record; with white noise, {advice.predicted} samples would "
         f"({advice.predicted * interval:.4g} s)"
     )
 

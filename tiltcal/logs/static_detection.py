@@ -231,7 +231,7 @@ def _too_few(tried: Sequence[StaticDetection], lost: Mask) -> str:
     windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried)) or "any number of"
     stuck = f" ({int(lost.sum())} rows are missing, or stuck at one value)" if lost.any() else ""
     return (
-        "no threshold of stillness finds attitudes enough to determine the sensor and to judge it: at most "
-        f"{most} still intervals in windows of {windows} rows{stuck}. Hold the sensor still for longer and in more "
+        "no threshold finds enough attitudes to determine the sensor and check the result: at most "
+        f"{most} static intervals in windows of {windows} rows{stuck}. Hold the sensor still for longer and in more "
         "attitudes, 12 to 18 or more; try a shorter --window; or give the intervals with --segments"
     )

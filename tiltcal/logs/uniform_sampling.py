@@ -81,8 +81,8 @@ class UniformLog:
             name = named.get(TIME, TIME)
             if name not in log.names:
                 raise InputError(
-                    "nothing says how fast its rows were taken: there is no column 'time'; name it with --columns "
-                    "time=NAME, or say --rate HZ",
+                    "its sample rate is unknown: there is no column 'time'; name it with --columns "
+                    "time=NAME, or state --rate HZ",
                     file=log.name,
                     line=log.header_line,
                 )
@@ -141,7 +141,7 @@ class UniformLog:
         steps = np.where(single, steps, np.nan)
         if np.nanmin(steps, initial=0.0) < 0.0:
             row = self.pace.rows + int(known[np.nanargmin(steps)])
-            raise InputError(f"time goes back at row {row}: sort the log, or say --rate HZ", file=self._file)
+            raise InputError(f"time goes back at row {row}: sort the log, or state --rate HZ", file=self._file)
         self._last = float(times[-1])
         there = steps[np.isfinite(steps)]
         if not self.pace.interval and len(there):
@@ -167,8 +167,8 @@ class UniformLog:
         # Times that are written to the millisecond may stand still between rows that are taken faster.
         interval = float(np.median(steps)) or float(np.mean(steps))
         if interval <= 0.0:
-            raise self._unclear("its times stand still")
+            raise self._unclear("its times do not change")
         return interval
 
     def _unclear(self, why: str) -> InputError:
-        return InputError(f"nothing says how fast its rows were taken: {why}; say --rate HZ", file=self._file)
+        return InputError(f"its sample rate is unknown: {why}; state it with --rate HZ", file=self._file)

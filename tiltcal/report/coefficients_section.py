@@ -219,7 +219,7 @@ def _mounting(calibration: CalibrationRecord) -> CoefficientGroup:
     mounting, derived = calibration.coefficients.mounting, calibration.derived
     remark = derived.mounting or ""
     if derived.gimbal_lock:
-        remark = "Gimbal lock: roll and yaw cannot be told apart at this pitch, and yaw alone carries both. " + remark
+        remark = "Gimbal lock: roll and yaw cannot be separated at this pitch; yaw contains both. " + remark
     if mounting is None:
         return CoefficientGroup("Mounting", (), remark)
     angles = {angle: degrees(getattr(mounting, angle)) for angle in ANGLES}

@@ -105,7 +105,7 @@ def _sentences(fit: FitRecord, unit: str) -> Iterator[str]:
     yield from _benches(fit)
     if fit.misfit_rms_mg is not None:
         where = "" if fit.distinct_attitudes is None else f" in {fit.distinct_attitudes} attitudes"
-        yield f"Gravity is met to {plain(fit.misfit_rms_mg, 3)} mg rms{where}."
+        yield f"The misfit of the length of gravity is {plain(fit.misfit_rms_mg, 3)} mg rms{where}."
     yield from _swept(fit, unit)
     yield from _mounted(fit.mounting)
 
@@ -118,17 +118,14 @@ def _judged(fit: FitRecord) -> Iterator[str]:
     if fit.chi_square is not None:
         found = f"χ² is {plain(fit.chi_square, 4)} with {dof} degrees of freedom"
         if fit.p_value is not None:
-            found += f"; so much or more has a probability of {plain(fit.p_value, 2)}"
+            found += f"; the probability of this or more is {plain(fit.p_value, 2)}"
         yield f"{found}."
         if fit.p_value is not None and fit.p_value >= INCREDIBLE:
-            yield "The positions agree with the noise and the jig as they were stated."
+            yield "The positions agree with the stated noise and jig."
     elif dof == 0:
-        yield "No degree of freedom is left: the positions fit whatever was read, and nothing checks them."
+        yield "No degree of freedom is left: there are no residuals to check the result."
     else:
-        yield (
-            f"{dof} degrees of freedom are left. No jig was stated to judge them by: the uncertainties rest on the "
-            "scatter of the residuals themselves."
-        )
+        yield (f"{dof} degrees of freedom are left. No jig was stated: the uncertainties come from the residuals.")
 
 
 def _benches(fit: FitRecord) -> Iterator[str]:
@@ -138,7 +135,7 @@ def _benches(fit: FitRecord) -> Iterator[str]:
     if shows == 0.0:
         yield "The residuals show no error of the jig beyond their noise; none was stated."
     elif shows is not None:
-        yield f"The residuals show a jig with a standard deviation of {plain(shows, 3)}°; none was stated."
+        yield f"The residuals correspond to a jig with a standard deviation of {plain(shows, 3)}°; none was stated."
     if fit.thermometer_celsius is not None:
         yield f"Standard uncertainty of a temperature: {plain(fit.thermometer_celsius, 2)} °C."
     if fit.uncertainty_from:

@@ -101,7 +101,7 @@ def log_section(log: ReportedLog, number: int) -> LogSection:
         log.name,
         log.sha256,
         grouped(overview.rows),
-        "Its tilt is as it stands in the log." if log.compensated else "The calibration was applied to its readings.",
+        "The tilt is that of the log." if log.compensated else "The calibration was applied to its readings.",
         _shares(overview.flags, FLAGS, overview.rows),
         _shares(overview.reasons, REASONS, overview.rows),
         _angle_rows(overview),
@@ -149,8 +149,8 @@ def _figure(log: ReportedLog, number: int) -> SvgFigure:
         partial(_plot, log=log),
         title=f"Tilt over time in {log.name}",
         description=f"{overview.rows} rows; {said}.",
-        caption="Left: smallest and largest angle of each stretch of rows over time; below them red where rows fail or "
-        "are missing, grey where they are suspect. Right: how often each angle occurs.",
+        caption="Left: smallest and largest angle of groups of rows over time; below, red marks rows that fail or are "
+        "missing, grey marks suspect rows. Right: histogram of the angle.",
     )
 
 

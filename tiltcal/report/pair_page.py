@@ -115,7 +115,7 @@ def write_pair_page(path: str | Path, calibration: PairRecord) -> None:
 
 
 def pair_page(calibration: PairRecord, source: FileFacts, spectra: Sequence[Spectrum] = ()) -> str:
-    """One HTML page that needs nothing but itself; the same input gives the same page.
+    """One HTML page that needs no other file; the same input gives the same page.
 
     Raises
     ------

@@ -34,9 +34,9 @@ def residual_figure(calibration: CalibrationRecord) -> SvgFigure | None:
         0.75 + 0.155 * len(positions),
         partial(_plot, calibration=calibration, positions=positions),
         title="Residuals of the positions",
-        description=f"Measured less modelled in {calibration.sensor.unit} for {len(positions)} positions; {told}.",
-        caption="Residual of every position, measured less modelled with the position as it was set. Bars: ±1.96 "
-        "standard uncertainties of the mean, from noise alone. Above: what it is as an angle near level.",
+        description=f"Measured minus modelled, in {calibration.sensor.unit} for {len(positions)} positions; {told}.",
+        caption="Residual of every position, measured minus modelled, with the position as it was set. Bars: ±1.96 "
+        "standard uncertainties of the mean, from noise alone. Above: the residual as an angle near level.",
     )
 
 

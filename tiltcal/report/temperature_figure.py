@@ -33,9 +33,9 @@ def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
         title="Drift over temperature",
         description=f"Offset of {channels} over temperature from {low:.3g} to {high:.3g} °C: the fitted polynomial "
         "with its 95 % band, and the measured positions.",
-        caption="Drift with temperature. Line: the fitted polynomial; band: its 95 % interval; marks: the positions, "
-        "less what the model says of their tilt, joined in the order in which they were measured. Dotted: the "
-        "reference temperature.",
+        caption="Drift with temperature. Line: the fitted polynomial; band: its 95 % interval; marks: the positions "
+        "minus the modelled effect of their tilt, joined in the order of measurement. Dotted: the reference "
+        "temperature.",
     )
 
 

@@ -56,9 +56,7 @@ def tilt_figure(calibration: CalibrationRecord) -> SvgFigure | None:
         return None
     largest = max(float(np.nanmax(one.alone)) for one in curves.values())
     known = any(one.before is not None for one in curves.values())
-    told = (
-        "Left: error of the tilt with the data sheet’s coefficients in place of these. Right: half" if known else "Half"
-    )
+    told = "Left: error of the tilt with the coefficients of the data sheet. Right: half" if known else "Half"
     return picture(
         "tilt",
         2.2,

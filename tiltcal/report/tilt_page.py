@@ -46,7 +46,7 @@ def certificate(
     earlier: Sequence[tuple[CalibrationRecord, str]] = (),
     logs: Sequence[ReportedLog] = (),
 ) -> str:
-    """One HTML page that needs nothing but itself; the same input gives the same page.
+    """One HTML page that needs no other file; the same input gives the same page.
 
     Parameters
     ----------

@@ -47,19 +47,19 @@ def _open(calibration: CalibrationRecord) -> Iterator[str]:
     elif not coefficients.thermal.gain.any():
         yield "Drift of the sensitivity with temperature."
     if coefficients.nonlinearity is None:
-        yield "Non-linearity: each channel is taken for straight."
+        yield "Nonlinearity: each channel is assumed linear."
     if len(coefficients.axes) < 3:
         missing = " and ".join(axis for axis in ("x", "y", "z") if axis not in coefficients.axes)
         yield f"Sensitivity to {missing}: it was not measured and counts as zero."
     if coefficients.mounting is None:
         yield "The mounting in an application: tilt is that of the sensor’s own frame."
     if calibration.derived.assumed:
-        yield "What was assumed and not measured, as noted above."
+        yield "Assumed values, as noted above."
     if calibration.fit.jig_degrees is None and calibration.fit.uncertainty_from != "residuals":
         yield "The angles of the jig: none was stated, and they are not in the uncertainty."
     if not calibration.uncertainty.coverage_factor:
         yield "Intervals of 95 %: the file has no coverage factors."
-    yield "Motion, vibration and ageing: all positions were held still, on the dates above."
+    yield "Motion, vibration and ageing: all positions were measured at rest, on the dates above."
 
 
 def _held(calibration: CalibrationRecord) -> str:

@@ -58,8 +58,8 @@ def test_what_is_wrong_with_a_typed_number_is_said_in_plain_words(person, shown)
     answer = asked(person("at\n", "lots", "95", "0.5", "-0.25", "warm", "24.5"))
     assert answer == OperatorAnswer("ready", tilt={"x": 0.5, "y": -0.25}, temperature=24.5)
     said = shown.getvalue()
-    assert "'lots' will not do: type a number such as" in said
-    assert "'95' will not do: it must be between -90 and 90" in said
+    assert "'lots' is not accepted: type a number such as" in said
+    assert "'95' is not accepted: it must be between -90 and 90" in said
     assert "could not convert" not in said
 
 

@@ -100,7 +100,7 @@ def test_a_stage_that_never_turns_is_refused_after_its_patience_and_asked_for_ag
     found = turned(chain(still, lines(RECORD)), attendant, turns=4)
     assert near(found.matchings[0], disk.truth())
     (refused,) = attendant.told
-    assert "the stage does not turn: start it, and see that the encoder counts (waited for 60 s)" in refused
+    assert "the stage does not turn: start it, and check that the encoder counts (waited for 60 s)" in refused
     with pytest.raises(Stopped, match="enough"):
         turned(still, Attendant(readies=1))
 
@@ -118,7 +118,7 @@ def test_angles_too_far_apart_to_follow_are_refused() -> None:
     attendant = Attendant(readies=1)
     with pytest.raises(Stopped, match="enough"):
         turned(lines(RECORD)[::30], attendant, interval=0.6)
-    assert "the stage turns, and nothing of it can be used" in attendant.told[-1]
+    assert "the stage turns, but no sample can be used" in attendant.told[-1]
 
 
 def test_a_slow_stage_is_waited_for() -> None:
@@ -191,7 +191,7 @@ def test_a_line_that_fails_for_a_while_is_told_and_gone_on_from() -> None:
     printed[520:520] = [BusError("has gone"), BusError("has gone"), BusError("has gone")]
     attendant = Attendant()
     found = turned(printed, attendant, turns=12)
-    assert attendant.told == ["has gone; what was collected before counts", "goes on"]
+    assert attendant.told == ["has gone; the samples before count", "goes on"]
     assert found.turns == pytest.approx(12.0, abs=0.5)
     assert near(found.matchings[0], disk.truth())
 

@@ -97,7 +97,7 @@ class TestFindStill:
 
     def test_all_in_motion(self) -> None:
         log = np.cumsum(np.random.default_rng(1).normal(size=(3000, 3)), axis=0)
-        with pytest.raises(EstimateError, match="no threshold of stillness"):
+        with pytest.raises(EstimateError, match="no threshold finds enough attitudes"):
             find_still(log)
 
     def test_too_few_attitudes_for_a_verdict(self) -> None:

@@ -88,5 +88,5 @@ def test_what_tells_no_pace(times: list[str], said: str) -> None:
 
 
 def test_no_column_of_time() -> None:
-    with pytest.raises(InputError, match=r"log.csv:1: .*--columns time=NAME, or say --rate HZ"):
+    with pytest.raises(InputError, match=r"log.csv:1: .*--columns time=NAME, or state --rate HZ"):
         paced("x\n1\n2\n")

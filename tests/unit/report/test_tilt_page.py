@@ -212,10 +212,10 @@ class TestRecords:
 
     def test_what_is_not_covered_is_said(self) -> None:
         plane = " ".join(one.text for one in Page(text_of("plane")).root.find("li"))
-        for word in ("Temperature", "Non-linearity", "mounting", "Sensitivity to z", "virtual", "ageing"):
+        for word in ("Temperature", "Nonlinearity", "mounting", "Sensitivity to z", "virtual", "ageing"):
             assert word in plane
         bent = " ".join(one.text for one in Page(text_of("multi-angle")).root.find("li"))
-        assert "Non-linearity" not in bent
+        assert "Nonlinearity" not in bent
         assert Page(text_of("plane")).facts["Tilt of x"] == "−30 to 30°"
 
 
@@ -228,18 +228,18 @@ class TestVerdict:
     def test_positions_that_agree(self) -> None:
         said = self.judged(chi_square=2.69, p_value=0.26)
         assert "χ² is 2.69 with 2 degrees of freedom" in said
-        assert "The positions agree with the noise and the jig" in said
+        assert "The positions agree with the stated noise and jig" in said
 
     def test_positions_that_do_not_and_the_suspect(self) -> None:
         suspects = {"x-tilt2": SuspectPosition(off_degrees=0.512, chi_square=33.0)}
         said = self.judged(chi_square=40.1, p_value=2e-9, suspect_positions=suspects)
         assert "0.000000002" in said
         assert "Chi-square 40.1 with 2 degrees of freedom (probability 2e-09) is not credible: noise, jig or" in said
-        assert "Further off than the jig should be, the worst first: x-tilt2 (0.512°)." in said
-        assert "agree with the noise and the jig" not in said
+        assert "Further off than the stated jig allows, the worst first: x-tilt2 (0.512°)." in said
+        assert "agree with the stated noise and jig" not in said
 
     def test_nothing_left_to_check_by(self) -> None:
-        assert "nothing checks them" in self.judged(degrees_of_freedom=0)
+        assert "no residuals to check the result" in self.judged(degrees_of_freedom=0)
 
 
 class TestAnyFile:

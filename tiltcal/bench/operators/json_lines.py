@@ -52,7 +52,7 @@ class JsonLinesRig:
     def _next(self) -> object:
         line = self._answers.next()
         if not line:
-            raise Stopped("the program that leads the session closed its answers")
+            raise Stopped("the operator program closed its answers")
         return parsed(line)
 
     def _send(self, message: Mapping[str, Any]) -> None:
@@ -60,7 +60,7 @@ class JsonLinesRig:
             self._asks.write(json.dumps(message, ensure_ascii=False, allow_nan=False) + "\n")
             self._asks.flush()
         except BrokenPipeError:
-            raise Stopped("the program that leads the session is gone") from None
+            raise Stopped("the operator program has ended") from None
 
 
 def parsed(line: str) -> object:

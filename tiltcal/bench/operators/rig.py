@@ -231,7 +231,7 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
 def _heeded(answer: OperatorAnswer) -> OperatorAnswer:
     """Return the answer; ``quit`` is none, it ends the session."""
     if answer.word == "quit":
-        raise Stopped("the program that leads the session said quit")
+        raise Stopped("the operator program answered quit")
     return answer
 
 

@@ -85,7 +85,7 @@ class SimOperator(_Sim):
             raise Stopped(f"{position.name} was refused {self._refusals} times in a row: {why}")
 
     def lost(self, serial: str, why: str) -> None:
-        self._say(f"  {serial} is given up, the others go on: {why}")
+        self._say(f"  {serial} is dropped, the others continue: {why}")
 
 
 class SimRotationOperator(_Sim):

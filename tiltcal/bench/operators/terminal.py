@@ -53,10 +53,10 @@ class _Terminal:
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         """Ask once more before the files are written."""
         named = ", ".join(f"{path} (replaces the one there)" if path.exists() else str(path) for path in files)
-        self._say(f"\nAll is measured. Write {named}?")
+        self._say(f"\nAll positions are measured. Write {named}?")
         self._hint("Enter write", "n stop and keep")
         if self._choice(f"{ENTER}ynq") in "nq":
-            raise Stopped("not written, as the operator wished")
+            raise Stopped("not written: the operator declined")
         return OperatorAnswer("yes")
 
     def done(self, files: list[Path], journal: Path) -> None:
@@ -133,7 +133,7 @@ class TerminalOperator(_Terminal):
             elif key == "a":
                 gravity = self._typed("direction that points up, as gx gy gz", direction, gravity)
             elif key is not None:
-                self._say(f"  {key!r} is no choice here")
+                self._say(f"  {key!r} is not one of the keys")
 
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
         self._show(readings, why)
@@ -156,7 +156,7 @@ class TerminalOperator(_Terminal):
         self._say(f"  refused: {why}", "bold red")
 
     def lost(self, serial: str, why: str) -> None:
-        self._say(f"  {serial} is given up, the others go on: {why}", "bold red")
+        self._say(f"  {serial} is dropped, the others continue: {why}", "bold red")
 
     def _table(self, result: PositionResult) -> Table:
         table = Table(box=None, pad_edge=False, padding=(0, 2), header_style="dim")
@@ -237,7 +237,7 @@ class TerminalOperator(_Terminal):
                 raise InputError(f"it must be between {low:g} and {high:g}")
             return value
 
-        return self._typed(f"{what}, or Enter to leave it as it is", parse, before)
+        return self._typed(f"{what}, or Enter to keep it", parse, before)
 
     def _typed(self, what: str, parse: Callable[[str], T], before: T | None) -> T | None:
         """Ask until the typed line can be understood; an empty line leaves what was there before."""
@@ -249,7 +249,7 @@ class TerminalOperator(_Terminal):
             try:
                 return parse(typed)
             except InputError as error:
-                self._say(f"  {typed!r} will not do: {error}")
+                self._say(f"  {typed!r} is not accepted: {error}")
 
 
 class TerminalRotationOperator(_Terminal):
@@ -263,10 +263,10 @@ class TerminalRotationOperator(_Terminal):
         for pair in pairs:
             self._say(f"  {pair.first} and {pair.second}, orthogonal {pair.orthogonal}")
         self._say(f"  {prompt}")
-        self._hint(f"Enter it turns: up to {turns} turns", "q stop and keep")
+        self._hint(f"Enter the stage turns, up to {turns} turns", "q stop and keep")
         if self._choice(f"{ENTER}q") == "q":
             raise Stopped("stopped by the operator")
-        self._hint("s stop and use what is there", "q stop and keep the journal")
+        self._hint("s stop and use the turns so far", "q stop and keep the journal")
         return OperatorAnswer("ready")
 
     def poll(self) -> OperatorAnswer | None:

@@ -43,7 +43,7 @@ GAUGE = (
 HELD = (
     "the jig is not stated, and no position shows the angle in which the sensor was held: it is not in the uncertainty"
 )
-EXCEEDS = "the residuals are more than noise and attitudes explain: is the sensor straight, was it still?"
+EXCEEDS = "the residuals are larger than noise and attitudes explain: is the sensor linear, and was it still?"
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,9 @@ def minimise(equations: Callable[[Array], Weighted], start: Array, moving: NDArr
         else:
             if _promised(jacobian / size, here.residual) <= ROUNDING * (1.0 + cost):
                 return z
-            raise EstimateError("the estimate does not settle: are the positions named right, and the readings sound?")
+            raise EstimateError(
+                "the estimate does not settle: are the positions named right, and the readings plausible?"
+            )
         z, here = trial, there
         fall = (cost - float(there.residual @ there.residual)) / (1.0 + cost)
         if small or fall <= LEVEL:

@@ -64,10 +64,8 @@ def require_determined(system: System, z: Array) -> None:
         theta = z[block.columns]
         advice = _advice(block.model, theta, gravity, block.dt, rows, moving)
         if len(mixed) == 1:
-            raise EstimateError(f"no position says anything of {mixed[0]}: {advice}")
-        raise EstimateError(
-            f"the {len(block.mean)} positions cannot tell {_listed(mixed)} apart: {advice}, where they act differently"
-        )
+            raise EstimateError(f"no position determines {mixed[0]}: {advice}")
+        raise EstimateError(f"the {len(block.mean)} positions do not separate {_listed(mixed)}: {advice}")
 
 
 def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:

@@ -142,4 +142,4 @@ def _three_axes(system: System) -> tuple[int, list[slice]]:
         own = [block for block in system.blocks if block.sensor == number]
         if len(own) == 3 and all(len(block.model.axes) == 3 for block in own):
             return number, [slice(block.columns.start + 1, block.columns.start + 4) for block in own]
-    raise EstimateError("free positions need a sensor of three channels: unit gravity says too little of fewer")
+    raise EstimateError("free positions need a sensor of three channels: unit gravity does not determine fewer")

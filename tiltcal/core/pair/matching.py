@@ -178,12 +178,12 @@ def _require_signal(demodulation: Demodulation, pair: Pair, vectors: list[Array]
     if amplitudes[0] < _CLEAREST * noise or amplitudes[0] == 0.0:
         raise EstimateError(
             f"{pair.first} has no clear signal at the turning of the stage ({amplitudes[0]:.3g}, uncertain by "
-            f"{noise:.2g}): incline the spin axis, and see that the accelerometer is connected"
+            f"{noise:.2g}): incline the spin axis, and check that the accelerometer is connected"
         )
     if amplitudes[2] < _WEAKEST * amplitudes[0]:
         raise EstimateError(
             f"{pair.orthogonal} has {amplitudes[2]:.3g} at the turning of the stage where {pair.first} has "
-            f"{amplitudes[0]:.3g}: it cannot take out a misalignment; is it connected?"
+            f"{amplitudes[0]:.3g}: it cannot correct a misalignment; is it connected?"
         )
     sine = float(vectors[0][0] * vectors[2][1] - vectors[0][1] * vectors[2][0]) / (amplitudes[0] * amplitudes[2])
     if abs(sine) < _LEAST_ANGLE:

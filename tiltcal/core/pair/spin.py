@@ -63,7 +63,7 @@ def estimate_spin(time: Array, readings: Array) -> Spin:
     """
     span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
     if len(time) < _FEWEST_ROWS or not span > 0.0:
-        raise EstimateError("the record is too short, or its time stands still: the spin cannot be estimated")
+        raise EstimateError("the record is too short, or its time does not change: the spin cannot be estimated")
     middle = 0.5 * float(time[0] + time[-1])
     centred = (time - middle) / span
     turns = _strongest(centred, readings)
@@ -127,7 +127,9 @@ def _strongest(centred: Array, readings: Array) -> float:
     first = round(_PADDING * FEWEST_TURNS / 2)
     peak = first + int(np.argmax(power[first:]))
     if not power[peak] > _CLEAREST * float(np.median(power)):
-        raise EstimateError("no line stands out of the noise: the stage is not turning, or its axis is not inclined")
+        raise EstimateError(
+            "no spectral line is above the noise: the stage is not turning, or its axis is not inclined"
+        )
     # The record has n - 1 steps between its n rows.
     return peak / _PADDING * (len(rest) - 1) / len(rest)
 

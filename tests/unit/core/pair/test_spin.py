@@ -73,7 +73,7 @@ class TestSpin:
     @pytest.mark.parametrize(
         ("taken", "said"),
         [
-            (disk.record(seconds=80, scale=(0.0,) * 4), "no line stands out"),
+            (disk.record(seconds=80, scale=(0.0,) * 4), "no spectral line is above the noise"),
             (disk.record(seconds=10), "less than 2 turns"),
             (disk.record(seconds=0.2), "too short"),
         ],
