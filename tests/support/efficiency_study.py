@@ -13,7 +13,7 @@ from support.simulated_bench import FACES, Part, Plan, design, fixture, measured
 from tiltcal.core.estimation.design import Observation
 from tiltcal.core.estimation.equations import system_of
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.estimation.linear import linear
+from tiltcal.core.estimation.gauss_newton import linearised
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ def bound_of(plan: Plan, parts: list[Part]) -> Array:
     system = system_of(fixture(stated, design(plan, jig=plan.jig)))
     z = np.zeros(system.unknowns)
     z[: system.coefficients] = np.concatenate([one.truth for one in parts])
-    return np.asarray(np.sum(linear(system, z).gain[: system.coefficients] ** 2, axis=1).reshape(len(parts), -1))
+    return np.asarray(np.sum(linearised(system, z).inverse[: system.coefficients] ** 2, axis=1).reshape(len(parts), -1))
 
 
 def beyond_bound(plan: Plan, parts: list[Part], seed: int) -> Array:

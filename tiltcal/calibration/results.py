@@ -146,7 +146,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         degrees_of_freedom=found.dof,
         uncertainty_from=_source_of_uncertainty(found, design),
         jig_degrees=None if design.free else design.jig,
-        jig_estimated_degrees=None if found.scatter_jig is None else significant(found.scatter_jig, SHARE_DIGITS),
+        jig_estimated_degrees=None if found.estimated_jig is None else significant(found.estimated_jig, SHARE_DIGITS),
         thermometer_celsius=design.thermometer or None,
         budget=_budget(found),
         notes=tuple(found.notes),

@@ -15,9 +15,6 @@ from tiltcal.core.model import Array
 COVERAGE = 0.95
 """Probability that a stated interval contains the truth."""
 
-NODES, HALVINGS = 64, 20
-"""Of the integral and of the search for a coverage factor: good to three digits."""
-
 FACTOR_STEPS = 1 << 14
 """Of the table of coverage factors: four digits of a factor."""
 
@@ -36,19 +33,16 @@ class Budget:
         By source; their sum is the diagonal of the covariance.
     dof : ndarray, shape (k,)
         Effective degrees of freedom; infinite where nothing was estimated from a scatter.
-    explained : ndarray, shape (k,), or None
-        The part of each variance that is in the very residuals that it was estimated from; None for nothing.
     """
 
     covariance: Array
     variance: Mapping[str, Array]
     dof: Array
-    explained: Array | None = None
 
     @property
     def factors(self) -> Array:
         """What each standard uncertainty is multiplied with for an interval of 95 %, shape (k,)."""
-        return coverage_factor(self.dof, self.explained)
+        return coverage_factor(self.dof)
 
     @property
     def u(self) -> Array:
@@ -69,59 +63,22 @@ class Budget:
             self.covariance[np.ix_(rows, rows)],
             {source: variance[rows] for source, variance in self.variance.items()},
             self.dof[rows],
-            None if self.explained is None else self.explained[rows],
         )
 
 
-def coverage_factor(dof: Array, explained: Array | None = None) -> Array:
-    """What a standard uncertainty is multiplied with for an interval of 95 %.
+def coverage_factor(dof: Array) -> Array:
+    """Return the coverage factors of 95 % intervals: Student's t, 1.96 where the degrees of freedom are infinite.
 
     Parameters
     ----------
     dof : ndarray, shape (k,)
-        Effective degrees of freedom.
-    explained : ndarray, shape (k,), optional
-        The part of each variance that is in the residuals that it was estimated from.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Student's t, 1.96 where ``dof`` is infinite. Less where a part is explained: least squares that does not weigh
-        its positions leaves residuals that follow its error, so that a great error comes with a great uncertainty.
+        Effective degrees of freedom; below 1 they count as 1.
     """
     from scipy.special import ndtri, stdtrit
 
     upper = 0.5 + COVERAGE / 2.0
     known = ~np.isfinite(dof)
-    factor = np.where(known, ndtri(upper), stdtrit(np.where(known, 1.0, np.maximum(dof, 1.0)), upper))
-    if explained is not None:
-        shared = np.flatnonzero((explained > NEGLIGIBLE) & (dof > 2.0) & ~known)
-        factor[shared] = _shared_factors(dof[shared], np.minimum(explained[shared], 1.0 - NEGLIGIBLE), factor[shared])
-    return np.asarray(factor)
-
-
-def _shared_factors(dof: Array, explained: Array, highest: Array) -> Array:
-    """The factors where a part of the error is among the ``dof`` residuals that say its size.
-
-    With a share r² explained, error and estimate are ``r z + sqrt(1 - r²) w`` and ``(z² + rest) / dof``, where z, w and
-    the rest's components are standard normal. The cosine c between the residuals and z has the density
-    (1 - c²)^((dof - 3) / 2); given c, what is left is Student's t.
-    """
-    from scipy.special import stdtr
-
-    # Midpoints over a quarter of a circle: the other one is its mirror image.
-    angle = (np.arange(NODES) + 0.5) * (np.pi / 2 / NODES)
-    weight = np.sin(angle) ** (dof[:, None] - 2.0)
-    weight /= weight.sum(axis=1, keepdims=True)
-    shift = np.sqrt(explained * dof)[:, None] * np.cos(angle)
-    width = np.sqrt(1.0 - explained)[:, None]
-    low, high = np.zeros_like(highest), highest.copy()
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2.0
-        upper, lower = (middle[:, None] - shift) / width, (-middle[:, None] - shift) / width
-        enough = np.sum(weight * (stdtr(dof[:, None], upper) - stdtr(dof[:, None], lower)), axis=1) >= COVERAGE
-        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
-    return (low + high) / 2.0
+    return np.asarray(np.where(known, ndtri(upper), stdtrit(np.where(known, 1.0, np.maximum(dof, 1.0)), upper)))
 
 
 def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float]]) -> Array:

@@ -74,7 +74,7 @@ def turned(gravity: Array, basis: Array, angles: Array) -> tuple[Array, Array]:
     return direction, derivative
 
 
-def table_lever(heading: Array) -> Array:
+def lean_rotations(heading: Array) -> Array:
     """What a leaning table adds to the angles of positions at several headings.
 
     Parameters

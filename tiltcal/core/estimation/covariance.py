@@ -1,21 +1,21 @@
 """The uncertainty of an estimate: of the bench as it was stated, or as the residuals show it.
 
-Near the minimum every unknown is a linear function of the equations' errors (:mod:`tiltcal.core.estimation.linear`), so
-that every equation has its share of every variance. What the attitudes' errors do to the coefficients is already in it:
-the attitudes are unknowns of the same system.
+Near the minimum every unknown is a linear function of the equations' errors, so every equation has its share of every
+variance. The effect of the attitudes' errors on the coefficients is in it: the attitudes are unknowns of the same
+system.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tiltcal.core.budget import Budget, welch_satterthwaite
-from tiltcal.core.estimation.equations import ADC, JIG, NOISE, PRIOR, THERMOMETER, System
-from tiltcal.core.estimation.linear import LinearSolution
+from tiltcal.core.estimation.equations import ADC, JIG, NOISE, System
+from tiltcal.core.estimation.gauss_newton import LinearSolution
 from tiltcal.core.estimation.variance_components import VarianceComponents
 from tiltcal.core.model import Array
+
+KENWARD_ROGER = 2.0
 
 
 def stated_budget(system: System, near: LinearSolution, bias: Array | None = None) -> Budget:
@@ -28,18 +28,18 @@ def stated_budget(system: System, near: LinearSolution, bias: Array | None = Non
     bias : ndarray, shape (coefficients,), optional
         What was taken off for the squares of the attitudes' errors.
     """
-    gain = near.gain[: system.coefficients]
-    squared = gain**2
+    inverse = near.inverse[: system.coefficients]
+    squared = inverse**2
     of_readings = squared[:, : system.readings]
     adc = np.concatenate([(block.adc / block.u) ** 2 for block in system.blocks]).clip(0.0, 1.0)
     variance = {NOISE: of_readings @ (1.0 - adc), ADC: of_readings @ adc}
     for source in dict.fromkeys(system.sources):
         rows = [system.readings + k for k, name in enumerate(system.sources) if name == source]
         variance[source] = squared[:, rows].sum(axis=1)
-    covariance = gain @ gain.T
+    covariance = inverse @ inverse.T
     if bias is not None:
-        # The scatter of the squares is in the gain already, which was taken where the errors have led. What it does not
-        # show is that they all go one way: the correction counts as uncertain by its own size.
+        # The scatter of the squares is in the inverse, which was taken where the errors have led, but not that they all
+        # go one way: the correction counts as uncertain by its own size.
         covariance = covariance + np.outer(bias, bias)
         variance[JIG] = variance[JIG] + bias**2
     parts = _noise_parts(system, of_readings * (1.0 - adc))
@@ -57,115 +57,60 @@ def scaled_budget(system: System, near: LinearSolution, scale: float, dof: float
         Sum of squares over degrees of freedom.
     dof : float
     """
-    gain = near.gain[: system.coefficients]
-    covariance = scale * (gain @ gain.T)
-    return Budget(covariance, {NOISE: np.diag(covariance)}, np.full(len(gain), float(dof)))
+    inverse = near.inverse[: system.coefficients]
+    covariance = scale * (inverse @ inverse.T)
+    return Budget(covariance, {NOISE: np.diag(covariance)}, np.full(len(inverse), float(dof)))
 
 
-def scattered_budget(
-    system: System,
-    near: LinearSolution,
-    levers: SensitivityCoefficients,
-    scatter: VarianceComponents,
-    squares: Array | None,
+def estimated_jig_budget(
+    system: System, near: LinearSolution, components: VarianceComponents, attitude: Array, bias: Array | None
 ) -> Budget:
-    """The coefficients' uncertainty where the jig was not stated.
+    """Return the coefficients' uncertainty where the jig was not stated and the residuals show it.
 
     Parameters
     ----------
     system : System
-        In which all positions counted the same.
+        With the jig and the noise that were found.
     near : LinearSolution
-    levers : SensitivityCoefficients
-        What the errors that it does not know of do to the readings.
-    scatter : VarianceComponents
-        What the residuals say of them.
-    squares : ndarray, shape (coefficients, coefficients), or None
-        Mean squares of what the squares of the attitudes' errors do.
-    """
-    count, readings = system.coefficients, system.readings
-    gain = near.gain[:count, :readings] / system.sigma
-    of_readings = gain**2 * levers.noise**2
-    noise = scatter.noise * of_readings.sum(axis=1)
-    adc = scatter.noise * (gain**2) @ levers.adc**2
-    by_angle = gain @ levers.attitude
-    by_warmth = gain @ levers.warmth
-    rest = near.gain[:count, readings:]
-    readings_covariance = scatter.noise * levers.covariance + scatter.jig * levers.attitude @ levers.attitude.T
-    by_assumption = levers.known - gain @ levers.assumed
-    covariance = gain @ readings_covariance @ gain.T + rest @ rest.T + by_assumption @ by_assumption.T
-    angles = np.sum(by_angle**2, axis=1)
-    jig = scatter.jig * angles
-    # A part that goes with the square of the jig's variance is twice as uncertain as one that goes with it.
-    felt = angles
-    if squares is not None:
-        covariance = covariance + squares
-        jig = jig + np.diag(squares)
-        felt = felt + 2.0 * np.diag(squares) / scatter.jig
-    # A q below zero says that the noise, by chance, was less than measured; no jig takes uncertainty away.
-    variance = {
-        NOISE: noise - adc + np.minimum(jig, 0.0),
-        ADC: adc,
-        JIG: np.maximum(jig, 0.0),
-        THERMOMETER: np.sum(by_warmth**2, axis=1),
-        PRIOR: np.sum(by_assumption**2, axis=1),
-    }
-    for source in dict.fromkeys(system.sources):
-        rows = [k for k, name in enumerate(system.sources) if name == source]
-        variance[source] = variance.get(source, np.zeros(count)) + np.sum(rest[:, rows] ** 2, axis=1)
-    parts = [(felt, scatter.information), (noise, scatter.noise_dof)]
-    if not np.isfinite(scatter.noise_dof):
-        kept = 1.0 - scatter.trade * angles / np.where(noise > 0.0, noise, 1.0)
-        parts += [(part * kept, dof) for part, dof in _noise_parts(system, of_readings)]
-    total = np.diag(covariance)
-    return Budget(
-        covariance,
-        variance,
-        welch_satterthwaite(total, parts),
-        _explained(scatter, gain * system.sigma, readings_covariance / np.outer(system.sigma, system.sigma), total),
-    )
-
-
-def _explained(scatter: VarianceComponents, gain: Array, covariance: Array, variance: Array) -> Array:
-    """The part of each coefficient's variance that is in the residuals which feel the attitudes."""
-    if scatter.silent:
-        return np.zeros(len(variance))
-    seen = scatter.directions
-    shared = gain @ covariance @ seen
-    of_residuals = seen.T @ covariance @ seen
-    part = np.sum(shared * np.linalg.solve(of_residuals, shared.T).T, axis=1)
-    return np.asarray(part / np.where(variance > 0.0, variance, 1.0))
-
-
-@dataclass(frozen=True)
-class SensitivityCoefficients:
-    """What errors do to the readings, in their units.
-
-    Attributes
-    ----------
-    noise, adc : ndarray, shape (readings,)
-        Standard uncertainty of each reading, and the part of it that is quantisation.
+        The system at its minimum.
+    components : VarianceComponents
     attitude : ndarray, shape (readings, angles)
-        Per radian.
-    warmth : ndarray, shape (readings, temperatures)
-        Per standard uncertainty of the thermometer.
-    assumed : ndarray, shape (readings, assumed)
-        Per standard uncertainty of each coefficient that something is known of.
-    known : ndarray, shape (coefficients, assumed)
-        Those standard uncertainties, each in its coefficient's row.
+        Sensitivity of each reading to the attitude angles, per radian.
+    bias : ndarray, shape (coefficients,), optional
+        What was taken off for the squares of the attitudes' errors.
+
+    Notes
+    -----
+    Weights that come from an estimated variance are not the best, and that variance is on average too small: both are
+    put right to first order by twice the covariance of what the weights' error does (Kenward and Roger, 1997). The
+    degrees of freedom of the estimate go into Student's t (GUM, eq. G.2b).
     """
-
-    noise: Array
-    adc: Array
-    attitude: Array
-    warmth: Array
-    assumed: Array
-    known: Array
-
-    @property
-    def covariance(self) -> Array:
-        """Of the readings, without the attitudes and the assumptions."""
-        return np.diag(self.noise**2) + self.warmth @ self.warmth.T
+    if not components.detectable:
+        budget = stated_budget(system, near, bias)
+        dof = np.full(system.coefficients, components.noise_dof)
+        return Budget(budget.covariance, budget.variance, dof)
+    stated = stated_budget(system, near, bias)
+    per_reading = near.inverse[: system.coefficients, : system.readings] / system.sigma
+    per_angle = per_reading @ attitude
+    angles = np.sum(per_angle**2, axis=1)
+    by_weights = 2.0 / components.information * per_angle @ components.precision @ per_angle.T
+    fewer = min(components.jig, 0.0)
+    covariance = stated.covariance + KENWARD_ROGER * by_weights + fewer * per_angle @ per_angle.T
+    # A q below zero shows that the noise, by chance, was less than measured; no jig takes uncertainty away.
+    variance = dict(stated.variance)
+    variance[NOISE] = variance[NOISE] + fewer * angles
+    variance[JIG] = variance.get(JIG, np.zeros_like(angles)) + KENWARD_ROGER * np.diag(by_weights)
+    # A part that goes with the square of the jig's variance is twice as uncertain as one that goes with it.
+    squares = 0.0 if bias is None else 2.0 * bias**2 / components.jig
+    parts = [(angles + squares, components.information)]
+    of_noise = per_reading**2 * system.sigma**2
+    if np.isfinite(components.noise_dof):
+        parts.append((of_noise.sum(axis=1), components.noise_dof))
+    else:
+        noise = of_noise.sum(axis=1)
+        kept = 1.0 - components.trade * angles / np.where(noise > 0.0, noise, 1.0)
+        parts += [(part * kept, dof) for part, dof in _noise_parts(system, of_noise)]
+    return Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), parts))
 
 
 def _noise_parts(system: System, shares: Array) -> list[tuple[Array, float]]:

@@ -21,7 +21,7 @@ from math import inf, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.estimation.attitude import table_lever, tangent_basis, turned
+from tiltcal.core.estimation.attitude import lean_rotations, tangent_basis, turned
 from tiltcal.core.estimation.design import SensorObservations
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
@@ -96,8 +96,8 @@ class System:
         As set, in the fixture's frame.
     stands : ndarray of int, shape (places,)
         The attitude that each place has; places that were held on share one.
-    lever : ndarray, shape (places, 2, 2), or None
-        Of the table's lean; None where all headings are one.
+    lean_rotations : ndarray, shape (places, 2, 2), or None
+        From the lean of the table to the attitude angles of each place; None where no lean is estimated.
     names : tuple of str
         Of the coefficients, sensor by sensor.
     sensors : ndarray of int, shape (coefficients,)
@@ -116,7 +116,7 @@ class System:
     orientations: Array
     gravity: Array
     stands: Indices
-    lever: Array | None
+    lean_rotations: Array | None
     names: tuple[str, ...]
     sensors: Indices
     prior_value: Array
@@ -146,10 +146,10 @@ class System:
     def lean(self) -> slice:
         """Columns of the table's lean."""
         start = self.attitudes.stop
-        return slice(start, start + (2 if self.lever is not None else 0))
+        return slice(start, start + (2 if self.lean_rotations is not None else 0))
 
     @cached_property
-    def warmth(self) -> slice:
+    def temperature_errors(self) -> slice:
         """Columns of the temperature errors."""
         start = self.lean.stop
         count = 1 + max(int(block.temperatures.max()) for block in self.blocks) if self.thermometer > 0 else 0
@@ -158,7 +158,7 @@ class System:
     @property
     def unknowns(self) -> int:
         """How many columns there are."""
-        return int(self.warmth.stop)
+        return int(self.temperature_errors.stop)
 
     @cached_property
     def readings(self) -> int:
@@ -180,16 +180,16 @@ class System:
     @cached_property
     def sources(self) -> tuple[str, ...]:
         """Where the uncertainty of each equation comes from; a reading's is split between noise and ADC later."""
-        return tuple(source for source, _, _ in self._priors)
+        return tuple(source for source, _, _ in self.priors)
 
     @cached_property
-    def _priors(self) -> tuple[tuple[str, int, float], ...]:
+    def priors(self) -> tuple[tuple[str, int, float], ...]:
         """Source, unknown and standard uncertainty of each equation that is no reading."""
         known = [(PRIOR, column, float(u)) for column, u in enumerate(self.prior_u) if 0.0 < u < inf]
         for source, columns, u in (
             (JIG, self.attitudes, self.jig),
             (TABLE, self.lean, self.table),
-            (THERMOMETER, self.warmth, self.thermometer),
+            (THERMOMETER, self.temperature_errors, self.thermometer),
         ):
             if u < inf:
                 known += [(source, column, u) for column in range(columns.start, columns.stop)]
@@ -215,8 +215,8 @@ class System:
         angles = np.zeros((len(self.gravity), 2))
         if self.jig > 0:
             angles += z[self.attitudes].reshape(-1, 2)[self.stands]
-        if self.lever is not None:
-            angles += self.lever @ z[self.lean]
+        if self.lean_rotations is not None:
+            angles += self.lean_rotations @ z[self.lean]
         return angles
 
     def at(self, z: Array) -> Weighted:
@@ -242,7 +242,7 @@ class System:
     def _block(self, block: EquationBlock, z: Array, direction: Array, derivative: Array | None) -> tuple[Array, Array]:
         """Residual of one channel's readings, and derivatives of what is modelled."""
         seen = self.orientations[block.sensor]
-        dt = block.dt + z[self.warmth][block.temperatures] if self.thermometer > 0 else block.dt
+        dt = block.dt + z[self.temperature_errors][block.temperatures] if self.thermometer > 0 else block.dt
         reading = block.model.read(z[block.columns], direction[block.places] @ seen.T, dt)
         residual = block.mean - reading.value
         jacobian = np.zeros((len(residual), self.unknowns))
@@ -254,15 +254,15 @@ class System:
         if self.jig > 0:
             for axis in (0, 1):
                 jacobian[rows, self.attitudes.start + 2 * self.stands[block.places] + axis] = by_angle[:, axis]
-        if self.lever is not None:
-            jacobian[:, self.lean] = np.einsum("ni,nij->nj", by_angle, self.lever[block.places])
+        if self.lean_rotations is not None:
+            jacobian[:, self.lean] = np.einsum("ni,nij->nj", by_angle, self.lean_rotations[block.places])
         if self.thermometer > 0:
-            jacobian[rows, self.warmth.start + block.temperatures] = reading.by_temperature
+            jacobian[rows, self.temperature_errors.start + block.temperatures] = reading.by_temperature
         return residual, jacobian
 
     def _known(self, z: Array) -> tuple[Array, Array]:
         """The equations that are no readings."""
-        known = self._priors
+        known = self.priors
         columns = np.array([column for _, column, _ in known], dtype=np.intp)
         u = np.array([u for _, _, u in known])
         centre = np.zeros(self.unknowns)
@@ -280,7 +280,7 @@ class System:
         """
         moving = ~self.fixed
         left = len(jacobian) - int(np.sum(moving))
-        if self.lever is None or self.table_stated:
+        if self.lean_rotations is None or self.table_stated:
             return left
         # The bound that keeps the lean finite judges nothing: it counts where no reading tells the lean.
         telling = np.array([True] * self.readings + [source != TABLE for source in self.sources])
@@ -322,7 +322,7 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
         orientations=np.array([sensor.orientation for sensor in sensors], dtype=float),
         gravity=gravity,
         stands=stands,
-        lever=table_lever(np.array(headings)) if several and not design.free else None,
+        lean_rotations=lean_rotations(np.array(headings)) if several and not design.free else None,
         names=tuple(names),
         sensors=np.array(owners, dtype=np.intp),
         prior_value=np.array([prior.value if prior else 0.0 for prior in priors]),

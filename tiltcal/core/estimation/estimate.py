@@ -21,18 +21,23 @@ import numpy as np
 
 from tiltcal.core.budget import Budget
 from tiltcal.core.estimation.attitude import rotation_vectors
-from tiltcal.core.estimation.covariance import SensitivityCoefficients, scaled_budget, scattered_budget, stated_budget
+from tiltcal.core.estimation.covariance import estimated_jig_budget, scaled_budget, stated_budget
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations, require_sound
-from tiltcal.core.estimation.equations import System, system_of
-from tiltcal.core.estimation.gauss_newton import minimise
+from tiltcal.core.estimation.equations import JIG, TABLE, System, system_of
+from tiltcal.core.estimation.gauss_newton import LinearSolution, linearised, minimise
 from tiltcal.core.estimation.identifiability import require_determined
-from tiltcal.core.estimation.linear import LinearSolution, linear
-from tiltcal.core.estimation.second_order import attitude_lever, second_order_bias, second_order_squares
+from tiltcal.core.estimation.second_order import second_order_bias
 from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
-from tiltcal.core.estimation.variance_components import VarianceComponents, scatter_of
+from tiltcal.core.estimation.variance_components import VarianceComponents, variance_components
 from tiltcal.core.model import Array, Coefficients, Thermal
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
+
+ROUNDS = 20
+"""Most times that the jig is estimated anew at the solution that the last one gave; three to five are usual."""
+
+CLOSE = 1e-4
+"""A relative change of the jig below which it is found."""
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
 LUCKY = "the residuals are smaller than the noise of the readings, which is luck: the noise counts"
@@ -93,7 +98,7 @@ class Estimate:
         True where the covariance stands on stated uncertainties, False where the residuals gave it.
     attitudes : tuple of AttitudeError
         One a position, where the jig is stated; empty otherwise.
-    scatter_jig : float or None
+    estimated_jig : float or None
         Standard deviation of a set angle that the residuals show where the jig is not stated, degrees.
     notes : tuple of str
         What the reader of the numbers should know.
@@ -110,7 +115,7 @@ class Estimate:
     p: float | None
     stated: bool
     attitudes: tuple[AttitudeError, ...] = ()
-    scatter_jig: float | None = None
+    estimated_jig: float | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -187,7 +192,7 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
 def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """All errors of the bench are unknowns, with what was stated of them."""
     z = _settled(system, _first(system))
-    near = linear(system, z)
+    near = linearised(system, z)
     bias = second_order_bias(system, z, near, system.jig**2) if system.jig > 0 else None
     budget = stated_budget(system, near, bias)
     residual = system.at(z).residual
@@ -202,37 +207,67 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
 
 
 def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
-    """Plain least squares; the residuals say the rest."""
-    plain = system.unweighted()
-    z = _first(plain)
-    near = linear(plain, z)
-    dof = plain.degrees_of_freedom(near.jacobian)
+    """Estimate the jig from the residuals, and solve the equations with it as if it was stated."""
+    known = replace(system, jig=0.0)
+    z = _settled(known, _first(system.unweighted()))
+    near = linearised(known, z)
+    dof = known.degrees_of_freedom(near.jacobian)
     if dof == 0:
-        exact = replace(system, jig=0.0)
-        budget = stated_budget(exact, linear(exact, np.append(z, np.zeros(exact.unknowns - len(z)))))
-        return _estimates(sensors, system, _Found(z, budget, 0, None, True, notes=(NO_FREEDOM,)))
-    levers = _levers(system, plain, z)
-    scatter = _scatter(plain, z, near, levers)
-    squares = second_order_squares(plain, z, near, scatter.jig_squared) if scatter.jig > 0 else None
-    budget = scattered_budget(plain, near, levers, scatter, squares)
+        return _estimates(sensors, system, _Found(z, stated_budget(known, near), 0, None, True, notes=(NO_FREEDOM,)))
+    components, attitude = _components(known, z)
+    for _ in range(ROUNDS):
+        before, last = known.jig, known
+        known = _with_noise(replace(system, jig=components.angle), components.noise)
+        z = _settled(known, z, last)
+        if components.angle == before or abs(known.jig - before) <= CLOSE * before:
+            break
+        components, attitude = _components(replace(system, jig=components.angle), z)
+    near = linearised(known, z)
+    bias = second_order_bias(known, z, near, known.jig**2) if known.jig > 0 else None
+    budget = estimated_jig_budget(known, near, components, attitude, bias)
     notes = []
-    if scatter.exceeds:
+    if components.exceeds:
         notes.append(EXCEEDS)
-    if scatter.silent and np.any(np.abs(near.gain[: plain.coefficients, : plain.readings] @ levers.attitude) > 0.0):
+    if not components.detectable and np.any(
+        np.abs(near.inverse[: known.coefficients, : known.readings] @ attitude) > 0
+    ):
         notes.append(HELD)
-    residual = plain.unexplained(z) / system.sigma
-    found = _Found(z, budget, dof, float(residual @ residual), False, degrees(scatter.angle), tuple(notes))
-    return _estimates(sensors, system, found)
+    if bias is not None:
+        z = z.copy()
+        z[: known.coefficients] -= bias
+    residual = known.unexplained(_as_set(known, z)) / system.sigma
+    found = _Found(z, budget, dof, float(residual @ residual), False, degrees(components.angle), tuple(notes))
+    return _estimates(sensors, known, found)
 
 
-def _scatter(plain: System, z: Array, near: LinearSolution, levers: SensitivityCoefficients) -> VarianceComponents:
-    """What the residuals say of the jig; that a coefficient is only assumed counts as so much more noise."""
-    unit = plain.sigma
-    noise = levers.covariance + levers.assumed @ levers.assumed.T
-    jacobian = near.jacobian[: plain.readings, ~plain.fixed]
-    return scatter_of(
-        plain.unexplained(z) / unit, jacobian, noise / np.outer(unit, unit), levers.attitude / unit[:, None]
-    )
+def _with_noise(system: System, factor: float) -> System:
+    """Return the system with the variance of its noise multiplied."""
+    if factor == 1.0:
+        return system
+    return replace(system, blocks=tuple(replace(block, u=block.u * factor**0.5) for block in system.blocks))
+
+
+def _components(system: System, z: Array) -> tuple[VarianceComponents, Array]:
+    """Find the jig's variance near a point, and the readings' sensitivities to the attitudes there.
+
+    The errors that the system takes as unknowns with a prior are put back into the residuals: they belong to the
+    readings' covariance.
+    """
+    tilted = system if system.jig > 0 else replace(system, jig=1.0)
+    z_tilted = z if tilted is system else _carried(z, system, tilted)
+    slopes = tilted.at(z_tilted).jacobian[: tilted.readings]
+    residual = tilted.unexplained(z_tilted) / tilted.sigma
+    centre = tilted.start()
+    random = [column for source, column, _ in tilted.priors if source != TABLE or tilted.table_stated]
+    residual += slopes[:, random] @ (z_tilted - centre)[random]
+    attitudes = tilted.attitudes
+    stated = [(column, u) for source, column, u in tilted.priors if column in random and source != JIG]
+    known = slopes[:, [column for column, _ in stated]] * np.array([u for _, u in stated])
+    fixed = ~tilted.fixed
+    fixed[random] = False
+    noise = np.eye(tilted.readings) + known @ known.T
+    found = variance_components(residual, slopes[:, fixed], noise, slopes[:, attitudes])
+    return found, slopes[:, attitudes] * tilted.sigma[:, None]
 
 
 def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
@@ -241,7 +276,7 @@ def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estima
     even, z = triangular_gauge(even, _first(replace(even, jig=0.0, thermometer=0.0)))
     require_enough(even)
     z = minimise(even.at, z, ~even.fixed)
-    near = linear(even, z)
+    near = linearised(even, z)
     require_spread(even, near.jacobian)
     dof = even.degrees_of_freedom(near.jacobian)
     residual = even.at(z).residual
@@ -271,7 +306,7 @@ class _Found:
     dof: int
     chi_square: float | None
     stated: bool
-    scatter_jig: float | None = None
+    estimated_jig: float | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -281,36 +316,31 @@ def _first(system: System) -> Array:
     z = set_right.start()
     moving = ~set_right.fixed
     moving[set_right.assumed] = False
-    lever = np.linalg.norm(set_right.at(z).jacobian, axis=0) > 0
-    # Gain and non-linearity have no lever before a sensitivity is known: they join in the second round.
-    z = minimise(set_right.at, z, moving & lever)
+    sensitive = np.linalg.norm(set_right.at(z).jacobian, axis=0) > 0
+    # Gain and non-linearity have no effect before a sensitivity is known: they join in the second round.
+    z = minimise(set_right.at, z, moving & sensitive)
     require_determined(set_right, z)
     return minimise(set_right.at, z, moving)
 
 
-def _settled(system: System, first: Array) -> Array:
-    """The minimum with all unknowns, from the one with the attitudes as set."""
-    z = np.zeros(system.unknowns)
-    z[: system.coefficients] = first[: system.coefficients]
-    z[system.lean] = first[system.coefficients :]
-    return minimise(system.at, z, ~system.fixed)
+def _settled(system: System, z: Array, known: System | None = None) -> Array:
+    """Return the minimum with all unknowns, from one with other errors of the bench (as set where none is given)."""
+    start = _carried(z, replace(system, jig=0.0, thermometer=0.0) if known is None else known, system)
+    return minimise(system.at, start, ~system.fixed)
 
 
-def _levers(system: System, plain: System, z: Array) -> SensitivityCoefficients:
-    """What noise, attitudes, temperatures and assumptions do to the readings near a point found without them."""
-    attitude, _, _ = attitude_lever(plain, z)
-    warm = replace(system, jig=0.0)
-    z_warm = np.append(z, np.zeros(warm.unknowns - len(z)))
-    slopes = warm.at(z_warm).jacobian[: warm.readings] * warm.sigma[:, None]
-    adc = np.concatenate([block.adc for block in system.blocks])
-    return SensitivityCoefficients(
-        noise=system.sigma,
-        adc=adc,
-        attitude=attitude,
-        warmth=slopes[:, warm.warmth] * system.thermometer,
-        assumed=slopes[:, system.assumed] * system.prior_u[system.assumed],
-        known=np.eye(system.coefficients)[:, system.assumed] * system.prior_u[system.assumed],
-    )
+def _carried(z: Array, before: System, after: System) -> Array:
+    """Return the unknowns of one system as those of another, zero where the first has none."""
+    carried = np.zeros(after.unknowns)
+    carried[: after.coefficients] = z[: before.coefficients]
+    for old, new in (
+        (before.attitudes, after.attitudes),
+        (before.lean, after.lean),
+        (before.temperature_errors, after.temperature_errors),
+    ):
+        if old.stop > old.start and new.stop > new.start:
+            carried[new] = z[old]
+    return carried
 
 
 def _attitudes(
@@ -322,7 +352,7 @@ def _attitudes(
     angles = system.angles(z)
     turns = rotation_vectors(system.gravity, system.basis, angles)
     names = list(dict.fromkeys(o.position for sensor in sensors for o in sensor.observations))
-    covariance = near.gain[system.attitudes] @ near.gain[system.attitudes].T
+    covariance = near.inverse[system.attitudes] @ near.inverse[system.attitudes].T
     own = z[system.attitudes].reshape(-1, 2)
     judged = []
     for stand, angle in enumerate(own):
@@ -369,7 +399,7 @@ def _estimates(
                 p=p,
                 stated=found.stated,
                 attitudes=tuple(one for one in attitudes if one.position in here),
-                scatter_jig=found.scatter_jig,
+                estimated_jig=found.estimated_jig,
                 notes=found.notes,
             )
         )

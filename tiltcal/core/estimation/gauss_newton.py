@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.estimation.equations import Weighted
+from tiltcal.core.estimation.equations import System, Weighted
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
@@ -83,6 +84,35 @@ def minimise(equations: Callable[[Array], Weighted], start: Array, moving: NDArr
     if fall <= CREEPING:
         return z
     raise EstimateError(f"the estimate does not settle in {STEPS} steps: are the positions named right?")
+
+
+@dataclass(frozen=True)
+class LinearSolution:
+    """The system near its minimum, where every unknown is a linear function of the equations' errors.
+
+    The covariance of the unknowns is the inverse times its transpose.
+
+    Attributes
+    ----------
+    jacobian : ndarray, shape (equations, unknowns)
+        Weighted.
+    inverse : ndarray, shape (unknowns, equations)
+        Pseudo-inverse of the Jacobian: the sensitivity of each unknown to each equation's error, which is in units of
+        its standard uncertainty.
+    """
+
+    jacobian: Array
+    inverse: Array
+
+
+def linearised(system: System, z: Array) -> LinearSolution:
+    """Linearise the system at a point; unknowns that are held do not move."""
+    jacobian = system.at(z).jacobian
+    moving = ~system.fixed
+    size = column_sizes(jacobian)
+    inverse = np.zeros(jacobian.T.shape)
+    inverse[moving] = pseudo_inverse((jacobian / size)[:, moving]) / size[moving, None]
+    return LinearSolution(jacobian, inverse)
 
 
 def column_sizes(jacobian: Array) -> Array:

@@ -16,8 +16,8 @@ from tiltcal.core.budget import Budget
 from tiltcal.core.estimation.covariance import stated_budget
 from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.equations import System, system_of
+from tiltcal.core.estimation.gauss_newton import linearised
 from tiltcal.core.estimation.identifiability import CANDIDATES, WARMER, require_determined
-from tiltcal.core.estimation.linear import linear
 from tiltcal.core.estimation.unit_gravity import require_spread, triangular_gauge
 from tiltcal.core.frames import Vector
 from tiltcal.core.model import AXES, Array
@@ -122,7 +122,7 @@ def predicted_covariance(
         The plan leaves coefficients undetermined; they are named, and a position that would determine them.
     """
     system, z = _system(design, positions, noise, sensitivity, adc, sensors)
-    near = linear(system, z)
+    near = linearised(system, z)
     if design.free:
         require_spread(system, near.jacobian)
     else:
@@ -214,7 +214,7 @@ def _worth_adding(
     for name, gravity, temperature in _candidates(design, positions, usual):
         longer = [*positions, PlannedPosition(name, gravity, temperature, positions[0].heading)]
         system, z = _system(design, longer, noise, sensitivity, adc, sensors)
-        after = stated_budget(system, linear(system, z)).u[: len(before)]
+        after = stated_budget(system, linearised(system, z)).u[: len(before)]
         share = after / np.where(before > 0.0, before, np.inf)
         share[(before == 0.0) | assumed] = 1.0
         most = int(np.argmin(np.round(share, 6)))

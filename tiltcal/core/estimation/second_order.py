@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from tiltcal.core.estimation.equations import Indices, System
-from tiltcal.core.estimation.linear import LinearSolution
+from tiltcal.core.estimation.gauss_newton import LinearSolution
 from tiltcal.core.model import AXES, Array
 
 
@@ -43,9 +43,9 @@ def second_order_bias(system: System, z: Array, near: LinearSolution, variance: 
     -------
     ndarray, shape (coefficients,)
     """
-    lever, curvature, stands = attitude_lever(system, z)
+    lever, curvature, stands = attitude_sensitivity(system, z)
     readings = system.readings
-    linear = near.gain[:, :readings] / system.sigma
+    linear = near.inverse[:, :readings] / system.sigma
     follows = linear @ lever
     own = follows[system.attitudes].reshape(-1, 2, lever.shape[1])
     left = (lever - (near.jacobian @ follows)[:readings] * system.sigma[:, None]) / system.sigma[:, None] ** 2
@@ -62,35 +62,11 @@ def second_order_bias(system: System, z: Array, near: LinearSolution, variance: 
         at = system.attitudes.start + 2 * stands[rows][:, None] + np.arange(2)
         np.add.at(pull, at, np.einsum("nkm,nm->nk", turned, left_there))
     coefficients = slice(0, system.coefficients)
-    bias = linear[coefficients] @ off + near.gain[coefficients] @ (near.gain.T @ pull)
+    bias = linear[coefficients] @ off + near.inverse[coefficients] @ (near.inverse.T @ pull)
     return np.asarray(variance * bias)
 
 
-def second_order_squares(system: System, z: Array, near: LinearSolution, squared: float) -> Array:
-    """Mean squares of the second-order errors, where the attitudes are taken as set and nothing is put back.
-
-    Parameters
-    ----------
-    system, z, near
-        As for :func:`second_order_bias`, of a system without attitude angles.
-    squared : float
-        The square of an attitude angle's variance, rad⁴.
-
-    Returns
-    -------
-    ndarray, shape (coefficients, coefficients)
-        Scatter and bias together.
-    """
-    _, curvature, stands = attitude_lever(system, z)
-    shares = near.gain[: system.coefficients, : system.readings] / system.sigma * curvature
-    bent = np.zeros((system.coefficients, int(stands.max()) + 1))
-    np.add.at(bent.T, stands, shares.T)
-    # A stand lowers its readings by aᵀa / 2 times the curvature: s² on average, and s² is its standard deviation.
-    total = bent.sum(axis=1)
-    return np.asarray(squared * (bent @ bent.T + np.outer(total, total)))
-
-
-def attitude_lever(system: System, z: Array) -> tuple[Array, Array, Indices]:
+def attitude_sensitivity(system: System, z: Array) -> tuple[Array, Array, Indices]:
     """What attitude angles do to the readings.
 
     Returns

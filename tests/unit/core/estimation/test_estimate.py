@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from math import cos, inf, radians, sin
 
 import numpy as np
@@ -60,11 +61,17 @@ class TestRecordedSession:
     )
     TWO_FACE_OFFSET = (0.5371, -0.6162, 0.3989)
 
-    def test_unstated_jig_gives_the_published_least_squares(self, observations) -> None:
-        found = estimate(observations, Design(("x", "y", "z"), ("x", "y", "z")))
+    def test_a_perfect_jig_and_one_noise_give_the_published_least_squares(self, observations) -> None:
+        alike = [replace(one, u=np.full(3, 1e-3)) for one in observations]
+        found = estimate(alike, Design(("x", "y", "z"), ("x", "y", "z"), jig=0.0))
         np.testing.assert_allclose(found.coefficients.offset, self.OFFSET, atol=5.1e-6)
         np.testing.assert_allclose(found.coefficients.sensitivity, self.SENSITIVITY, atol=5.1e-6)
         assert np.abs(found.residuals).max() == pytest.approx(0.026, abs=5e-4)
+
+    def test_unstated_jig_gives_the_published_offsets(self, observations) -> None:
+        """The residuals show the placement, and the pair of faces along an axis gives its offset, as in imucal."""
+        found = estimate(observations, Design(("x", "y", "z"), ("x", "y", "z")))
+        np.testing.assert_allclose(found.coefficients.offset, self.TWO_FACE_OFFSET, atol=1e-3)
 
     def test_with_a_stated_placement_the_published_offsets_are_inside_the_95_percent_intervals(
         self, observations
@@ -93,8 +100,8 @@ class TestPlacement:
     def test_the_placement_that_the_residuals_show(self, observations) -> None:
         """0.026 m/s² in 9.8 m/s²/g is 0.15°; the six faces together are about as far off."""
         found = estimate(observations, Design(("x", "y", "z"), ("x", "y", "z")))
-        assert found.scatter_jig is not None
-        assert 0.05 < found.scatter_jig < 0.25
+        assert found.estimated_jig is not None
+        assert 0.05 < found.estimated_jig < 0.25
         assert not found.stated
 
 
