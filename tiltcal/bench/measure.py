@@ -47,6 +47,8 @@ def measure(
     samples: int | None = None,
     settle: float | None = None,
     jig: float | None = None,
+    table_lean: float | None = None,
+    heading: float | None = None,
     tilt: float | None = None,
     turns: int | None = None,
     base: str | Path | None = None,
@@ -81,6 +83,10 @@ def measure(
         Seconds that a reading must hold still, in place of the procedure's.
     jig : float, optional
         Standard uncertainty of a set angle, degrees.
+    table_lean : float, optional
+        Standard uncertainty of the lean of the table that all positions share, degrees per axis.
+    heading : float, optional
+        Standard uncertainty of a heading, degrees.
     tilt : float, optional
         The angle that the procedure leaves free, degrees.
     turns : int, optional
@@ -128,7 +134,12 @@ def measure(
         if steps.rotation is not None:
             _require_no_positions(samples, settle, jig)
         sensors = _bench(bench) if bench is not None else single(str(sensor), str(serial), str(address))
-        sensors = sensors if jig is None else replace(sensors, jig=jig)
+        sensors = replace(
+            sensors,
+            jig=sensors.jig if jig is None else jig,
+            table=sensors.table if table_lean is None else table_lean,
+            heading=sensors.heading if heading is None else heading,
+        )
         base_of(steps, None if base is None else Path(base), [one.serial for one in sensors.sensors])
         outputs, beside = _outputs(steps, sensors, bench, None if output is None else Path(output))
         path = Path(resume or journal or free_journal(beside, remark))
@@ -242,6 +253,7 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
             device.model,
             jig=plan.jig,
             thermometer=plan.thermometer_uncertainty,
+            table_lean=plan.table,
             samples=plan.settings.samples,
             orientation=device.orientation,
             sensors=len(plan.sensors),

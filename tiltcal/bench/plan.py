@@ -56,6 +56,7 @@ def plan(
     address: str | None = None,
     jig: float | None = None,
     thermometer: float | None = None,
+    table_lean: float | None = None,
     noise: float | None = None,
     samples: int | None = None,
     tilt: float | None = None,
@@ -74,6 +75,8 @@ def plan(
         Standard uncertainty of a set angle, degrees.
     thermometer : float, optional
         Standard uncertainty of a temperature, °C.
+    table_lean : float, optional
+        Standard uncertainty of the lean of the table that all positions share, degrees.
     noise : float, optional
         Standard deviation of one sample, in the sensor's unit; without it that of the model's virtual twin.
     samples : int, optional
@@ -107,4 +110,4 @@ def plan(
         return PlannedRotation(channels.pairs, steps.rotation.turns, channels.left_out)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
-    return predict(steps, model, jig=jig, thermometer=thermometer, noise=noise, samples=samples)
+    return predict(steps, model, jig=jig, thermometer=thermometer, table_lean=table_lean, noise=noise, samples=samples)

@@ -71,7 +71,7 @@ def tilt_calibrations(
             for one in sensors
         ],
         plan.procedure,
-        BenchUncertainty(plan.jig, plan.thermometer_uncertainty),
+        BenchUncertainty(plan.jig, plan.thermometer_uncertainty, plan.table, plan.heading),
         base=_base(plan),
         typical_temperature=plan.typical,
         settings={"samples": plan.settings.samples, "settle_seconds": plan.settings.settle},

@@ -94,6 +94,8 @@ class SessionPlan:
     thermometer : DeviceSetup or None
     thermometer_uncertainty : float or None
         Stated standard uncertainty of a temperature, °C.
+    table, heading : float or None
+        Stated standard uncertainties of the table's lean and of a heading, degrees.
     base : str or None
         The text of the calibration file that a mounting completes.
     typical : bool
@@ -111,6 +113,8 @@ class SessionPlan:
     journal: str
     thermometer: DeviceSetup | None = None
     thermometer_uncertainty: float | None = None
+    table: float | None = None
+    heading: float | None = None
     base: str | None = None
     typical: bool = False
 
@@ -141,6 +145,11 @@ class SessionPlan:
                 "soak": self.settings.soak,
                 "jig": self.jig,
                 "thermometer": self.thermometer_uncertainty,
+                **{
+                    name: value
+                    for name, value in (("table", self.table), ("heading", self.heading))
+                    if value is not None
+                },
                 "angle": self.procedure.angle,
                 **({} if self.procedure.rotation is None else {"turns": self.procedure.rotation.turns}),
             },
@@ -174,6 +183,8 @@ class SessionPlan:
                 journal=header.journal,
                 thermometer=None if header.thermometer is None else DeviceSetup.from_header(header.thermometer),
                 thermometer_uncertainty=settings.thermometer,
+                table=settings.table,
+                heading=settings.heading,
                 base=header.base,
                 typical=header.typical_temperature,
             )
@@ -239,6 +250,8 @@ def plan_session(
         journal=journal.name,
         thermometer=None if bench.thermometer is None else _thermometer(bench.thermometer),
         thermometer_uncertainty=None if bench.thermometer is None else bench.thermometer.uncertainty,
+        table=bench.table,
+        heading=bench.heading,
         base=base,
         typical=typical,
     )

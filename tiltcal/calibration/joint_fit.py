@@ -14,14 +14,21 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.calibration.results import derived_record, fit_record, rounded, uncertainty_of
 from tiltcal.core.comparison import values
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
-from tiltcal.core.estimation.estimate import estimate_jointly
-from tiltcal.core.estimation.pooling import pooled
-from tiltcal.core.model import AXES, Array, Limits
+from tiltcal.core.estimation.equations import HYSTERESIS
+from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, largest_loops
+from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means
+from tiltcal.core.model import AXES, Limits
 from tiltcal.core.rounding import significant
+from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.records import PositionSet, ProcedureRecord
+
+LOOP = 3.0
+"""Standard uncertainties above which the difference of two readings at one temperature is hysteresis."""
+
+EXACT_TEMPERATURES = "the thermometer's uncertainty is not stated: temperatures count as exact (--thermometer)"
 
 
 def fit_jointly(
@@ -57,9 +64,10 @@ def fit_jointly(
     observed = [observed_sensor(one, procedure, bench, base) for one in sensors]
     assumed = "nominal of the model" if base is None else "of the base calibration"
     calibrations = []
-    for sensor, seen, one in zip(sensors, observed, estimate_jointly(observed), strict=True):
+    for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
         design = seen.design
-        remarks = () if design.priors else judge_channels(sensor, one)
+        remarks = () if design.priors else judge_channels(sensor, estimated)
+        one = _with_remarks(_with_hysteresis(estimated, seen.observations), sensor.measurements, design)
         fit = fit_record(one, design, _largest_noise(sensor.measurements, design.channels))
         calibrations.append(
             CalibrationRecord(
@@ -74,6 +82,32 @@ def fit_jointly(
             )
         )
     return calibrations
+
+
+def _with_hysteresis(found: Estimate, observations: Sequence[Observation]) -> Estimate:
+    """Return the estimate with the loops between temperatures that were met twice in the uncertainty of the offsets.
+
+    The truth is anywhere between the two ways: half a loop to either side, with a rectangular distribution.
+    """
+    if found.coefficients.thermal is None:
+        return found
+    loops = largest_loops(found, observations)
+    added = np.zeros(len(found.names))
+    for channel, loop in loops.items():
+        if abs(loop.difference) > LOOP * loop.u:
+            added[found.names.index(f"offset.{channel}")] = loop.difference**2 / 12.0
+    return replace(found, budget=found.budget.with_known(added, HYSTERESIS)) if added.any() else found
+
+
+def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: Design) -> Estimate:
+    """Return the estimate with notes on what its uncertainty stands on, and does not."""
+    notes = list(found.notes)
+    correlated = correlated_noise(_summaries(measurements, design.channels))
+    if correlated is not None:
+        notes.append(correlated.note)
+    if design.thermal and not design.thermometer:
+        notes.append(EXACT_TEMPERATURES)
+    return replace(found, notes=tuple(notes))
 
 
 def observed_sensor(
@@ -118,6 +152,8 @@ def design_of(
         determines.gain,
         procedure.reference or 0.0,
         inf if determines.free else bench.jig,
+        table=bench.table,
+        heading=bench.heading or 0.0,
         thermometer=bench.thermometer or 0.0,
         nonlinearity=determines.nonlinearity,
     )
@@ -164,22 +200,23 @@ def no_sensitivity(procedure: Procedure) -> str:
 
 def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]) -> list[Observation]:
     """The positions for the estimator, each one's noise made better known by that of the others."""
-    noise = [pooled(*_noise(measurements, channel)) for channel in channels]
+    correlated = correlated_noise(_summaries(measurements, channels))
+    noise = [noise_of_means([one.summaries[channel] for one in measurements], correlated) for channel in channels]
     observations = []
     before: Measurement | None = None
     for number, measurement in enumerate(measurements):
         summaries = [measurement.summaries[channel] for channel in channels]
-        adc = np.array([summary.quantisation for summary in summaries])
+        adc = np.array([rounding[number] for _, _, rounding in noise])
         observations.append(
             Observation(
                 measurement.position,
                 np.array(measurement.gravity),
                 np.array([summary.mean for summary in summaries]),
-                np.sqrt(np.array([variance[number] for variance, _ in noise]) + adc**2),
+                np.sqrt(np.array([variance[number] for variance, _, _ in noise]) + adc**2),
                 measurement.temperature,
                 measurement.heading,
                 held=before is not None and _stands(before) == _stands(measurement),
-                dof=np.array([dof[number] for _, dof in noise]),
+                dof=np.array([dof[number] for _, dof, _ in noise]),
                 adc=adc,
             )
         )
@@ -187,10 +224,8 @@ def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]
     return observations
 
 
-def _noise(measurements: Sequence[Measurement], channel: str) -> tuple[Array, Array]:
-    """Variance of each position's mean, and its degrees of freedom."""
-    summaries = [measurement.summaries[channel] for measurement in measurements]
-    return np.array([summary.noise**2 for summary in summaries]), np.array([summary.dof for summary in summaries])
+def _summaries(measurements: Sequence[Measurement], channels: Sequence[str]) -> list[SampleSummary]:
+    return [measurement.summaries[channel] for measurement in measurements for channel in channels]
 
 
 def _stands(measurement: Measurement) -> tuple[object, ...]:

@@ -23,12 +23,19 @@ class BenchUncertainty:
     jig : float or None
         Of a set angle, degrees. Not stated, the scatter of the positions shows it. A procedure of free positions takes
         none: there the directions of the measurements are a first guess, and unit gravity determines the rest.
+    table : float or None
+        Of the lean of the table that all positions share, degrees per axis. Not stated, positions at several headings
+        show it.
+    heading : float or None
+        Of a heading, degrees. Not stated, headings count as exact.
     thermometer : float or None
         Of a temperature, °C. Not stated, it is the step of the sensors' own thermometers, or nothing.
     """
 
     jig: float | None = None
     thermometer: float | None = None
+    table: float | None = None
+    heading: float | None = None
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.budget import coverage_factor
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
-from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.mounting import UNKNOWN_ANGLE, mounting_matrix
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, rotation_vector, solve_mounting
 from tiltcal.errors import EstimateError
@@ -58,11 +58,12 @@ def mount(
     found, side = _best(base.coefficients, measurements, known, jig)
     joint = _joined(base, found, lambda c: _solved(_directions(c, measurements) * side, known, jig))
     mounting, u = _rounded(found, joint)
+    locked = found.gimbal_lock or u.get("roll") == significant(degrees(UNKNOWN_ANGLE), 4)
     return replace(
         base,
         coefficients=replace(base.coefficients, mounting=mounting),
         uncertainty=_uncertainty(base.uncertainty, joint, u),
-        derived=replace(base.derived, gimbal_lock=base.derived.gimbal_lock or found.gimbal_lock),
+        derived=replace(base.derived, gimbal_lock=base.derived.gimbal_lock or locked),
         fit=replace(base.fit, mounting=_record(found, measurements, jig)),
         procedure=replace(
             base.procedure,
@@ -163,11 +164,13 @@ def _directions(coefficients: Coefficients, measurements: Sequence[Measurement])
 
 def _rounded(found: MountingEstimate, joint: _Joint) -> tuple[Mounting, dict[str, float]]:
     """The angles with the digits that their uncertainty warrants, radians; and that, degrees."""
-    if found.gimbal_lock:
+    if found.u is None:
         return found.mounting, {}
     doubt = angle_uncertainty(mounting_matrix(found.mounting), joint.covariance[-3:, -3:])
     u = {name: degrees(getattr(doubt, name)) for name in ANGLES}
-    angles = {name: radians(round_to(degrees(getattr(found.mounting, name)), u[name])) for name in u}
+    # Where roll and yaw cannot be told apart their sum or difference is as well known as the pitch.
+    digits = dict.fromkeys(ANGLES, min(u.values())) if doubt.roll == UNKNOWN_ANGLE else u
+    angles = {name: radians(round_to(degrees(getattr(found.mounting, name)), digits[name])) for name in u}
     return Mounting(**angles), {name: significant(value, 4) for name, value in u.items()}
 
 

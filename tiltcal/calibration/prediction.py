@@ -151,6 +151,7 @@ def predict(
     *,
     jig: float | None = None,
     thermometer: float | None = None,
+    table_lean: float | None = None,
     noise: float | None = None,
     samples: int | None = None,
     orientation: Orientation = STRAIGHT,
@@ -166,6 +167,8 @@ def predict(
         Standard uncertainty of a set angle, degrees; None counts with a perfect one.
     thermometer : float, optional
         Standard uncertainty of a temperature, °C; None counts with the step of the sensor's own thermometer.
+    table_lean : float, optional
+        Standard uncertainty of the table's lean, degrees; None counts with a level one.
     noise : float, optional
         Standard deviation of one sample, unit; None takes that of the model's virtual part.
     samples : int, optional
@@ -185,7 +188,7 @@ def predict(
     require_tilt(procedure, model)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
     warmth = model.thermometer_rounding if thermometer is None else thermometer
-    design = design_of(identity, procedure, BenchUncertainty(jig, warmth), nominal=Nominal.of(model))
+    design = design_of(identity, procedure, BenchUncertainty(jig, warmth, table_lean), nominal=Nominal.of(model))
     scatter = _usual_noise(model) if noise is None else noise
     count = samples or procedure.samples
     # A steady reading that is rounded keeps an error that no averaging removes.

@@ -60,6 +60,19 @@ Examples:
     metavar="CELSIUS",
     help="Standard uncertainty of a temperature; without it, that of the step of the --sensor's own thermometer.",
 )
+@click.option(
+    "--table-lean",
+    type=click.FloatRange(0.0),
+    metavar="DEGREES",
+    help="Standard uncertainty of the lean of the table that all positions share.",
+)
+@click.option(
+    "--heading-uncertainty",
+    "heading",
+    type=click.FloatRange(0.0),
+    metavar="DEGREES",
+    help="Standard uncertainty of a heading.",
+)
 @click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
 @click.option(
     "--gravity",
@@ -92,6 +105,8 @@ def command(
     sensor: str | None,
     jig: float | None,
     thermometer: float | None,
+    table_lean: float | None,
+    heading: float | None,
     tilt: float | None,
     gravity: float | None,
     window: int | None,
@@ -123,6 +138,8 @@ def command(
         columns=columns,
         jig=jig,
         thermometer=thermometer,
+        table_lean=table_lean,
+        heading=heading,
         tilt=tilt,
         gravity=gravity,
         window=window,

@@ -43,6 +43,19 @@ from tiltcal.cli.session_options import LEADERS, left_at_default, remark
     metavar="DEGREES",
     help="Standard uncertainty of a set angle; without it, it is estimated from the residuals.",
 )
+@click.option(
+    "--table-lean",
+    type=click.FloatRange(0.0),
+    metavar="DEGREES",
+    help="Standard uncertainty of the lean of the table that all positions share.",
+)
+@click.option(
+    "--heading-uncertainty",
+    "heading",
+    type=click.FloatRange(0.0),
+    metavar="DEGREES",
+    help="Standard uncertainty of a heading.",
+)
 @click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
 @click.option("--turns", type=int, help="Largest number of turns of the stage; overrides the procedure.")
 @click.option(
@@ -70,6 +83,8 @@ def command(
     samples: int | None,
     settle: float | None,
     jig: float | None,
+    table_lean: float | None,
+    heading: float | None,
     tilt: float | None,
     turns: int | None,
     base: Path | None,
@@ -97,6 +112,8 @@ def command(
         samples=samples,
         settle=settle,
         jig=jig,
+        table_lean=table_lean,
+        heading=heading,
         tilt=tilt,
         turns=turns,
         base=base,

@@ -15,6 +15,9 @@ import click
 @click.option(
     "--thermometer", type=click.FloatRange(0.0), metavar="CELSIUS", help="Standard uncertainty of a temperature."
 )
+@click.option(
+    "--table-lean", type=click.FloatRange(0.0), metavar="DEGREES", help="Standard uncertainty of the table's lean."
+)
 @click.option("--noise", type=click.FloatRange(0.0), help="Standard deviation of one sample, in the sensor's unit.")
 @click.option("--samples", type=click.IntRange(2), help="Samples per position; overrides the procedure.")
 @click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
@@ -25,6 +28,7 @@ def command(
     address: str | None,
     jig: float | None,
     thermometer: float | None,
+    table_lean: float | None,
     noise: float | None,
     samples: int | None,
     tilt: float | None,
@@ -42,6 +46,7 @@ def command(
         address=address,
         jig=jig,
         thermometer=thermometer,
+        table_lean=table_lean,
         noise=noise,
         samples=samples,
         tilt=tilt,

@@ -15,13 +15,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import degrees
+from math import degrees, radians
 
 import numpy as np
 
 from tiltcal.core.budget import propagated
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
-from tiltcal.core.mounting import mounting_angles
+from tiltcal.core.mounting import UNKNOWN_ANGLE, is_locked, mounting_angles
 from tiltcal.errors import EstimateError
 
 
@@ -134,7 +134,10 @@ def _mounting(
         name: IntrinsicQuantity(degrees(angle), u)
         for name, angle, u in zip(("roll", "pitch", "yaw"), turned, doubt, strict=True)
     }
-    return found, angles.gimbal_lock
+    if angles.gimbal_lock or is_locked(angles.mounting.pitch, radians(found["pitch"].u)):
+        found |= {name: replace(found[name], u=degrees(UNKNOWN_ANGLE)) for name in ("roll", "yaw")}
+        return found, True
+    return found, False
 
 
 def separated(matrix: Array) -> tuple[Array, Array]:

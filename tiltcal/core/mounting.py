@@ -5,13 +5,18 @@ Source: *Correcting for SCA3000 Accelerometer Mounting Angle* (VTI Technologies,
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, pi, sin
+from math import atan2, cos, hypot, pi, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from tiltcal.core.model import Array, Mounting
 from tiltcal.errors import EstimateError
+
+UNKNOWN_ANGLE = pi / sqrt(3.0)
+"""Standard uncertainty of an angle of which nothing is known, radians."""
+
+NORMAL_FACTOR = 1.96
 
 _LOCK = 1e-8  # cosine of pitch below which roll and yaw turn about one line, as far as double precision can tell
 _ORTHOGONAL = 1e-6
@@ -94,6 +99,17 @@ def mounting_angles(matrix: Array) -> MountingAngles:
         together = atan2(xy, yy)
         return MountingAngles(Mounting(_wrapped(together if zx > 0.0 else -together), pitch, 0.0), gimbal_lock=True)
     return MountingAngles(Mounting(_wrapped(atan2(-zy, zz)), pitch, _wrapped(atan2(-yx, xx))), gimbal_lock=False)
+
+
+def is_locked(pitch: float, u: float) -> bool:
+    """Return whether cos(pitch) is within its 95 % interval of zero: roll and yaw cannot be told apart there.
+
+    Parameters
+    ----------
+    pitch, u : float
+        Of a mounting, and its standard uncertainty, radians.
+    """
+    return cos(pitch) <= NORMAL_FACTOR * u
 
 
 def _wrapped(angle: float) -> float:

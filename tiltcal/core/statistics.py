@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import exp, fsum, inf, pi, sqrt
 
 BLOCKS = 10
@@ -29,6 +30,11 @@ class SampleSummary:
         The part of ``u`` that quantisation gives, same unit.
     dof : float
         Degrees of freedom of the rest, the noise; infinite where it is known.
+    resolution : float
+        The step of the reading, same unit; 0 where it is continuous.
+    correlation : float or None
+        Correlation of neighbouring block means, -1/10 on average where there is none; None where there are no blocks,
+        or where they are all alike.
     """
 
     mean: float
@@ -37,6 +43,8 @@ class SampleSummary:
     u: float
     quantisation: float = 0.0
     dof: float = inf
+    resolution: float = 0.0
+    correlation: float | None = None
 
     @property
     def noise(self) -> float:
@@ -62,9 +70,9 @@ def summarise(samples: Sequence[float], resolution: float = 0.0) -> SampleSummar
     # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
     mean = samples[0] if min(samples) == max(samples) else fsum(samples) / n
     std = sqrt(fsum((sample - mean) ** 2 for sample in samples) / (n - 1)) if n > 1 else 0.0
-    noise, dof = _type_a(samples, std)
+    noise, dof, correlation = _type_a(samples, std)
     step = rounding_left(std, resolution)
-    return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof)
+    return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
 
 
 def rounding_left(std: float, resolution: float) -> float:
@@ -108,12 +116,16 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
 
 
-def _type_a(samples: Sequence[float], std: float) -> tuple[float, float]:
-    """Standard uncertainty of the mean from the samples' scatter, and its degrees of freedom."""
+def _type_a(samples: Sequence[float], std: float) -> tuple[float, float, float | None]:
+    """Return the mean's standard uncertainty from the samples' scatter, its dof, and the correlation of the blocks."""
     n = len(samples)
     size = n // BLOCKS
     if size < 2:
-        return std / sqrt(n), float(max(n - 1, 1))
+        return std / sqrt(n), float(max(n - 1, 1)), None
     means = [fsum(samples[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
     centre = fsum(means) / BLOCKS
-    return sqrt(fsum((mean - centre) ** 2 for mean in means) / (BLOCKS - 1) / BLOCKS), BLOCKS - 1.0
+    off = [mean - centre for mean in means]
+    squares = fsum(one**2 for one in off)
+    neighbours = fsum(one * other for one, other in pairwise(off))
+    correlation = neighbours / squares if squares > 0.0 else None
+    return sqrt(squares / (BLOCKS - 1) / BLOCKS), BLOCKS - 1.0, correlation

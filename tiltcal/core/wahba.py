@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiltcal.core.model import Array, Mounting
-from tiltcal.core.mounting import mounting_angles
+from tiltcal.core.mounting import UNKNOWN_ANGLE, is_locked, mounting_angles
 from tiltcal.errors import EstimateError
 
 ONE_LINE = 1e-3
@@ -96,7 +96,8 @@ def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> Mou
     covariance = variance * np.linalg.inv(information)
     angles = mounting_angles(matrix)
     u = None if angles.gimbal_lock else angle_uncertainty(matrix, covariance)
-    return MountingEstimate(angles.mounting, angles.gimbal_lock, covariance, u, residuals, dof, stated)
+    locked = u is None or u.roll == UNKNOWN_ANGLE
+    return MountingEstimate(angles.mounting, locked, covariance, u, residuals, dof, stated)
 
 
 def angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
@@ -117,6 +118,8 @@ def angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
         columns.append((np.angle(np.exp(1j * (ends[0] - ends[1])))) / (2 * STEP))
     jacobian = np.stack(columns, axis=1)
     roll, pitch, yaw = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T)).tolist()
+    if is_locked(mounting_angles(matrix).mounting.pitch, pitch):
+        return Mounting(UNKNOWN_ANGLE, pitch, UNKNOWN_ANGLE)
     return Mounting(roll, pitch, yaw)
 
 

@@ -97,6 +97,16 @@ class BenchFile:
         "standard uncertainty of a set angle, degrees; `--jig` takes its place",
         default=None,
     )
+    table: float | None = entry(
+        Number("degrees", minimum=0.0),
+        "standard uncertainty of the table's lean, which all positions share, degrees; `--table-lean` takes its place",
+        default=None,
+    )
+    heading: float | None = entry(
+        Number("degrees", minimum=0.0),
+        "standard uncertainty of a heading, degrees; `--heading-uncertainty` takes its place",
+        default=None,
+    )
 
 
 BENCH = Section(BenchFile, kind="bench")

@@ -83,6 +83,10 @@ class SettingsHeader:
     thermometer: float | None = entry(Number(minimum=0.0), "standard uncertainty of a temperature, °C", default=None)
     angle: float | None = entry(Number(), "the angle that the procedure leaves free, degrees", default=None)
     turns: int | None = entry(Integer(minimum=1), "the most turns of a rotation", default=None)
+    table: float | None = entry(
+        Number("degrees", minimum=0.0), "uncertainty of the table's lean, degrees", default=None
+    )
+    heading: float | None = entry(Number("degrees", minimum=0.0), "uncertainty of a heading, degrees", default=None)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,6 +55,8 @@ def fit(
     columns: Mapping[str, str] | str = "",
     jig: float | None = None,
     thermometer: float | None = None,
+    table_lean: float | None = None,
+    heading: float | None = None,
     tilt: float | None = None,
     gravity: float | None = None,
     window: int | None = None,
@@ -90,6 +92,10 @@ def fit(
         Standard uncertainty of a set angle, degrees; where it is not stated, the positions' scatter shows it.
     thermometer : float, optional
         Standard uncertainty of a temperature, °C; where it is not stated, the step of the sensor's own thermometer.
+    table_lean : float, optional
+        Standard uncertainty of the lean of the table that all positions share, degrees per axis.
+    heading : float, optional
+        Standard uncertainty of a heading, degrees.
     tilt : float, optional
         The angle that the procedure leaves free, degrees.
     gravity : float, optional
@@ -132,7 +138,7 @@ def fit(
         None if model is None or model.unit != identity.unit else Nominal.of(model),
         thermometer=None if model is None else model.thermometer_rounding,
     )
-    bench = BenchUncertainty(jig, thermometer)
+    bench = BenchUncertainty(jig, thermometer, table_lean, heading)
     (found,) = calibrate([measured], steps, bench, base=known, table=source.table, gravity=gravity)
     return Calibration(replace(found, provenance=positions.provenance))
 

@@ -12,8 +12,6 @@ the fixture at one heading, and turned ones to a position at another heading.
 
 from __future__ import annotations
 
-from math import radians
-
 import numpy as np
 
 from tiltcal.core.model import Array
@@ -74,21 +72,20 @@ def turned(gravity: Array, basis: Array, angles: Array) -> tuple[Array, Array]:
     return direction, derivative
 
 
-def lean_rotations(heading: Array) -> Array:
-    """What a leaning table adds to the angles of positions at several headings.
+def heading_rotations(heading: Array) -> Array:
+    """Return the matrices that take the lean of a table to the angles of positions at several headings.
 
     Parameters
     ----------
     heading : ndarray, shape (n,)
-        How far the fixture is turned about the vertical, counterclockwise seen from above, degrees.
+        How far the fixture is turned about the vertical, counterclockwise seen from above, radians.
 
     Returns
     -------
     ndarray, shape (n, 2, 2)
-        ``angles = lever @ lean``, the lean in the frame of the table.
+        ``angles = matrix @ lean``, the lean in the frame of the table.
     """
-    turn = np.array([radians(value) for value in heading])
-    c, s = np.cos(turn), np.sin(turn)
+    c, s = np.cos(heading), np.sin(heading)
     return np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
 
 

@@ -79,8 +79,10 @@ class Design:
         same and their scatter says how uncertain they are. Infinite: the directions are only a first guess, and unit
         gravity alone determines the coefficients.
     table : float or None
-        Standard uncertainty of the table's lean, degrees per axis; None where nothing is known of it. It matters where
-        positions differ in heading.
+        Standard uncertainty of the table's lean, degrees per axis; all positions share it. None where nothing is known
+        of it: positions at several headings then show it, and at one heading it goes into the offsets unseen.
+    heading : float
+        Standard uncertainty of each heading, degrees.
     thermometer : float
         Standard uncertainty of each temperature, °C.
     nonlinearity : int
@@ -96,6 +98,7 @@ class Design:
     reference: float = 0.0
     jig: float | None = None
     table: float | None = None
+    heading: float = 0.0
     thermometer: float = 0.0
     nonlinearity: int = 0
     priors: Mapping[str, Prior] = field(default_factory=dict)
@@ -146,6 +149,10 @@ class SensorObservations:
     orientation: Sequence[Sequence[float]] = STRAIGHT
 
 
+def _bench(design: Design) -> tuple[float | None, ...]:
+    return design.jig, design.table, design.heading, design.thermometer
+
+
 def require_sound(sensors: Sequence[SensorObservations]) -> None:
     """Refuse sensors that do not belong on one fixture, and designs that contradict themselves.
 
@@ -162,7 +169,7 @@ def require_sound(sensors: Sequence[SensorObservations]) -> None:
         design = sensor.design
         if not sensor.observations:
             raise EstimateError("no position was measured: measure the procedure's positions first")
-        if (design.jig, design.table, design.thermometer) != (first.jig, first.table, first.thermometer):
+        if _bench(design) != _bench(first):
             raise EstimateError("the sensors of one fixture share its jig, its table and its thermometer")
         names = [observation.position for observation in sensor.observations]
         twice = next((name for name in names if names.count(name) > 1), None)

@@ -21,7 +21,7 @@ from math import inf, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.estimation.attitude import lean_rotations, tangent_basis, turned
+from tiltcal.core.estimation.attitude import heading_rotations, tangent_basis, turned
 from tiltcal.core.estimation.design import SensorObservations
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
@@ -34,7 +34,8 @@ UNKNOWN_TABLE = 5.0
 SAME = 1e-6
 """How far two sensors' word on one position's direction may differ, g."""
 
-NOISE, ADC, JIG, TABLE, THERMOMETER, PRIOR = "noise", "adc", "jig", "table", "thermometer", "assumed"
+NOISE, ADC, JIG, TABLE, HEADING = "noise", "adc", "jig", "table", "heading"
+THERMOMETER, HYSTERESIS, PRIOR = "thermometer", "hysteresis", "assumed"
 """Where an uncertainty comes from."""
 
 
@@ -108,6 +109,8 @@ class System:
         Radians; a jig of 0 has no attitude angles.
     table_stated : bool
         Whether ``table`` was said, and is no mere bound.
+    heading : float
+        Radians; 0 has no heading errors.
     thermometer : float
         °C; 0 has no temperature errors.
     """
@@ -124,6 +127,7 @@ class System:
     jig: float
     table: float
     table_stated: bool
+    heading: float
     thermometer: float
 
     @cached_property
@@ -155,10 +159,17 @@ class System:
         count = 1 + max(int(block.temperatures.max()) for block in self.blocks) if self.thermometer > 0 else 0
         return slice(start, start + count)
 
+    @cached_property
+    def heading_errors(self) -> slice:
+        """Columns of the heading errors, one for each stand."""
+        start = self.temperature_errors.stop
+        count = int(self.stands.max()) + 1 if self.heading > 0 and self.lean_rotations is not None else 0
+        return slice(start, start + count)
+
     @property
     def unknowns(self) -> int:
         """How many columns there are."""
-        return int(self.temperature_errors.stop)
+        return int(self.heading_errors.stop)
 
     @cached_property
     def readings(self) -> int:
@@ -190,6 +201,7 @@ class System:
             (JIG, self.attitudes, self.jig),
             (TABLE, self.lean, self.table),
             (THERMOMETER, self.temperature_errors, self.thermometer),
+            (HEADING, self.heading_errors, self.heading),
         ):
             if u < inf:
                 known += [(source, column, u) for column in range(columns.start, columns.stop)]
@@ -216,8 +228,15 @@ class System:
         if self.jig > 0:
             angles += z[self.attitudes].reshape(-1, 2)[self.stands]
         if self.lean_rotations is not None:
-            angles += self.lean_rotations @ z[self.lean]
+            angles += self._lean(z)[0] @ z[self.lean]
         return angles
+
+    def _lean(self, z: Array) -> tuple[Array, Array]:
+        """Matrices from the lean to each place's angles, and their derivatives by its heading, shape (places, 2, 2)."""
+        rotations = np.zeros((0, 2, 2)) if self.lean_rotations is None else self.lean_rotations
+        if self.heading_errors.stop > self.heading_errors.start:
+            rotations = heading_rotations(z[self.heading_errors][self.stands]) @ rotations
+        return rotations, np.array([[0.0, 1.0], [-1.0, 0.0]]) @ rotations
 
     def at(self, z: Array) -> Weighted:
         """The equations at a point."""
@@ -255,7 +274,11 @@ class System:
             for axis in (0, 1):
                 jacobian[rows, self.attitudes.start + 2 * self.stands[block.places] + axis] = by_angle[:, axis]
         if self.lean_rotations is not None:
-            jacobian[:, self.lean] = np.einsum("ni,nij->nj", by_angle, self.lean_rotations[block.places])
+            rotations, slopes = (one[block.places] for one in self._lean(z))
+            jacobian[:, self.lean] = np.einsum("ni,nij->nj", by_angle, rotations)
+            if self.heading_errors.stop > self.heading_errors.start:
+                by_heading = np.einsum("ni,nij,j->n", by_angle, slopes, z[self.lean])
+                jacobian[rows, self.heading_errors.start + self.stands[block.places]] = by_heading
         if self.thermometer > 0:
             jacobian[rows, self.temperature_errors.start + block.temperatures] = reading.by_temperature
         return residual, jacobian
@@ -295,7 +318,7 @@ class System:
         """
         blocks = tuple(replace(block, u=np.full_like(block.u, np.sqrt(np.mean(block.u**2)))) for block in self.blocks)
         held = np.where(np.isfinite(self.prior_u), 0.0, np.inf)
-        return replace(self, blocks=blocks, prior_u=held, jig=0.0, thermometer=0.0)
+        return replace(self, blocks=blocks, prior_u=held, jig=0.0, thermometer=0.0, heading=0.0)
 
 
 def system_of(sensors: Sequence[SensorObservations]) -> System:
@@ -316,13 +339,13 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
     names = [name for sensor in sensors for name in sensor.design.names]
     owners = [number for number, sensor in enumerate(sensors) for _ in sensor.design.names]
     priors = [sensor.design.priors.get(name) for sensor in sensors for name in sensor.design.names]
-    several = len({heading % 360.0 for heading in headings}) > 1
+    leans = design.table > 0 if design.table is not None else len({heading % 360.0 for heading in headings}) > 1
     return System(
         blocks=tuple(_blocks(sensors, places)),
         orientations=np.array([sensor.orientation for sensor in sensors], dtype=float),
         gravity=gravity,
         stands=stands,
-        lean_rotations=lean_rotations(np.array(headings)) if several and not design.free else None,
+        lean_rotations=heading_rotations(np.radians(headings)) if leans and not design.free else None,
         names=tuple(names),
         sensors=np.array(owners, dtype=np.intp),
         prior_value=np.array([prior.value if prior else 0.0 for prior in priors]),
@@ -330,6 +353,7 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
         jig=radians(design.jig or 0.0),
         table=radians(UNKNOWN_TABLE if design.table is None else design.table),
         table_stated=design.table is not None,
+        heading=radians(design.heading),
         thermometer=design.thermometer if any(sensor.design.thermal for sensor in sensors) else 0.0,
     )
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from math import degrees, inf
 
 import numpy as np
@@ -39,11 +40,18 @@ ROUNDS = 20
 CLOSE = 1e-4
 """A relative change of the jig below which it is found."""
 
+ALIKE = 1.5
+"""Temperatures that are no further apart are one temperature met twice, °C."""
+
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
 LUCKY = "the residuals are smaller than the noise of the readings, which is luck: the noise counts"
 GAUGE = (
     "unit gravity alone says nothing of the mounting: the frame's z axis is the direction that the z channel senses, "
     "and its y axis lies in the plane of those of y and z"
+)
+LEANS = (
+    "all positions have one heading, where a lean of the table goes into the offsets unseen: state it (--table-lean), "
+    "or measure a position again with the fixture turned by 180°"
 )
 HELD = (
     "the jig is not stated, and no position shows the angle in which the sensor was held: it is not in the uncertainty"
@@ -186,7 +194,47 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     system = system_of(sensors)
     if design.free:
         return _free(sensors, system)
-    return _unstated(sensors, system) if design.jig is None else _stated(sensors, system)
+    found = _unstated(sensors, system) if design.jig is None else _stated(sensors, system)
+    if design.table is not None or system.lean_rotations is not None:
+        return found
+    return tuple(replace(one, notes=(*one.notes, LEANS)) for one in found)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The largest difference between two readings in one position at one temperature.
+
+    Attributes
+    ----------
+    difference, u : float
+        The later residual minus the earlier one, and its standard uncertainty, in the sensor's unit.
+    between : tuple of (str, str)
+        The positions.
+    """
+
+    difference: float
+    u: float
+    between: tuple[str, str]
+
+
+def largest_loops(found: Estimate, observations: Sequence[Observation]) -> dict[str, Loop]:
+    """Return the largest hysteresis loop of each channel; empty where no temperature was met twice."""
+    pairs = [
+        (i, j)
+        for (i, one), (j, other) in combinations(enumerate(observations), 2)
+        if np.array_equal(one.gravity, other.gravity)
+        and one.heading == other.heading
+        and one.temperature is not None
+        and other.temperature is not None
+        and abs(one.temperature - other.temperature) <= ALIKE
+    ]
+    loops: dict[str, Loop] = {}
+    for column, channel in enumerate(found.coefficients.channels if pairs else ()):
+        i, j = max(pairs, key=lambda pair: abs(found.residuals[pair[1], column] - found.residuals[pair[0], column]))
+        difference = float(found.residuals[j, column] - found.residuals[i, column])
+        u = float(np.hypot(observations[i].u[column], observations[j].u[column]))
+        loops[channel] = Loop(difference, u, (observations[i].position, observations[j].position))
+    return loops
 
 
 def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
@@ -273,7 +321,7 @@ def _components(system: System, z: Array) -> tuple[VarianceComponents, Array]:
 def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """Directions that are only a first guess, gravity a unit vector, the gauge by an upper-triangular matrix."""
     even = replace(system.unweighted(), jig=system.jig, thermometer=system.thermometer)
-    even, z = triangular_gauge(even, _first(replace(even, jig=0.0, thermometer=0.0)))
+    even, z = triangular_gauge(even, _first(replace(even, jig=0.0, thermometer=0.0, heading=0.0)))
     require_enough(even)
     z = minimise(even.at, z, ~even.fixed)
     near = linearised(even, z)
@@ -312,7 +360,7 @@ class _Found:
 
 def _first(system: System) -> Array:
     """The coefficients with the attitudes as set: the answer for a perfect jig, the start for any other."""
-    set_right = replace(system, jig=0.0, thermometer=0.0)
+    set_right = replace(system, jig=0.0, thermometer=0.0, heading=0.0)
     z = set_right.start()
     moving = ~set_right.fixed
     moving[set_right.assumed] = False
@@ -325,7 +373,7 @@ def _first(system: System) -> Array:
 
 def _settled(system: System, z: Array, known: System | None = None) -> Array:
     """Return the minimum with all unknowns, from one with other errors of the bench (as set where none is given)."""
-    start = _carried(z, replace(system, jig=0.0, thermometer=0.0) if known is None else known, system)
+    start = _carried(z, replace(system, jig=0.0, thermometer=0.0, heading=0.0) if known is None else known, system)
     return minimise(system.at, start, ~system.fixed)
 
 
@@ -337,6 +385,7 @@ def _carried(z: Array, before: System, after: System) -> Array:
         (before.attitudes, after.attitudes),
         (before.lean, after.lean),
         (before.temperature_errors, after.temperature_errors),
+        (before.heading_errors, after.heading_errors),
     ):
         if old.stop > old.start and new.stop > new.start:
             carried[new] = z[old]

@@ -1,4 +1,4 @@
-"""The noise of several positions, each known from a few block means, made better known by one another.
+"""The noise of several positions, each known from a few block means, pooled; and what correlation and rounding add.
 
 Ten block means leave nine degrees of freedom: weights made of such variances would cost a fifth of what weighting can
 give, and what is computed from them would look better known than it is. Positions at one bench have much the same
@@ -6,14 +6,24 @@ noise. Where the variances scatter no more than chance makes them, all are one. 
 chi-squares about values that themselves scatter, as an inverse chi-square with ``d0`` degrees of freedom, and each is
 drawn towards the common one in proportion.
 
-Source: G. K. Smyth, *Linear models and empirical Bayes methods*, Stat. Appl. Genet. Mol. Biol. 3 (2004) 3, section 6.
+Block means that are correlated show noise with a memory longer than a block: their scatter then understates the
+uncertainty of the mean. Noise below half a step of the reading does not average the rounding out, and in a position
+that happens to read one value all the time it does not show; over all positions it does.
+
+Sources: G. K. Smyth, *Linear models and empirical Bayes methods*, Stat. Appl. Genet. Mol. Biol. 3 (2004) 3, section 6;
+B. Widrow, I. Kollár, *Quantization noise*, Cambridge (2008), chapter 9.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, sqrt
+
 import numpy as np
 
 from tiltcal.core.model import Array
+from tiltcal.core.statistics import BLOCKS, SampleSummary
 
 STEPS = 50
 """Most Newton steps of the inverse of the trigamma function, which takes about five."""
@@ -23,6 +33,154 @@ CHANCE = 0.01
 
 FLOOR = 1e-5
 """A variance below this share of the median counts as that: a reading that never changed has no logarithm."""
+
+
+CORRELATED = 4.0
+"""Standard deviations above the correlation of white noise's block means from which a correlation is no chance."""
+
+UPPER = 2.0
+"""Standard deviations of the correlation within which the longest correlation time counts."""
+
+SPREAD = 0.27
+"""Standard deviation of the correlation of ten block means of white noise."""
+
+CORRELATED_DOF = 2.0
+"""Degrees of freedom of a position's ten block means that are strongly correlated."""
+
+TIMES = np.geomspace(0.02, 30.0, 400)
+"""Correlation times that are told apart, in blocks; longer ones show the same correlation within a position."""
+
+ENOUGH = 5.0
+"""Correlation times that a block should have."""
+
+HARMONICS = np.arange(1, 21)
+
+COARSE = 0.5
+"""Noise below this share of the reading's step leaves a rounding error in a mean."""
+
+
+@dataclass(frozen=True)
+class CorrelatedNoise:
+    """Noise whose memory is longer than a block of samples.
+
+    Attributes
+    ----------
+    factor : float
+        By what the uncertainty of a mean from its block means is to be multiplied.
+    longer : float
+        By what the time of a position is to be multiplied for blocks that are not correlated.
+    """
+
+    factor: float
+    longer: float
+
+    @property
+    def note(self) -> str:
+        """The finding, and what to do."""
+        return (
+            "the noise is correlated for longer than a tenth of a position: the uncertainty of each mean is multiplied "
+            f"by {self.factor:.2g}; sample each position at least {self.longer:.2g} times as long"
+        )
+
+
+def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | None:
+    """Judge the block means of all positions and channels together; None where no correlation shows.
+
+    Notes
+    -----
+    The noise is taken for one with an exponential memory. The factor is that of the longest correlation time within two
+    standard deviations of the correlation that was found, because the record is too short to show it better.
+    """
+    found = [summary.correlation for summary in summaries if summary.correlation is not None]
+    if not found:
+        return None
+    mean, error = sum(found) / len(found), SPREAD / sqrt(len(found))
+    if mean <= -1.0 / BLOCKS + CORRELATED * error:
+        return None
+    shown, factors = np.array([_of_correlation_time(time) for time in TIMES.tolist()]).T
+    place = min(int(np.searchsorted(shown, mean + UPPER * error)), len(TIMES) - 1)
+    return CorrelatedNoise(float(factors[place]), max(ENOUGH * float(TIMES[place]), 1.0))
+
+
+def _of_correlation_time(time: float) -> tuple[float, float]:
+    """Correlation that block means show about their mean, and the true uncertainty of it over the apparent one."""
+    lag = np.arange(1, BLOCKS)
+    inner = 2.0 * time**2 * (1.0 / time - 1.0 + np.exp(-1.0 / time))
+    outer = time**2 * np.exp(-(lag - 1.0) / time) * (1.0 - np.exp(-1.0 / time)) ** 2
+    by_lag = np.concatenate([[inner], outer])
+    k = np.arange(BLOCKS)
+    covariance = by_lag[np.abs(k[:, None] - k)]
+    centred = np.eye(BLOCKS) - 1.0 / BLOCKS
+    about_mean = centred @ covariance @ centred
+    scatter = float(np.trace(about_mean))
+    return float(np.trace(about_mean, offset=1)) / scatter, sqrt(
+        float(covariance.mean()) * BLOCKS * (BLOCKS - 1) / scatter
+    )
+
+
+def noise_of_means(
+    summaries: Sequence[SampleSummary], correlated: CorrelatedNoise | None = None
+) -> tuple[Array, Array, Array]:
+    """Return the noise of the means of one channel's positions: variance, degrees of freedom, rounding uncertainty.
+
+    Parameters
+    ----------
+    summaries : sequence of SampleSummary
+        One a position.
+    correlated : CorrelatedNoise, optional
+
+    Returns
+    -------
+    variance, dof, rounding : ndarray, shape (positions,)
+    """
+    variance = np.array([summary.noise**2 for summary in summaries])
+    dof = np.array([summary.dof for summary in summaries])
+    rounding = np.array([summary.quantisation for summary in summaries])
+    if correlated is not None:
+        # Correlated block means scatter by chance in the ratio of ten: their logarithms are of no use.
+        drawn = np.isfinite(dof)
+        few = CORRELATED_DOF * float(np.sum(drawn))
+        common = float(np.mean(variance[drawn])) if drawn.any() else 0.0
+        variance = correlated.factor**2 * np.where(drawn, common, variance)
+        return variance, np.where(drawn, few, inf), rounding
+    weight = np.array([float(summary.n - 1) for summary in summaries])
+    step = max(summary.resolution for summary in summaries)
+    if step > 0.0 and weight.sum() > 0.0:
+        scatter = float(weight @ np.array([summary.std**2 for summary in summaries]) / weight.sum())
+        noise = noise_under_rounding(scatter, step)
+        if noise < COARSE * step:
+            drawn = np.isfinite(dof)
+            common = float(np.mean(variance[drawn])) if drawn.any() else 0.0
+            return (
+                np.where(drawn, common, variance),
+                np.where(drawn, float(np.sum(dof[drawn])), inf),
+                np.full(len(variance), sqrt(_rounding_variance(noise, step))),
+            )
+    return (*pooled(variance, dof), rounding)
+
+
+def noise_under_rounding(scatter: float, step: float) -> float:
+    """Find the noise of readings before they were rounded.
+
+    Parameters
+    ----------
+    scatter : float
+        Mean variance of the rounded readings within positions that lie anyhow between two steps, unit².
+    step : float
+        Of the reading, unit.
+    """
+    low, high = 0.0, sqrt(scatter) + step
+    for _ in range(60):
+        noise = (low + high) / 2.0
+        expected = noise**2 + step**2 / 12.0 - _rounding_variance(noise, step)
+        low, high = (noise, high) if expected < scatter else (low, noise)
+    return (low + high) / 2.0
+
+
+def _rounding_variance(noise: float, step: float) -> float:
+    """Mean square of the rounding error in the mean of many readings, unit²."""
+    power = np.exp(-((2.0 * np.pi * HARMONICS * noise / step) ** 2)) / HARMONICS**2
+    return float(step**2 / (2.0 * np.pi**2) * power.sum())
 
 
 def pooled(variance: Array, dof: Array) -> tuple[Array, Array]:

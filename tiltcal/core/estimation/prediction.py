@@ -211,15 +211,23 @@ def _worth_adding(
     found = []
     assumed = np.array([name in design.priors for name in design.names])
     usual = next((one.temperature for one in positions if one.temperature is not None), None)
-    for name, gravity, temperature in _candidates(design, positions, usual):
-        longer = [*positions, PlannedPosition(name, gravity, temperature, positions[0].heading)]
+    candidates = [
+        PlannedPosition(name, gravity, temperature, positions[0].heading)
+        for name, gravity, temperature in _candidates(design, positions, usual)
+    ]
+    if design.table is not None:
+        first = positions[0]
+        turned = f"{first.name} with the fixture turned by 180°"
+        candidates.append(replace(first, name=turned, heading=(first.heading or 0.0) + 180.0, held=False))
+    for candidate in candidates:
+        longer = [*positions, candidate]
         system, z = _system(design, longer, noise, sensitivity, adc, sensors)
         after = stated_budget(system, linearised(system, z)).u[: len(before)]
         share = after / np.where(before > 0.0, before, np.inf)
         share[(before == 0.0) | assumed] = 1.0
         most = int(np.argmin(np.round(share, 6)))
         if share[most] < WORTH:
-            found.append((name, design.names[most], round(float(share[most]), 3)))
+            found.append((candidate.name, design.names[most], round(float(share[most]), 3)))
     return tuple(sorted(found, key=lambda one: one[2]))
 
 

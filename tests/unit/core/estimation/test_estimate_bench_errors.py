@@ -1,0 +1,196 @@
+"""Errors of a bench that all positions share, and noise that block means do not show, against simulations of their own.
+
+Gravity is turned by scipy's rotations, correlated noise is filtered by scipy, readings are written out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import cos, radians, sqrt
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+from tiltcal.core.budget import coverage_factor
+from tiltcal.core.estimation.design import Design, Observation, Prior
+from tiltcal.core.estimation.estimate import LEANS, Estimate, estimate, largest_loops
+from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, noise_under_rounding
+from tiltcal.core.estimation.prediction import PlannedPosition, predicted_covariance
+from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.core.model import Mounting
+from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.statistics import SampleSummary, summarise
+from tiltcal.core.wahba import solve_mounting
+
+Array = NDArray[np.float64]
+
+PLANE = tuple({axis: sign * 30.0} for axis in "xy" for sign in (1, -1))
+NOISE = 1e-4
+
+
+def plane(
+    rng: np.random.Generator, lean: tuple[float, float], headings: tuple[float, ...] = (0.0,) * 4, jig: float = 0.0
+) -> list[Observation]:
+    """Four tilts of a perfect sensor of two axes; the fixture stands on a table that leans by two angles, radians.
+
+    Up in the table's frame is turned into that of the fixture by the heading, and into the sensor's by the tilt.
+    """
+    up = Rotation.from_rotvec([-lean[1], lean[0], 0.0]).apply([0.0, 0.0, 1.0])
+    observations = []
+    for number, (tilt, heading) in enumerate(zip(PLANE, headings, strict=True)):
+        set_to = np.array(gravity_from_tilt(tilt))
+        tilted = Rotation.from_rotvec(np.cross([0.0, 0.0, 1.0], set_to) * radians(30.0) / 0.5)
+        seen = tilted.apply(Rotation.from_euler("z", -heading, degrees=True).apply(up))
+        real = Rotation.from_rotvec(radians(jig) * rng.standard_normal(3)).apply(seen)
+        mean = real[:2] + NOISE * rng.standard_normal(2)
+        observations.append(Observation(f"p{number}", set_to, mean, np.full(2, NOISE), heading=heading))
+    return observations
+
+
+def inside(found: Estimate, names: tuple[str, ...], truth: float = 0.0) -> Array:
+    known, u, factors = found.coefficients.offset, found.uncertainty(), found.coverage_factors()
+    return np.array([abs(known[k] - truth) <= factors[n] * u[n] for k, n in enumerate(names)])
+
+
+class TestLean:
+    OFFSETS = ("offset.x", "offset.y")
+
+    def test_a_stated_lean_is_in_the_offsets(self) -> None:
+        """A lean of 0.2° moves the offsets by 0.93 of it, the mean of cos 30° and 1; 95 % of 100 benches."""
+        rng = np.random.default_rng(1)
+        hits = []
+        for _ in range(100):
+            first, second = radians(0.2) * rng.standard_normal(2)
+            found = estimate(plane(rng, (first, second), jig=0.1), Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2))
+            hits.append(inside(found, self.OFFSETS))
+        assert np.mean(hits) == pytest.approx(0.95, abs=0.045)
+        by_lean = radians(0.2) * (1 + cos(radians(30))) / 2
+        assert sqrt(found.budget.variance["table"][0]) == pytest.approx(by_lean, rel=0.12)
+
+    def test_a_lean_that_headings_cannot_show_is_remarked(self) -> None:
+        found = estimate(plane(np.random.default_rng(2), (0.0, 0.0)), Design(("x", "y"), ("x", "y"), jig=0.0))
+        assert LEANS in found.notes
+
+    def test_two_headings_show_it(self) -> None:
+        lean = (radians(0.5), radians(-0.3))
+        observations = plane(np.random.default_rng(3), lean, (0.0, 0.0, 180.0, 180.0))
+        found = estimate(observations, Design(("x", "y"), ("x", "y"), jig=0.0))
+        assert LEANS not in found.notes
+        assert np.all(np.abs(found.coefficients.offset) < 6 * NOISE)
+
+    def test_plan_counts_it_and_says_what_a_heading_brings(self) -> None:
+        positions = [PlannedPosition(f"p{k}", gravity_from_tilt(tilt)) for k, tilt in enumerate(PLANE)]
+        plan = predicted_covariance(Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2), positions, NOISE)
+        by_lean = radians(0.2) * (1 + cos(radians(30))) / 2
+        assert plan.uncertainty()["offset.x"] == pytest.approx(by_lean, rel=0.12)
+        name, _, share = plan.worth_adding[0]
+        assert name == "p0 with the fixture turned by 180°"
+        assert share < 0.6
+
+    def test_a_heading_that_is_off(self) -> None:
+        """A table that leans by 1° and headings that are off by 2°: the angles move by 0.035°, 95 % are inside."""
+        rng = np.random.default_rng(4)
+        hits = []
+        for _ in range(100):
+            lean = (radians(1.0), radians(-0.8))
+            headings = (0.0, 0.0, 180.0, 180.0)
+            off = tuple(h + e for h, e in zip(headings, 2.0 * rng.standard_normal(4), strict=True))
+            observations = [replace(one, heading=h) for one, h in zip(plane(rng, lean, off), headings, strict=True)]
+            found = estimate(observations, Design(("x", "y"), ("x", "y"), jig=0.0, heading=2.0))
+            hits.append(inside(found, self.OFFSETS))
+        assert np.mean(hits) == pytest.approx(0.95, abs=0.055)
+
+
+def records(rng: np.random.Generator, memory: float, count: int, samples: int = 300) -> list[SampleSummary]:
+    """Positions with the noise of an autoregressive process of variance 1 about 0."""
+    white = rng.standard_normal((count, samples + 2000))
+    noise = lfilter([1.0], [1.0, -memory], white, axis=1)[:, 2000:] * sqrt(1.0 - memory**2)
+    return [summarise(one) for one in noise.tolist()]
+
+
+class TestCorrelatedNoise:
+    @pytest.mark.parametrize("memory", [0.98, 0.995])
+    def test_intervals_hold_and_the_operator_is_told(self, memory: float) -> None:
+        """At least 93 % of the means' intervals hold, within three standard deviations of 240 means."""
+        rng = np.random.default_rng([5, round(1000 * memory)])
+        hits, alarms = [], []
+        for _ in range(20):
+            summaries = records(rng, memory, 12)
+            correlated = correlated_noise(summaries)
+            variance, dof, _ = noise_of_means(summaries, correlated)
+            half = coverage_factor(dof) * np.sqrt(variance)
+            hits.append(np.mean(np.abs([one.mean for one in summaries]) <= half))
+            alarms.append(correlated is not None and "at least" in correlated.note)
+        assert np.mean(hits) >= 0.93 - 3 * np.std(hits) / sqrt(20)
+        assert np.mean(alarms) > 0.8
+
+    def test_white_noise_raises_no_alarm(self) -> None:
+        rng = np.random.default_rng(6)
+        assert not any(correlated_noise(records(rng, 0.0, 12, 100)) for _ in range(50))
+
+
+class TestCoarseConverter:
+    @pytest.mark.parametrize("noise", [0.1, 0.2, 0.3])
+    def test_noise_below_half_a_step(self, noise: float) -> None:
+        """Readings of whole counts anywhere between two steps: 95 % of the means' intervals hold the truth."""
+        rng = np.random.default_rng([7, round(10 * noise)])
+        hits = []
+        for _ in range(40):
+            truth = rng.uniform(0.0, 100.0, 8)
+            readings = np.rint(truth[:, None] + noise * rng.standard_normal((8, 50)))
+            summaries = [summarise(one, 1.0) for one in readings.tolist()]
+            variance, dof, rounding = noise_of_means(summaries)
+            half = 1.96 * np.sqrt(variance + rounding**2)
+            hits.append(np.mean(np.abs([one.mean for one in summaries] - truth) <= half))
+        assert np.mean(hits) >= 0.93 - 3 * np.std(hits) / sqrt(40)
+        assert np.isfinite(dof).all()
+
+    @pytest.mark.parametrize("noise", [0.15, 0.4, 1.5])
+    def test_the_noise_before_rounding(self, noise: float) -> None:
+        rng = np.random.default_rng(8)
+        readings = np.rint(rng.uniform(0.0, 100.0, (4000, 1)) + noise * rng.standard_normal((4000, 50)))
+        assert noise_under_rounding(float(np.mean(np.var(readings, axis=1, ddof=1))), 1.0) == pytest.approx(noise, 0.03)
+
+
+def test_the_largest_loop_of_a_sweep() -> None:
+    """Level at 0, 20 and 40 °C on the way up, 0.4 more on the way down."""
+    temperatures = (0.0, 20.0, 40.0, 20.5, 0.5)
+    observations = [
+        Observation(f"p{k}", np.array([0.0, 0.0, 1.0]), np.array([0.01 * t + 0.4 * (k > 2)]), np.array([0.03]), t)
+        for k, t in enumerate(temperatures)
+    ]
+    design = Design(("x",), ("x",), drift=1, jig=0.0, priors={"sensitivity.x.x": Prior(1.0)})
+    loop = largest_loops(estimate(observations, design), observations)["x"]
+    assert loop.difference == pytest.approx(0.4, abs=0.01)
+    assert loop.u == pytest.approx(0.03 * sqrt(2))
+
+
+class TestGimbalLock:
+    """Pitch of 89.9°, and angles that are known to 0.2°: roll and yaw cannot be told apart."""
+
+    KNOWN = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+    @pytest.mark.parametrize(("pitch", "locked"), [(89.9, True), (80.0, False)])
+    def test_it_is_stated_within_the_uncertainty(self, pitch: float, locked: bool) -> None:
+        matrix = mounting_matrix(Mounting(0.3, radians(pitch), -0.5))
+        found = solve_mounting(self.KNOWN @ matrix, self.KNOWN, np.full(5, radians(0.2)))
+        assert found.gimbal_lock is locked
+        assert found.u is not None
+        assert (found.u.roll > 1.5) is locked
+        assert found.u.pitch < radians(0.2)
+
+    def test_roll_and_yaw_hold_where_it_is_near(self) -> None:
+        rng = np.random.default_rng(9)
+        hits = []
+        for _ in range(40):
+            roll, pitch, yaw = rng.uniform(-3, 3), radians(rng.uniform(89.5, 89.99)), rng.uniform(-3, 3)
+            matrix = mounting_matrix(Mounting(roll, pitch, yaw))
+            read = Rotation.from_rotvec(radians(0.2) * rng.standard_normal((5, 3))).apply(self.KNOWN) @ matrix
+            found = solve_mounting(read, self.KNOWN, np.full(5, radians(0.2)))
+            assert found.u is not None
+            off = np.angle(np.exp(1j * np.array([found.mounting.roll - roll, found.mounting.yaw - yaw])))
+            hits.append(np.abs(off) <= 1.96 * np.array([found.u.roll, found.u.yaw]))
+        assert np.mean(hits) > 0.93
