@@ -23,7 +23,7 @@ _FEWEST_SAMPLES = 2
 
 _WHY: dict[Limit, str] = {
     "target": "the smallest number that meets the target",
-    "record": "the longest that the record tells of, and more still help: record longer to see where they stop",
+    "record": "the longest that this record supports; more samples still help: record longer",
     "rounding": "more do not help: the noise is too small to average the rounding out",
     "flicker": "twice as many gain less than a tenth: flicker noise stays, however long the average",
     "walk": "twice as many gain less than a tenth: random walk",
