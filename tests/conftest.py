@@ -9,6 +9,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import gc
 import re
+import signal
 import sys
 import threading
 from collections.abc import Iterator
@@ -22,6 +23,10 @@ from hypothesis import settings
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+
+# A run in the background of a shell ignores Ctrl-C, and every program that it starts inherits that; tests send Ctrl-C.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 PROCESS = Path("/proc/self")
 KEPT = r"\.ttf$|^anon_inode:\[event"
