@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 import pytest
 from click.testing import CliRunner, Result
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 from support import FIXTURES
@@ -151,6 +151,7 @@ class TestOutput:
 class TestBesideCsv:
     VALUES = st.one_of(st.none(), st.floats(-10.0, 10.0), st.sampled_from([nan, 2.5, 4.5, 4.6, 1e300, 5e-324]))
 
+    @settings(max_examples=25)  # each applies four times
     @given(
         rows=st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=20),
         uncertainty=st.booleans(),

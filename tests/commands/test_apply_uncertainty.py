@@ -14,6 +14,7 @@ import yaml
 from click.testing import CliRunner, Result
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
+import tiltcal
 from tiltcal.calibration.results import rounded, uncertainty_of
 from tiltcal.cli.apply import command
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
@@ -209,24 +210,23 @@ def calibrated(rng: np.random.Generator, *, stated: bool) -> tuple[CalibrationRe
 
 @pytest.mark.parametrize("stated", [True, False])
 def test_the_truth_is_inside_in_95_of_100(stated: bool) -> None:
-    """300 calibrations by way of their files, each with a log of 20 noisy rows; and u is what the errors scatter by."""
+    """150 calibrations by way of their files, each with 20 noisy readings; and u is what the errors scatter by."""
     rng = np.random.default_rng(21)
     inside, ratios = [], []
-    for _ in range(300):
+    for _ in range(150):
         calibration, _, truth = calibrated(rng, stated=stated)
         write_calibration("drawn.yaml", calibration)
         x, y = rng.uniform(-40.0, 40.0, (2, 20))
         gravity = np.array([gravity_from_tilt({"x": a, "y": b}) for a, b in zip(x, y, strict=True)])
         readings = truth.reading(gravity, np.zeros(20)) + 1e-3 * rng.standard_normal((20, 3))
-        log = "x,y,z\n" + "\n".join(",".join(f"{value:.9f}" for value in row) for row in readings) + "\n"
-        found = rows(apply("drawn.yaml", "-", "--uncertainty", stdin=log).stdout)
+        found = tiltcal.read("drawn.yaml").apply(dict(zip(XYZ, readings.T, strict=True)), uncertainty=True)
         roll = np.degrees(np.arctan2(gravity[:, 1], gravity[:, 2]))
         for angle, right in (("tilt_x", x), ("tilt_y", y), ("pitch", x), ("roll", roll)):
-            error = np.array([row[angle] for row in found]) - right
-            inside.append(np.mean(np.abs(error) <= [row[f"U95_{angle}"] for row in found]))
-            ratios.append(np.mean((error / [row[f"u_{angle}"] for row in found]) ** 2))
-    shares = np.array(inside).reshape(300, 4).mean(axis=1)
-    doubt = shares.std(ddof=1) / np.sqrt(300)
+            error = found[angle] - right
+            inside.append(np.mean(np.abs(error) <= found[f"U95_{angle}"]))
+            ratios.append(np.mean((error / found[f"u_{angle}"]) ** 2))
+    shares = np.array(inside).reshape(150, 4).mean(axis=1)
+    doubt = shares.std(ddof=1) / np.sqrt(150)
     assert abs(shares.mean() - 0.95) < 3 * doubt + 0.005, (shares.mean(), doubt)
     if stated:
         assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.06)
