@@ -70,11 +70,13 @@ def unpack_edges(records: bytes) -> Iterator[Edge]:
     Raises
     ------
     BusError
-        A torn record.
+        A torn record, or one of a line that is neither x nor y.
     """
     if len(records) % RECORD.size:
         raise BusError(f"{len(records)} bytes are no whole number of edge records of {RECORD.size} bytes")
     for time_ns, line, rising, number in RECORD.iter_unpack(records):
+        if line not in (0, 1):
+            raise BusError(f"an edge record names line {line}, where 0 is x and 1 is y")
         yield Edge(time_ns, line, bool(rising), number)
 
 

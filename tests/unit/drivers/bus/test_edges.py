@@ -89,6 +89,11 @@ def test_records_carry_edges_unchanged(edges: list[Edge]) -> None:
     assert list(unpack_edges(pack_edges(edges))) == edges
 
 
+def test_a_record_of_a_third_line_is_an_error() -> None:
+    with pytest.raises(BusError, match="names line 2"):
+        list(unpack_edges(RECORD.pack(0, 2, 1, 1)))
+
+
 def test_a_torn_record_is_an_error() -> None:
     with pytest.raises(BusError, match="no whole number of edge records"):
         list(unpack_edges(b"\x00" * 15))
