@@ -84,7 +84,7 @@ def test_with_a_stated_jig_the_chi_square_is_told(folder: Path) -> None:
     assert "further off than the stated jig allows, the worst first: " in result.stdout
     judged = tiltcal("check", "tight.yaml", cwd=folder)
     assert judged.returncode == 1
-    assert "is not credible: noise, jig or the" in judged.stdout
+    assert "is not credible: noise, jig or thermometer are worse than stated" in judged.stdout
 
 
 def test_with_a_stated_placement_error_imucals_offsets_are_inside_our_intervals(tmp_path: Path) -> None:

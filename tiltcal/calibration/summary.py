@@ -83,8 +83,9 @@ def objections(fit: FitRecord) -> list[str]:
     found = []
     p = _probability(fit)
     if p is not None and p < INCREDIBLE:
+        shown = "below 1e-9" if p < 1e-9 else f"{p:.1g}"
         found.append(
-            f"chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom (probability {p:.1g}) is "
+            f"chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom (probability {shown}) is "
             "not credible: noise, jig or thermometer are worse than stated, and the uncertainties are too small"
         )
     if fit.suspect_positions:

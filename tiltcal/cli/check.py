@@ -98,8 +98,14 @@ def _of_calibration(path: Path) -> tuple[str, list[str]]:
 
 
 def _of_journal_beside(path: Path, captured: FileRecord | None) -> list[str]:
-    journal = path.parent / (captured.name if captured else "")
-    return _against_journal(path, journal) if captured and journal.is_file() else []
+    if captured is None:
+        return []
+    journal = path.parent / captured.name
+    try:
+        beside = journal.is_file()
+    except OSError:  # a name that no file can have
+        beside = False
+    return _against_journal(path, journal) if beside else []
 
 
 def _against_journal(path: Path, journal: Path) -> list[str]:

@@ -20,7 +20,7 @@ import yaml
 
 from tiltcal.errors import InputError
 from tiltcal.files.declaration import FORMAT_VERSION
-from tiltcal.files.node import DEPTH_LIMIT, Node, Scalar, item_key, member_key
+from tiltcal.files.node import DEPTH_LIMIT, Node, Scalar, item_key, member_key, require_printable
 
 SIZE_LIMIT = 4_000_000
 """Bytes; the largest calibration file seen is a hundredth of it."""
@@ -210,6 +210,7 @@ class _Composer:
 
     def _name_next(self, parent: _Open, entries: dict[str, Node], scalar: Scalar, line: int) -> None:
         """Take a scalar as the key of the value that follows."""
+        require_printable(scalar.text, self._file, line, parent.node.key)
         key = member_key(parent.node.key, scalar.text)
         meaning = Node(scalar, self._file, line, key).plain() if scalar.plain else scalar.text
         if not isinstance(meaning, str):

@@ -14,6 +14,7 @@ from math import isfinite
 from typing import Any
 
 from tiltcal.errors import InputError
+from tiltcal.files.node import require_printable
 
 WIDTH = 120
 _COMMENT_COLUMN = 46
@@ -142,6 +143,7 @@ def _is_list_of_scalars(value: Any) -> bool:
 def _key(name: Any, key: str) -> str:
     if not isinstance(name, str) or len(name) > _KEY_LIMIT:
         raise InputError(f"cannot be written: a key is a text of at most {_KEY_LIMIT} characters", key=key[:_KEY_LIMIT])
+    require_printable(name, None, None, None)
     return _scalar(name, key)
 
 

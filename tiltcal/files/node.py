@@ -20,6 +20,7 @@ _FALSE = re.compile(r"false|False|FALSE")
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
@@ -82,6 +83,7 @@ class Node:
             raise self._unexpected("text")
         if not self.content.text.strip():
             raise self.error("the text is empty; write a text")
+        require_printable(self.content.text, self.file, self.line, self.key)
         return self.content.text
 
     def number(self, *, minimum: float | None = None, above: float | None = None) -> float:
@@ -267,6 +269,8 @@ def _node_of(data: Any, file: str | None, line: int | None, key: str | None, dep
         raise InputError(f"nested deeper than {DEPTH_LIMIT}", file=file, line=line, key=key)
     content: Scalar | list[Node] | dict[str, Node]
     if isinstance(data, Mapping):
+        for name in data:
+            require_printable(str(name), file, line, key)
         content = {
             str(name): _node_of(value, file, line, member_key(key, str(name)), depth + 1)
             for name, value in data.items()
@@ -284,6 +288,21 @@ def _node_of(data: Any, file: str | None, line: int | None, key: str | None, dep
     else:
         raise InputError(f"a {type(data).__name__} cannot be in a document", file=file, line=line, key=key)
     return Node(content, file, line, key)
+
+
+def require_printable(text: str, file: str | None, line: int | None, key: str | None) -> None:
+    """Refuse control characters, which a terminal takes for commands; a line's end and a tab are none.
+
+    Raises
+    ------
+    InputError
+        The text has one.
+    """
+    found = CONTROL.search(text)
+    if found:
+        raise InputError(
+            f"the control character {found.group()!r} is not allowed in a text", file=file, line=line, key=key
+        )
 
 
 def member_key(key: str | None, name: str) -> str:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 
 _CUT_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)[eE][+-]?|\d*\.)?")
+_OPEN_POINT = r"\.([^0-9]|$)"
 _ZONE = r"T.*(?:Z|[+-]\d\d:?\d\d)$"
 
 
@@ -45,7 +46,7 @@ def numbers(cells: pl.Series) -> tuple[Array, Bits | None]:
     texts = cells.fill_null("").str.strip_chars(" \t")
     parsed = texts.cast(pl.Float64, strict=False)
     values = parsed.fill_null(np.nan).to_numpy(writable=True)
-    doubtful = parsed.is_null() | texts.str.ends_with(".")
+    doubtful = parsed.is_null() | texts.str.contains(_OPEN_POINT)
     distinct = texts.filter(doubtful).unique().to_list()
     no_numbers = [text for text in distinct if text.casefold() not in MISSING]
     if not no_numbers:

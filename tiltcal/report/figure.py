@@ -30,6 +30,7 @@ _STYLE: dict[Any, Any] = {
     "ytick.major.width": 0.6,
     "legend.frameon": False,
     "axes.unicode_minus": True,
+    "text.parse_math": False,  # a unit or a position may be called $\\frac{$
 }
 
 

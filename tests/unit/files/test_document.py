@@ -18,7 +18,7 @@ from tiltcal.errors import InputError
 from tiltcal.files import document as document_module
 from tiltcal.files.document import SIZE_LIMIT, parse_document, read_document, read_tiltcal_file
 from tiltcal.files.emitter import WIDTH, yaml_text
-from tiltcal.files.node import document_of
+from tiltcal.files.node import CONTROL, document_of
 
 
 def complaint(text: str, reading: Any = None) -> InputError:
@@ -288,7 +288,9 @@ indicators = [
 ]
 awkward = ["- a", "a: b", "a #b", " a", "a ", "", "a\nb", "\t", "\x85", "\u2028"]
 tricky = st.sampled_from([*numbers_and_words, *indicators, *awkward])
-keys = st.text(st.characters(exclude_categories=["Cs"]), max_size=20) | tricky
+keys = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20) | tricky.filter(
+    lambda key: not CONTROL.search(key)
+)
 data = st.recursive(
     scalars | texts | tricky,
     lambda inner: st.lists(inner, max_size=5) | st.dictionaries(keys, inner, max_size=5),
@@ -381,7 +383,18 @@ def test_what_cannot_be_read_back_is_not_written(value: Any) -> None:
     assert caught.value.key == "fit.chi[0]"
 
 
-@pytest.mark.parametrize("name", [1, None, "k" * 101])
+@pytest.mark.parametrize("name", [1, None, "k" * 101, "\x1b[2J"])
 def test_key_that_cannot_be_read_back_is_not_written(name: Any) -> None:
-    with pytest.raises(InputError, match="a key is a text"):
+    with pytest.raises(InputError, match=r"a key is a text|the control character"):
         yaml_text({"fit": {name: 1}})
+
+
+@pytest.mark.parametrize("character", ["\\x1b", "\\x07", "\\r", "\\x9b", "\\x7f"])
+def test_control_characters_are_no_text_and_no_key(character: str) -> None:
+    """A terminal takes them for commands: ESC ] 0 ; sets its title, CSI 2 J clears it."""
+    with pytest.raises(InputError, match=r"a.yaml:2: serial: the control character") as caught:
+        parse_document(f'kind: x\nserial: "S{character}[2J"\n', "a.yaml").entries()["serial"].text()
+    assert str(caught.value).isprintable()
+    with pytest.raises(InputError, match=r"a.yaml:1: the control character") as caught:
+        parse_document(f'"S{character}[2J": 1\n', "a.yaml")
+    assert str(caught.value).isprintable()

@@ -269,6 +269,20 @@ class TestAnyFile:
         assert page.headings[0][1] == f"{nasty} {nasty}"
         assert nasty in [one.text for one in page.root.find("li")]
 
+    @pytest.mark.parametrize("math", ["$\\frac{$", "$x$", "\\", "$$"])
+    def test_mathematics_in_a_file_is_text(self, math: str) -> None:
+        known = golden("temperature-sweep")
+        names = dict(zip(known.fit.residuals, [math, *list(known.fit.residuals)[1:]], strict=True))
+        calibration = replace(
+            known,
+            sensor=replace(known.sensor, unit=math),
+            fit=replace(known.fit, residuals={names[name]: row for name, row in known.fit.residuals.items()}),
+            positions=tuple(replace(one, position=names[one.position]) for one in known.positions),
+        )
+        drawn = [text.text for figure in page_of(calibration).root.find("svg") for text in figure.find("text")]
+        assert math in drawn
+        assert any(f"[{math}]" in text for text in drawn)
+
 
 class TestPage:
     @pytest.fixture(params=["complete", "free", "mounting", "temperature-sweep"])

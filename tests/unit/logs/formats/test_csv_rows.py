@@ -70,7 +70,7 @@ class TestNumbers:
         assert same(column(f"time,x,y\n1,{cell},3\n1,2,3\n".encode()), [nan, 2.0])
 
     @pytest.mark.parametrize(
-        "cell", ["abc", "2.", "1_000", "0x1F", "1e", "-", ".", "2,5".replace(",", ";"), "٣", "1 2", "--1"]
+        "cell", ["abc", "2.", "1.e3", "1_000", "0x1F", "1e", "-", ".", "2,5".replace(",", ";"), "٣", "1 2", "--1"]
     )
     def test_anything_else_is_an_error_that_names_file_line_column_and_text(self, cell: str) -> None:
         said = complaint(f"time,x,y\n1,2,3\n1,{cell},3\n".encode())
