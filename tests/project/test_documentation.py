@@ -33,11 +33,18 @@ WITH_COMMANDS = [page for page in PAGES if "```console" in page.read_text(encodi
 LIBRARY = ROOT / "docs" / "library.md"
 
 BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+NAMED_FILE = re.compile(r"`((?:tiltcal|drivers|procedures|tests|docs|fixtures|benchmarks|firmware)/[\w/.-]*)`")
+"""A file or folder of ours, in the typewriter face."""
 LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 
 
 def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
+
+
+def is_history(page: Path) -> bool:
+    """Whether a page names files of the past."""
+    return page.name == "CHANGELOG.md" or page.parent.name == "decisions"
 
 
 @dataclass(frozen=True)
@@ -165,6 +172,12 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_every_model_is_on_the_page_that_leads_to_it() -> None:
     page = (ROOT / "docs" / "which-sensor.md").read_text(encoding="utf-8")
     assert [model.name for model in models() if f"`{model.name}`" not in page] == []
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if not is_history(page)], ids=name_of)
+def test_files_that_are_named_exist(page: Path) -> None:
+    for path in NAMED_FILE.findall(page.read_text(encoding="utf-8")):
+        assert (ROOT / path).exists(), path
 
 
 def headings_of(page: Path) -> set[str]:
