@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import stat
@@ -25,6 +26,7 @@ STANDARD = "-"
 """The name of standard input and standard output."""
 
 _PIPE_BUFFER = 1 << 16  # bytes that a pipe holds
+_OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")  # how the engine ends its message where the system refuses
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
 
 
@@ -95,6 +97,26 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         stdout = sys.stdout.buffer
         shutil.copyfileobj(spool, stdout)
         stdout.flush()
+
+
+@contextmanager
+def refused_by_system() -> Iterator[None]:
+    """Raise an OSError with its number where the engine only quotes the system.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or the system refuses something else.
+    """
+    import polars as pl
+
+    try:
+        yield
+    except (pl.exceptions.PolarsError, OSError) as failure:
+        found = _OF_THE_SYSTEM.search(str(failure))
+        if found is None:
+            raise
+        raise OSError(int(found[1]), os.strerror(int(found[1]))) from failure
 
 
 class HashingReader:

@@ -11,13 +11,13 @@ import csv
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
 from tiltcal.logs.formats.whitespace import WhitespaceSeparated, blank_separated_names, numbered_columns
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
-from tiltcal.logs.streams import ByteReader, HashingReader
+from tiltcal.logs.streams import ByteReader, HashingReader, refused_by_system
 
 if TYPE_CHECKING:
     import polars as pl
@@ -240,7 +240,7 @@ class CsvWriter(LogWriter):
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
         """Write each block while the next is read and compensated; a single thread keeps the order."""
         verbatim = isinstance(self._log, CsvReader)
-        header, text = (self._header(), self._as_it_stands) if verbatim else (b"", self._in_words)
+        header, write = (self._header(), self._write_as_it_stands) if verbatim else (b"", self._write_in_words)
         with ThreadPoolExecutor(max_workers=1) as thread:
             written: Future[object] | None = None
             for block, table in blocks:
@@ -248,7 +248,8 @@ class CsvWriter(LogWriter):
                     written.result()
                 else:
                     self._sink.write(header or self._header_of(block))
-                written = thread.submit(lambda *rows: self._sink.write(text(*rows).getbuffer()), block, table)
+                    self._sink.flush()  # the engine writes to the file itself
+                written = thread.submit(write, block, table)
             if written is not None:
                 written.result()
 
@@ -256,12 +257,16 @@ class CsvWriter(LogWriter):
         log = cast("CsvReader", self._log)
         return log.header + "".join(f",{name}" for name in self._added).encode() + log.line_end.encode()
 
-    def _as_it_stands(self, block: LogBlock, table: Table) -> BytesIO:
+    def _write_as_it_stands(self, block: LogBlock, table: Table) -> None:
         import polars as pl
 
         rows, line_end = cast("CsvBlock", block), cast("CsvReader", self._log).line_end
-        text = _csv(pl.DataFrame({"": rows.lines, **table}), quote_style="never", line_terminator=line_end)
-        return text if rows.encoding == "utf-8" else BytesIO(text.getvalue().decode().encode(rows.encoding))
+        utf8 = rows.encoding == "utf-8"
+        text = self._sink if utf8 else BytesIO()
+        _write_csv(text, pl.DataFrame({"": rows.lines, **table}), quote_style="never", line_terminator=line_end)
+        if isinstance(text, BytesIO) and not utf8:
+            self._sink.write(text.getvalue().decode().encode(rows.encoding))
+            self._sink.flush()
 
     def _header_of(self, block: LogBlock) -> bytes:
         import polars as pl
@@ -271,14 +276,16 @@ class CsvWriter(LogWriter):
                 raise UsageError(
                     f"column {column.name!r} holds {column.dtype}, which CSV has no place for: write Parquet instead"
                 )
-        return _csv(pl.DataFrame(schema=[*self._log.names, *self._added]), include_header=True).getvalue()
+        text = BytesIO()
+        _write_csv(text, pl.DataFrame(schema=[*self._log.names, *self._added]), include_header=True)
+        return text.getvalue()
 
-    def _in_words(self, block: LogBlock, table: Table) -> BytesIO:
+    def _write_in_words(self, block: LogBlock, table: Table) -> None:
         import polars as pl
 
         frame = _frame(block)
         added = {name: pl.Series(name, column) for name, column in table.items()}
-        return _csv(frame.with_columns(*map(_words, frame)).with_columns(**added))
+        _write_csv(self._sink, frame.with_columns(*map(_words, frame)).with_columns(**added))
 
 
 def _frame(block: LogBlock) -> pl.DataFrame:
@@ -287,10 +294,9 @@ def _frame(block: LogBlock) -> pl.DataFrame:
     return block.frame
 
 
-def _csv(frame: pl.DataFrame, *, include_header: bool = False, **options: Any) -> BytesIO:
-    text = BytesIO()
-    frame.write_csv(text, include_header=include_header, **options)
-    return text
+def _write_csv(sink: BinaryIO, frame: pl.DataFrame, *, include_header: bool = False, **options: Any) -> None:
+    with refused_by_system():
+        frame.write_csv(sink, include_header=include_header, **options)
 
 
 def _words(column: pl.Series) -> pl.Series:

@@ -7,8 +7,6 @@ whatever they hold.
 from __future__ import annotations
 
 import json
-import os
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
@@ -21,6 +19,7 @@ from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.cells import seconds
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
+from tiltcal.logs.streams import refused_by_system
 
 if TYPE_CHECKING:
     import polars as pl
@@ -33,9 +32,6 @@ _ROW_GROUP = 1 << 18
 
 _OF_THE_ENGINE = "ARROW:schema"
 """The key under which a writer keeps the types in its own words; the next one writes its own."""
-
-_OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")
-"""How the engine ends its message on a full disk, and on all else that the system refuses."""
 
 
 class ParquetReader(LogReader):
@@ -115,22 +111,16 @@ class ParquetWriter(LogWriter):
     frames: ClassVar[bool] = True
 
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
-        import polars as pl
         from polars.io.plugins import register_io_source
 
         whole = (_widened(block, table) for block, table in blocks)
         first = next(whole)
         frames = chain([first], whole)
         notes = {**self._log.notes, **({"tiltcal": json.dumps(self._origin)} if self._origin else {})}
-        try:
+        with refused_by_system():
             register_io_source(lambda *_: frames, schema=first.schema).sink_parquet(
                 self._sink, row_group_size=_ROW_GROUP, maintain_order=True, metadata=notes, engine="streaming"
             )
-        except pl.exceptions.PolarsError as failure:
-            if found := _OF_THE_SYSTEM.search(str(failure)):
-                code = int(found[1])
-                raise OSError(code, os.strerror(code)) from failure
-            raise
 
 
 def _widened(block: LogBlock, table: Table) -> pl.DataFrame:
