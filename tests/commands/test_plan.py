@@ -97,3 +97,12 @@ def test_a_mounting_is_told_in_its_angles() -> None:
     assert told["mounting.yaw"] == pytest.approx(0.1, rel=1e-3)
     assert told["mounting.roll"] == pytest.approx(0.1 / sqrt(4.5), rel=1e-3)
     assert told["mounting.pitch"] == pytest.approx(0.1 / sqrt(4.5), rel=1e-3)
+
+
+def test_an_angle_beyond_the_range_is_refused_as_measure_refuses_it(tmp_path: Path) -> None:
+    """The SCA100T-D01 reads ±30°: at 60° x would read 1024 + 1638 sin 60° = 2442 counts, and its largest is 2047."""
+    planned = tiltcal("plan", "plane", "--sensor", "sca100t-d01", "--tilt", "60")
+    assert planned.returncode == 2
+    assert "x would read about 2442.5 count" in planned.stderr
+    measured = measure("--tilt", "60", "--sensor", "sca100t-d01", cwd=tmp_path)
+    assert planned.stderr in measured.stderr

@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from tiltcal.bench.channel_map import map_channels
-from tiltcal.calibration.prediction import PredictedMounting, PredictedUncertainty, predict, predict_mounting
+from tiltcal.bench.session_plan import require_in_range
+from tiltcal.calibration.prediction import (
+    PredictedMounting,
+    PredictedUncertainty,
+    predict,
+    predict_mounting,
+    require_tilt,
+)
 from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
@@ -108,6 +115,8 @@ def plan(
     if steps.rotation is not None:
         channels = map_channels(steps.rotation, [("", model)])
         return PlannedRotation(channels.pairs, steps.rotation.turns, channels.left_out)
+    require_tilt(steps, model)
+    require_in_range(steps, model)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
     return predict(steps, model, jig=jig, thermometer=thermometer, table_lean=table_lean, noise=noise, samples=samples)

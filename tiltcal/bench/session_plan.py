@@ -235,7 +235,7 @@ def plan_session(
         map_channels(procedure.rotation, [(device.serial, device.model) for device in sensors])
     for device in sensors if procedure.rotation is None else ():
         require_tilt(procedure, device.model)
-        _require_in_range(procedure, device)
+        require_in_range(procedure, device.model, device.orientation)
     plan = SessionPlan(
         procedure=procedure,
         sensors=sensors,
@@ -304,16 +304,20 @@ def _thermometer(thermometer: BenchThermometer) -> DeviceSetup:
     return device
 
 
-def _require_in_range(procedure: Procedure, device: DeviceSetup) -> None:
-    """Refuse positions that the model can only answer with its rail, and a scale that nobody has stated."""
-    model = device.model
+def require_in_range(procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT) -> None:
+    """Refuse positions that a model can only answer with its rail, and a sensitivity that is not stated.
+
+    Raises
+    ------
+    UsageError
+    """
     if not model.scaled and not procedure.determines.axes and not procedure.determines.mounting:
         raise UsageError(
             f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
             "address (sensitivity=..., unit per g)"
         )
     for position in procedure.positions:
-        gravity = device.orientation.seen(position.gravity)
+        gravity = orientation.seen(position.gravity)
         for channel in model.channels:
             expected = model.offset + model.sensitivity * gravity["xyz".index(channel)]
             if not model.rails[0] < expected < model.rails[1]:

@@ -32,6 +32,9 @@ MATRIX_DIGITS = 100.0
 
 SHARE_DIGITS = 3
 
+TOO_GOOD = 0.02
+"""A chi-square that is so small with no more than this probability shows that less was uncertain than stated."""
+
 NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
 """Where an uncertainty comes from that leaves out how well the positions were set."""
 
@@ -153,8 +156,15 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
     )
     if found.chi_square is None or found.p is None or not found.stated:
         return record
+    notes = record.notes
+    if design.jig and found.p > 1.0 - TOO_GOOD:
+        notes += (
+            f"the positions agree better than a jig of {design.jig:g}° lets them: it is better than stated, or the "
+            "noise is, and the uncertainty is larger than it need be",
+        )
     return replace(
         record,
+        notes=notes,
         chi_square=significant(found.chi_square, 4),
         p_value=significant(found.p, SHARE_DIGITS),
         suspect_positions={

@@ -91,7 +91,8 @@ Examples:
     "--base",
     type=click.Path(path_type=Path),
     metavar="CAL",
-    help="The calibration file of the sensor, which the mounting procedure completes.",
+    help="The calibration file of the sensor: the mounting procedure completes it, and procedures that determine no "
+    "sensitivity use its own.",
 )
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The calibration file to write.")
 def command(

@@ -62,7 +62,8 @@ from tiltcal.cli.session_options import LEADERS, left_at_default, remark
     "--base",
     type=click.Path(path_type=Path),
     metavar="CAL",
-    help="The calibration file of the sensor, which the mounting procedure completes.",
+    help="The calibration file of the sensor: the mounting procedure completes it, and procedures that determine no "
+    "sensitivity use its own.",
 )
 @click.option(
     "--typical-temperature",

@@ -34,8 +34,13 @@ def calibrated(wiring: Wiring) -> CalibrationRecord:
     return calibrate([MeasuredSensor(SENSOR, measurements)], PLANE, BenchUncertainty(0.05))[0]
 
 
+def remarks(wiring: Wiring) -> list[str]:
+    about = ("x and y", "channel", "the sign of")
+    return [note for note in calibrated(wiring).fit.notes if note.startswith(about)]
+
+
 def test_a_sensor_wired_as_it_is_called_needs_no_remark() -> None:
-    assert calibrated(lambda true: true).fit.notes == ()
+    assert remarks(lambda true: true) == []
 
 
 def test_two_copies_of_one_channel_are_refused() -> None:
@@ -50,12 +55,12 @@ def test_a_copy_with_its_sign_turned_is_a_copy() -> None:
 
 
 def test_swapped_channels_are_remarked() -> None:
-    (note,) = calibrated(lambda true: true[::-1]).fit.notes
+    (note,) = remarks(lambda true: true[::-1])
     assert note.startswith("x and y are swapped")
 
 
 def test_a_turned_sign_is_remarked() -> None:
-    (note,) = calibrated(lambda true: np.array([true[0], 5.0 - true[1]])).fit.notes
+    (note,) = remarks(lambda true: np.array([true[0], 5.0 - true[1]]))
     assert note.startswith("the sign of y is turned")
 
 

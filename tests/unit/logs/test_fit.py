@@ -1,0 +1,82 @@
+"""Fits that take the sensitivity of a user's own sensor from its calibration; readings are simulated here, by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tiltcal
+from tiltcal.files.procedure import find_procedure
+
+OWN = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: recorded, serial: S-7, unit: V, channels: [x, y]}
+calibration:
+  offset: {x: 2.5, y: 2.4}
+  sensitivity: {x: {x: 2.05, y: 0.03}, y: {x: -0.02, y: 1.95}}
+uncertainty:
+  offset: {x: 0.01, y: 0.01}
+  sensitivity: {x: {x: 0.004, y: 0.004}, y: {x: 0.004, y: 0.004}}
+limits:
+  reading: [0.1, 4.9]
+"""
+SENSITIVITY = np.array([[2.05, 0.03], [-0.02, 1.95]])
+SENSOR: dict[str, Any] = {"serial": "S-7", "unit": "V"}
+ROWS = 80
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Path:
+    path = tmp_path / "S-7.yaml"
+    path.write_text(OWN, encoding="utf-8")
+    return path
+
+
+def recorded(procedure: str, offset: tuple[float, float], drift: float = 0.0) -> dict[str, Any]:
+    """Readings of a two-axis sensor in the positions of a procedure, and the rows of each."""
+    rng = np.random.default_rng(1)
+    blocks, temperatures, segments = [], [], []
+    for number, position in enumerate(find_procedure(procedure).positions):
+        temperature = 24.0 if position.temperature is None else position.temperature
+        mean = np.array(offset) + SENSITIVITY @ position.gravity[:2] + drift * (temperature - 24.0)
+        blocks.append(mean + rng.normal(0.0, 1e-4, (ROWS, 2)))
+        temperatures.append(np.full(ROWS, temperature))
+        segments.append({"position": position.name, "start": number * ROWS, "end": (number + 1) * ROWS})
+    x, y = np.concatenate(blocks).T
+    return {"data": {"x": x, "y": y, "temperature": np.concatenate(temperatures)}, "segments": segments}
+
+
+def test_reversal_renews_the_offset_with_the_sensitivity_of_the_base(base: Path) -> None:
+    found = tiltcal.fit("reversal", **recorded("reversal", (2.56, 2.38)), base=base, **SENSOR)
+    assert list(found.offset.values()) == pytest.approx([2.56, 2.38], abs=2e-3)
+    assert found.sensitivity["x", "x"] == pytest.approx(2.05, abs=1e-3)
+    assert found.sensitivity["x", "y"] == pytest.approx(0.03, abs=1e-3)
+    assert found.derived.assumed == ("sensitivity: of the base calibration",)
+    assert found.limits.reading["x"] == (0.1, 4.9)
+
+
+@pytest.mark.parametrize("procedure", ["two-temperature", "temperature-sweep"])
+def test_the_drift_of_a_users_own_sensor(procedure: str, base: Path) -> None:
+    """2 mV/°C on both channels."""
+    found = tiltcal.fit(procedure, **recorded(procedure, (2.5, 2.4), drift=0.002), base=base, **SENSOR)
+    thermal = found.coefficients.thermal
+    assert thermal is not None
+    assert thermal.drift[:, 0] == pytest.approx([0.002, 0.002], abs=1e-4)
+    assert found.sensor.model == "recorded"
+
+
+@pytest.mark.parametrize("procedure", ["reversal", "two-temperature", "temperature-sweep"])
+def test_without_a_model_or_a_base_it_is_said_what_is_needed(procedure: str) -> None:
+    """It asked a two-axis log for a column z."""
+    with pytest.raises(tiltcal.EstimateError, match=r"determines no sensitivity: name a --sensor .* or with --base"):
+        tiltcal.fit(procedure, **recorded(procedure, (2.5, 2.4)), **SENSOR)
+
+
+def test_a_base_with_a_mounting_is_refused(base: Path) -> None:
+    base.write_text(OWN.replace("uncertainty:", "  mounting: {roll: 1.0, pitch: 0.0, yaw: 0.0}\nuncertainty:", 1))
+    with pytest.raises(tiltcal.UsageError, match="has a mounting, which reversal would drop"):
+        tiltcal.fit("reversal", **recorded("reversal", (2.5, 2.4)), base=base, **SENSOR)
