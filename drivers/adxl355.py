@@ -48,20 +48,20 @@ FILTER, RANGE, POWER, RESET, SHADOW = 0x28, 0x2C, 0x2D, 0x2F, 0x50
 WHO = bytes.fromhex("AD1DED")
 DATA_READY = 0x01
 AFTER_RESET, MEASURE, RESET_CODE = 0x80, 0x00, 0x52
-"""Bit 7 of RANGE as it is after a reset; POWER while it measures; what RESET takes."""
+"""Bit 7 of RANGE after a reset; POWER during measurement; the reset code of RESET."""
 
 SHADOWS = 5
 RESETS = 5
-"""Resets that are tried until the trim is loaded."""
+"""Largest number of resets until the trim is loaded."""
 RESET_SECONDS, TURN_ON_SECONDS = 0.010, 0.010
 
 FASTEST = 4000.0
-"""Samples a second; each slower rate is half of the one before."""
+"""Samples per second; each rate is half of the one before."""
 SLOWEST_STEP = 10
 DEFAULT_STEP = 5
 
 CENTRE, CENTRE_CELSIUS, SLOPE = 1885, 25.0, -9.05
-"""The thermometer's line; the 1852 of the data sheet's first revision is corrected by its maker."""
+"""The line of the thermometer; later revisions of the data sheet correct the 1852 of the first."""
 
 RANGES = {"2g": 1, "4g": 2, "8g": 3}
 """Code in RANGE."""
@@ -73,12 +73,12 @@ DENSITY = 25e-6
 """Noise, g/√Hz."""
 
 HIGHEST_I2C_RATE = 500.0
-"""At 100 kHz a sample takes 2 ms to read; it must be over before the next one."""
+"""At 100 kHz, reading a sample takes 2 ms, which must be less than the sample period."""
 
 
 @dataclass(frozen=True, slots=True)
 class Adxl355Settings:
-    """What the address chooses.
+    """The settings of an address.
 
     Attributes
     ----------
@@ -103,14 +103,7 @@ class Adxl355Settings:
 
 
 class Adxl355(PolledSensor):
-    """The driver of an ADXL355, on either bus.
-
-    Parameters
-    ----------
-    link : Link
-    clock : Clock
-    settings : Adxl355Settings
-    """
+    """The driver of an ADXL355, on either bus."""
 
     def __init__(self, link: Link, clock: Clock, settings: Adxl355Settings) -> None:
         port = RegisterPort(link, lambda register: register << 1 | 1, lambda register: register << 1)
@@ -159,7 +152,7 @@ class Adxl355(PolledSensor):
         self._clock.sleep(TURN_ON_SECONDS + 4 * self._period)
 
     def _reset(self) -> None:
-        """Reset until the shadow registers are as they were."""
+        """Reset until the shadow registers have their former content."""
         before = self._port.read(SHADOW, SHADOWS)
         for _ in range(RESETS):
             self._port.write(RESET, RESET_CODE)
@@ -187,12 +180,12 @@ class Adxl355(PolledSensor):
 
 
 def decode_word(three: bytes) -> int:
-    """Return the 20-bit word of three registers, -524288 to 524287 count; the low 4 bits mean nothing."""
+    """Return the 20-bit word of three registers, -524288 to 524287 count; the low 4 bits have no meaning."""
     return int.from_bytes(three, "big", signed=True) >> 4
 
 
 def decode_temperature(pair: bytes) -> float:
-    """Return the temperature of two registers, °C; the upper half of the first means nothing."""
+    """Return the temperature of two registers, °C; the upper half of the first has no meaning."""
     raw = (pair[0] & 0x0F) << 8 | pair[1]
     return CENTRE_CELSIUS + (raw - CENTRE) / SLOPE
 
@@ -214,7 +207,7 @@ def _default_truth(settings: Adxl355Settings, seed: int) -> Truth:
 
 
 def _tailored(address: Address) -> Model:
-    """The model with the range and rate that the address names."""
+    """Return the model with the range and rate of the address."""
     rate = address.number("rate", FASTEST / 2**DEFAULT_STEP, low=FASTEST / 2**SLOWEST_STEP - 0.01, high=FASTEST)
     step = round(log2(FASTEST / rate))
     if abs(rate * 2**step / FASTEST - 1.0) > 0.01:

@@ -205,7 +205,7 @@ def require_name(address: Address, name: str) -> None:
 
 
 def _tailored(model: Model, address: Address) -> Model:
-    """Return the model with the address's facts of the device."""
+    """Return the model with the options of the address."""
     columns = columns_of(address, "x,y,temperature" if address.simulated else None)
     fitted = with_numbers(model, address, columns.channels, TEMPERATURE in columns.names)
     return replace(

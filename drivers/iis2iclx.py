@@ -45,17 +45,17 @@ READING = 0x80
 """Bit 7 of an SPI command."""
 DATA_READY = 0x01
 SOFTWARE_RESET, WHOLE_SAMPLES, CONFIGURED = 0x01, 0x44, 0xE2
-"""CTRL3 to reset; CTRL3 while it measures; CTRL9 after every reset."""
+"""CTRL3 for a reset; CTRL3 during measurement; CTRL9 after every reset."""
 
 RESET_SECONDS = 0.020
 """The data sheet's turn-on time is 15 ms."""
 UNSETTLED = 3
-"""Samples after power-down that are dropped."""
+"""Samples that are discarded after power-down."""
 
 RATES = {12.5: 1, 26.0: 2, 52.0: 3, 104.0: 4, 208.0: 5, 416.0: 6, 833.0: 7}
-"""Code by samples a second; higher codes are reserved."""
+"""Code by samples per second; higher codes are reserved."""
 RANGES = {"0.5g": 0, "1g": 2, "2g": 3, "3g": 1}
-"""Code by range; their order is the part's."""
+"""Code by range, in the order of the part."""
 MILLI_G = {0: 0.015, 2: 0.031, 3: 0.061, 1: 0.122}
 """One count, mg."""
 
@@ -66,7 +66,7 @@ DENSITY = 15e-6
 
 @dataclass(frozen=True, slots=True)
 class Iis2iclxSettings:
-    """What the address chooses.
+    """The settings of an address.
 
     Attributes
     ----------
@@ -86,14 +86,7 @@ class Iis2iclxSettings:
 
 
 class Iis2iclx(PolledSensor):
-    """The driver of an IIS2ICLX, on either bus.
-
-    Parameters
-    ----------
-    link : Link
-    clock : Clock
-    settings : Iis2iclxSettings
-    """
+    """The driver of an IIS2ICLX, on either bus."""
 
     def __init__(self, link: Link, clock: Clock, settings: Iis2iclxSettings) -> None:
         port = RegisterPort(link, lambda register: register | READING, int)
@@ -181,7 +174,7 @@ def _default_truth(settings: Iis2iclxSettings, seed: int) -> Truth:
 
 
 def _tailored(address: Address) -> Model:
-    """The model with the range and rate that the address names."""
+    """Return the model with the range and rate of the address."""
     rate = address.number("rate", 104.0)
     if rate not in RATES:
         address.refuse(f"option rate={rate:g} is none of {', '.join(f'{one:g}' for one in RATES)}")

@@ -36,21 +36,21 @@ if TYPE_CHECKING:
     from tiltcal.drivers.twin.truth import Truth
 
 TYPES = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "int64": "q", "float64": "d"}
-"""How a number is packed, by the word in the address."""
+"""Encoding of a number, by its name in the address."""
 
 ORDERS = {"abcd": (False, False), "cdab": (True, False), "badc": (False, True), "dcba": (True, True)}
-"""Whether the registers of a number come lowest first, and whether the bytes of each are swapped."""
+"""Whether the lowest register comes first, and whether the bytes of each register are swapped."""
 
 TABLES = {"holding": HOLDING, "input": INPUT}
 
 UNIT = "measured_in"
-"""The option that says what a number is counted in: ``unit`` is the device on the line."""
+"""The option for the unit of the numbers, because ``unit`` is the device on the line."""
 
 LONGEST = 125
 """Registers of one request."""
 
 RATE = 10.0
-"""Samples a second where the address names no rate."""
+"""Samples per second if the address states no rate."""
 
 EXCEPTIONS = {
     1: "it does not know this function: try table=input, or table=holding",
@@ -59,7 +59,7 @@ EXCEPTIONS = {
     4: "it has failed",
     6: "it is busy",
 }
-"""What a device means by its exception codes."""
+"""Meaning of the exception codes."""
 
 _COLUMN = re.compile(r"([^@:*]+)@(0[xX][0-9a-fA-F]+|[0-9]+)(?::([a-z0-9]+))?(?:\*([-+0-9.eE]+))?")
 
@@ -85,13 +85,13 @@ class RegisterColumn:
 
     @property
     def length(self) -> int:
-        """Registers that it takes."""
+        """Number of its registers."""
         return struct.calcsize(f">{self.code}") // 2
 
 
 @dataclass(frozen=True)
 class RegisterLayout:
-    """Which registers hold which numbers.
+    """The numbers and their registers.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class RegisterLayout:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The axes in the order x, y, z, then the other readings as they are written."""
+        """The axes in the order x, y, z, then the other readings in the order of the address."""
         names = [column.name for column in self.columns]
         others = [name for name in names if name not in (*AXES, TEMPERATURE)]
         return (*(axis for axis in AXES if axis in names), *others)
@@ -120,7 +120,7 @@ class RegisterLayout:
 
     @property
     def requests(self) -> tuple[bytes, ...]:
-        """What reads all columns: one request for each run of registers without a gap."""
+        """The requests that read all columns: one per range of registers without a gap."""
         runs: list[list[int]] = []
         for column in sorted(self.columns, key=lambda column: column.first):
             end = column.first + column.length
@@ -131,13 +131,13 @@ class RegisterLayout:
         return tuple(struct.pack(">BHH", self.function, first, end - first) for first, end in runs)
 
     def arranged(self, data: bytes) -> bytes:
-        """The bytes of a number in the device's order, from those in the protocol's, or back."""
+        """Convert the bytes of a number between the order of the device and that of the protocol."""
         words = [data[at : at + 2] for at in range(0, len(data), 2)]
         lowest_first, swapped = self.order
         return b"".join(word[::-1] if swapped else word for word in (words[::-1] if lowest_first else words))
 
     def numbers(self, registers: Mapping[int, bytes]) -> Iterator[tuple[str, float]]:
-        """Every column's number, scaled, from the two bytes of each register."""
+        """Iterate over every column's number, scaled, from the two bytes of each register."""
         for column in self.columns:
             data = b"".join(registers[column.first + place] for place in range(column.length))
             (number,) = struct.unpack(f">{column.code}", self.arranged(data))
@@ -217,7 +217,7 @@ class ModbusColumns:
 
 
 def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
-    """Return what the address says of the registers.
+    """Return the registers of an address.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def _column(address: Address, text: str) -> RegisterColumn:
 
 
 def _tailored(address: Address) -> Model:
-    """Return the model with the address's facts of the device."""
+    """Return the model with the options of the address."""
     layout = layout_of(address, SIMULATED if address.simulated else None)
     fitted = with_numbers(_MODEL, address, layout.channels, layout.thermometer, UNIT)
     return replace(
@@ -294,7 +294,7 @@ def _default_truth(layout: RegisterLayout, offset: float, sensitivity: float, se
 
 
 SIMULATED = "x@0:float32,y@2:float32,temperature@4:float32"
-"""The columns of a virtual device whose address names none."""
+"""Default columns of a virtual device."""
 
 _SIMULATED = RegisterLayout(
     (

@@ -1,4 +1,4 @@
-"""Parts that are set up by registers, and say in a status register when the next sample is there."""
+"""Parts with setup registers and a status register that shows when a new sample is ready."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from tiltcal.drivers.device import Reading
 
 PERIODS = 6
-"""Sample periods without a sample that are an error."""
+"""Timeout for a sample, in sample periods."""
 
 Settings = Sequence[tuple[int, int]]
-"""Registers and their values, in the order they are written."""
+"""Registers and their values, in the order of writing."""
 
 
 class PolledSensor(ABC):
-    """What the drivers of such parts share.
+    """The common part of their drivers.
 
     The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
     set up, so a reset shows as samples that do not come.
@@ -66,7 +66,7 @@ class PolledSensor(ABC):
         return reading
 
     def discard(self) -> None:  # noqa: B027 - a part that is polled has nothing to forget
-        """Nothing queues up: every read takes the latest sample."""
+        """Do nothing: every read takes the latest sample."""
 
     @abstractmethod
     def _set_up(self) -> None:
@@ -74,11 +74,11 @@ class PolledSensor(ABC):
 
     @abstractmethod
     def _settings(self) -> Settings:
-        """What the part is set to while it measures."""
+        """Return the settings of the part during measurement."""
 
     @abstractmethod
     def _sample(self) -> Reading:
-        """Take the sample that is there."""
+        """Take the present sample."""
 
     def _sample_comes(self) -> bool:
         for _ in range(4 * PERIODS):
@@ -90,7 +90,7 @@ class PolledSensor(ABC):
         return False
 
     def _write(self, settings: Settings) -> None:
-        """Write registers, and see that the part has taken them."""
+        """Write registers, and check their content."""
         for register, value in settings:
             self._port.write(register, value)
         wrong = self._unlike(settings)
@@ -101,7 +101,7 @@ class PolledSensor(ABC):
             )
 
     def _unlike(self, settings: Settings) -> str:
-        """Registers that hold something else, in words."""
+        """Return the registers with another content, as text."""
         held = [(register, value, self._port.read(register, 1)[0]) for register, value in settings]
         return ", ".join(
             f"register 0x{register:02X} holds 0x{found:02X}, not 0x{value:02X}"

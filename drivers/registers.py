@@ -1,4 +1,4 @@
-"""What parts with byte registers and readings in counts share: transactions, checks, and options by words."""
+"""Parts with byte registers and readings in counts: transactions, checks, and options."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.link import Link
 
 Register = Callable[[int], int]
-"""The byte that stands for a register on a bus."""
+"""Converts a register to its byte on a bus."""
 
 R = TypeVar("R")
 
@@ -69,7 +69,7 @@ def _whole(answer: bytes, length: int) -> bytes:
 
 
 def check_data_line(answers: bytes) -> None:
-    """Refuse a sample whose bits are all alike: a part at rest feels gravity in one channel at least.
+    """Raise an error for a sample with equal bits: at rest at least one channel measures gravity.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def check_data_line(answers: bytes) -> None:
 
 
 def choose(address: Address, name: str, meanings: Mapping[str, R], default: R) -> R:
-    """Return what the word of an option stands for.
+    """Return the value for the word of an option.
 
     Raises
     ------
@@ -105,12 +105,12 @@ def choose(address: Address, name: str, meanings: Mapping[str, R], default: R) -
 
 
 def choose_range(address: Address, ranges: Mapping[str, R], default: R) -> R:
-    """Return what the option ``range`` stands for: one of the words, or the number of one that ends in g."""
+    """Return the value of the option ``range``: one of the words, or the number of one that ends in g."""
     if f"{address.options.get('range', '')}g" in ranges:
         return ranges[f"{address.options['range']}g"]
     return choose(address, "range", ranges, default)
 
 
 def slowest_clock(count: int, rate: float) -> int:
-    """Return the SPI clock at which a burst of ``count`` registers is over before the next word is due, Hz."""
+    """Return the lowest SPI clock at which a burst of ``count`` registers ends before the next word is due, Hz."""
     return ceil(8 * (1 + count) * rate)

@@ -140,15 +140,15 @@ class Inclinometer:
         """Do nothing: every read is a new conversion."""
 
     def _said(self, words: Mapping[str, int]) -> dict[str, str]:
-        """The words for the operator."""
+        """Return the words for the operator."""
         return {channel: f"{word} count" for channel, word in words.items()}
 
     def _values(self, words: Mapping[str, int]) -> tuple[float, ...]:
-        """The reading of each channel, count."""
+        """Return the reading of each channel, count."""
         return tuple(map(float, words.values()))
 
     def _sample(self) -> tuple[dict[str, int], float]:
-        """Every word in counts and the temperature in °C, once it is sure that a part has sent them."""
+        """Return every word in counts and the temperature in °C, once it is sure that a part has sent them."""
         answers = []
         for frame in (*((command, 0, 0) for command in self.COMMANDS.values()), (RWTR, 0)):
             self._clock.sleep(self.REFRESH)
@@ -160,7 +160,7 @@ class Inclinometer:
         return words, decode_temperature(answers[-1])
 
     def _checked(self, channel: str, frame: bytes) -> int:
-        """The word of a frame; a fault signal is none."""
+        """Return the word of a frame; a fault signal is none."""
         word = decode_word(frame)
         if word < LOWEST_SANE_WORD:
             raise DeviceFault(

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from tiltcal.drivers.twin.truth import Truth
 
 HIGHEST_SANE_WORD = 1945
-"""Of an SCA103T; beyond it lies a broken connection, or a tilt that the part does not measure."""
+"""Largest reading of an SCA103T; a larger one is a broken connection or a tilt out of range."""
 
 
 class Sca61t(Inclinometer):
@@ -93,7 +93,7 @@ class Sca103t(Sca100t):
 
 @dataclass(frozen=True, slots=True)
 class OneAxisPart:
-    """What distinguishes the parts.
+    """The constants of one part.
 
     Attributes
     ----------

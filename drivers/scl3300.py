@@ -72,11 +72,11 @@ RESET_SECONDS = 3e-3
 """Seconds after a software reset."""
 
 ATTEMPTS = 12
-"""Samples in a row that may be unusable. One frame in fifty is damaged: one sample in ten, twelve in a row never."""
+"""Unusable samples in a row before an error. If one frame in fifty is damaged, so is one sample in ten."""
 
 
 class Answer(NamedTuple):
-    """One answer frame, taken apart.
+    """One decoded answer frame.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ def crc8(head: bytes) -> int:
 
 
 def decode(frame: bytes) -> Answer:
-    """Take an answer frame of four bytes apart."""
+    """Decode an answer frame of four bytes."""
     return Answer(frame[0] >> 2, frame[0] & 0b11, frame[1] << 8 | frame[2], crc8(frame[:3]) == frame[3])
 
 
@@ -122,7 +122,7 @@ def decode_temperature(data: int) -> float:
 
 
 def flags_in_words(status: int) -> str:
-    """Return the flags of a STATUS word for people."""
+    """Return the flags of a STATUS word as text."""
     return ", ".join(words for bit, words in FLAGS.items() if status & bit)
 
 
@@ -158,7 +158,7 @@ class MeasuringRange:
 
 @dataclass(frozen=True, slots=True)
 class Scl3300Part:
-    """What distinguishes the two parts.
+    """The constants of one part.
 
     Attributes
     ----------
@@ -255,10 +255,10 @@ class Scl3300:
         )
 
     def discard(self) -> None:
-        """Nothing queues up: every read asks for the latest words."""
+        """Do nothing: every read requests the latest words."""
 
     def link_statistics(self) -> Mapping[str, int]:
-        """Return what became of the samples, and of the frames that were none.
+        """Return the counts of samples, and of unusable frames.
 
         Returns
         -------
@@ -269,7 +269,7 @@ class Scl3300:
         return dict(self._counts)
 
     def _asked(self, requests: Sequence[bytes]) -> list[Answer]:
-        """Return the answers to requests; after any error the part is set up before the next ones."""
+        """Return the answers to requests; after an error, set the part up first."""
         ready, self._ready = self._ready, False
         if not ready:
             self._set_up()
@@ -278,7 +278,7 @@ class Scl3300:
         return answers
 
     def _set_up(self) -> None:
-        """Reset the part, set its mode, and see that it is the part that it should be."""
+        """Reset the part, set its mode, and check its identity."""
         standing = 0xFFFF
         mode = MODES[self._range.mode - 1]
         requests = (mode, STATUS, STATUS, STATUS, WHOAMI)
@@ -311,7 +311,7 @@ class Scl3300:
         )
 
     def _data(self, requests: Sequence[bytes]) -> list[Answer]:
-        """Return the answers to requests, asked for again until all of them are good."""
+        """Return the answers to requests; repeat the requests until all answers are good."""
         saturated = self._counts["saturated"]
         for _ in range(ATTEMPTS):
             # The last answer is fetched with the first request again, whose own answer comes with the next sample.
@@ -337,7 +337,7 @@ class Scl3300:
         )
 
     def _judged(self, requests: Sequence[bytes] | None, raw: Sequence[bytes]) -> list[Answer]:
-        """Decode answers, and count those that are damaged or answer something else; None stands for any request."""
+        """Decode answers, and count those that are damaged or belong to another request; None is any request."""
         answers = [decode(frame) for frame in raw]
         for place, answer in enumerate(answers):
             if not answer.intact:
@@ -347,12 +347,12 @@ class Scl3300:
         return answers
 
     def _answers(self, request: bytes, answer: Answer) -> bool:
-        """Return whether an intact answer is to this request: it echoes the operation, and what was written."""
+        """Return whether an intact answer belongs to this request: it echoes the operation and the written data."""
         unlike = bool(request[0] & 0x80) and answer.data != int.from_bytes(request[1:3], "big")
         return answer.intact and answer.operation == request[0] >> 2 and not unlike
 
     def _flags(self) -> int:
-        """Return the flags of STATUS that stood before this call.
+        """Return the flags of STATUS before this call.
 
         Of three readings of STATUS the first finds the flags with an error, the second finds them without one, the
         third finds none. A request that was damaged on the way is answered with an error and any data.
@@ -369,7 +369,7 @@ class Scl3300:
         raise BusError("the part reports an error, and its status was damaged on the way: it is set up anew")
 
     def _judge(self, flags: int) -> None:
-        """Count what STATUS says; raise where the samples before it cannot be trusted."""
+        """Count the flags of STATUS; raise an error if the samples before it are not reliable."""
         if flags & RESTARTED:
             self._restarted(flags_in_words(flags))
         if flags & ~SATURATED:
@@ -388,7 +388,7 @@ class Scl3300:
         )
 
     def _require_a_part(self, requests: Sequence[bytes], raw: Sequence[bytes]) -> None:
-        """Tell wires that are stuck or joined from a part."""
+        """Raise an error for wires that are stuck or shorted."""
         check_data_line(b"".join(raw))
         # An answer is one frame late: what comes at once is the request itself.
         if list(raw[:-1]) == list(requests[1:]):
@@ -458,7 +458,7 @@ def _default_truth(part: Scl3300Part, measuring: MeasuringRange, seed: int) -> T
 
 
 def _tailored(name: str, part: Scl3300Part, address: Address) -> Model:
-    """Return the model in the mode that the address names."""
+    """Return the model in the mode of the address."""
     words = {**part.words, **{f"mode{number}": number for number in (1, 2, 3, 4)}}
     return _model(name, part, part.ranges[choose_range(address, words, 1) - 1])
 

@@ -19,7 +19,7 @@ BAUDRATE = 9600
 """If the address names none, baud."""
 PORT = 502
 TIMEOUT = 1.0
-"""Seconds without an answer after which a request is sent again."""
+"""Timeout after which a request is sent again, s."""
 RETRIES = 2
 
 HOLDING, INPUT, FAILED = 3, 4, 0x80
@@ -143,7 +143,7 @@ class ModbusLink:
 
 
 def _pymodbus() -> Any:
-    """The clients of the pymodbus package; what it logs of lost frames is told by our errors."""
+    """Import the clients of pymodbus, and silence its log, because our errors report lost frames."""
     try:
         import pymodbus.client
     except ImportError as cause:

@@ -1,4 +1,4 @@
-"""The virtual ADXL355: links that answer the bytes the part would send, over SPI and over I2C."""
+"""The virtual ADXL355: links that answer the bytes of the part, over SPI and over I2C."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ RAIL = 2**19
 STANDBY = 0x01
 REVISION = 1
 TRIM = bytes.fromhex("2A 7C 05 91 3E")
-"""What the shadow registers of this part hold."""
+"""Content of the shadow registers of this part."""
 
 HELD = {
     **dict(enumerate((*WHO, REVISION), IDENTITY)),
@@ -103,7 +103,7 @@ class Adxl355Registers(CountingUp):
 
 
 def adxl355_twin(settings: Adxl355Settings, truth: Truth, fixture: HeldPose, clock: Clock, scheme: str = "spi") -> Link:
-    """Return a virtual ADXL355 on the bus of an address scheme, as it is after switching on."""
+    """Return a virtual ADXL355 on the bus of an address scheme, in its state after power-up."""
     registers = Adxl355Registers(Conversions(truth, fixture, clock), clock, settings)
     if scheme == "i2c":
         return I2cTwin(registers, clock)

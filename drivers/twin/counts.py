@@ -1,4 +1,4 @@
-"""What the virtual parts that answer in counts share: conversions and faults, their buses, and how one is drawn."""
+"""Virtual parts that answer in counts: conversions, faults, buses, and simulated tolerances."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Conversions:
         return self._fixture.temperature() + self._truth.thermometer_error
 
     def filler(self) -> int:
-        """Return a byte that a part sends where its data sheet says nothing."""
+        """Return a random byte, where the data sheet leaves the byte undefined."""
         return int(uniform(self._truth.seed, "filler", self._clock.now_ns()) * 256)
 
 
@@ -97,7 +97,7 @@ class Registers(Protocol):
 
     @property
     def conversions(self) -> Conversions:
-        """Where its words come from."""
+        """The source of its words."""
         ...
 
     def read(self, first: int, count: int) -> bytes:
@@ -109,12 +109,12 @@ class Registers(Protocol):
         ...
 
     def recalled(self) -> None:
-        """Be as a part is that its driver has set up."""
+        """Take the state of a part after the setup by its driver."""
         ...
 
 
 class CountingUp:
-    """Registers whose address counts up in a burst, of a part that tells when a new sample is there.
+    """Registers whose address counts up in a burst, with a flag for a new sample.
 
     Parameters
     ----------
@@ -143,22 +143,22 @@ class CountingUp:
         return bytes(measured.get(register, self._held.get(register, 0)) for register in range(first, first + count))
 
     def write(self, register: int, value: int) -> None:
-        """Set a register; those of the data and the identity keep what they hold."""
+        """Set a register; data and identity registers keep their content."""
         self._held[register] = value
 
     def recalled(self) -> None:
-        """Be as a part is that its driver has set up."""
+        """Take the state of a part after the setup by its driver."""
         self._held = {**self._after_reset, **self._set_up}
 
     def _reset(self) -> None:
         self._held = dict(self._after_reset)
 
     def _measured(self) -> dict[int, int]:
-        """Registers that the part itself writes."""
+        """The registers that the part itself writes."""
         raise NotImplementedError
 
     def _new_sample(self, rate: float) -> bool:
-        """Whether a sample has come since the one that was taken last."""
+        """Return whether there is a new sample since the last read."""
         return int(self._clock.now_ns() / 1e9 * rate) > self._taken
 
     def _take_sample(self, rate: float) -> None:
@@ -207,7 +207,7 @@ class SpiTwin:
         return answer
 
     def recall(self, out: bytes, now_ns: int) -> None:
-        """Take what was written at an earlier time; a part that is spoken to in mid-session has been set up before."""
+        """Take what was written at an earlier time; in mid-session the part is already set up."""
         if not self._recalling:
             self._registers.recalled()
             self._recalling = True
@@ -259,7 +259,7 @@ class I2cTwin:
         return answer
 
     def recall(self, out: bytes, now_ns: int) -> None:
-        """Take what was written at an earlier time; a part that is spoken to in mid-session has been set up before."""
+        """Take what was written at an earlier time; in mid-session the part is already set up."""
         if not self._recalling:
             self._registers.recalled()
             self._recalling = True
@@ -274,7 +274,7 @@ class I2cTwin:
 
 
 def at_time(clock: Clock, now_ns: int, act: Callable[[], object]) -> None:
-    """Let something happen at another session time, in nanoseconds."""
+    """Run the block at another session time, in nanoseconds."""
     present_ns = clock.now_ns()
     clock.seek(now_ns)
     act()
@@ -283,7 +283,7 @@ def at_time(clock: Clock, now_ns: int, act: Callable[[], object]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """How the parts of a model differ; every error is drawn evenly within its limit.
+    """The tolerances of a model; every error is uniformly distributed within its limit.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The virtual IIS2ICLX: links that answer the bytes the part would send, over SPI and over I2C."""
+"""The virtual IIS2ICLX: links that answer the bytes of the part, over SPI and over I2C."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class Iis2iclxRegisters(CountingUp):
 def iis2iclx_twin(
     settings: Iis2iclxSettings, truth: Truth, fixture: HeldPose, clock: Clock, scheme: str = "spi"
 ) -> Link:
-    """Return a virtual IIS2ICLX on the bus of an address scheme, as it is after switching on."""
+    """Return a virtual IIS2ICLX on the bus of an address scheme, in its state after power-up."""
     registers = Iis2iclxRegisters(Conversions(truth, fixture, clock), clock, settings)
     if scheme == "i2c":
         return I2cTwin(registers, clock)
@@ -102,7 +102,7 @@ def iis2iclx_twin(
 
 
 def draw_truth(settings: Iis2iclxSettings, seed: int) -> Truth:
-    """Draw a part within the data sheet's limits; its cross-axis sensitivity is ours, for no source names it."""
+    """Draw a part within the limits of the data sheet; the limit of the cross-axis sensitivity is ours."""
     spread = Spread(
         offset=OFFSET_LIMIT,
         sensitivity=SENSITIVITY_LIMIT,

@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from tiltcal.drivers.twin.truth import Truth
 
 ANSWER_SECONDS = 0.020
-"""From a request to the end of its answer."""
+"""Time from a request to the end of its answer, s."""
 RATE = 100.0
-"""New numbers a second."""
+"""New numbers per second."""
 TIMEOUT = 1.0
 NO_SUCH_FUNCTION, NO_SUCH_REGISTER = 1, 2
 
 
 class ModbusTwin:
-    """A device that holds the columns of an address.
+    """A device with the columns of an address in its registers.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class ModbusTwin:
         return bytes([function, len(data)]) + data
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
     def _registers(self) -> dict[int, bytes]:
         held = {}

@@ -132,7 +132,7 @@ class Sca100tTwin:
         return min(max(round(reading), 0), FULL_SCALE)
 
     def _reading(self, channel: str, instant: Instant) -> tuple[float, float]:
-        """What an element reads, and the standard deviation of its noise, count."""
+        """Return what an element reads, and the standard deviation of its noise, count."""
         reading = self._truth.reading(channel, instant.gravity, instant.temperature)
         return reading, self._truth.noise.get(channel, 0.0)
 

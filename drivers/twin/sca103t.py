@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Sca61tTwin(Sca100tTwin):
-    """An SCA61T: what it answers to RDAY is not known, so it answers nothing."""
+    """An SCA61T; it does not answer RDAY, because its answer is unknown."""
 
     ELEMENTS: ClassVar[Mapping[int | None, str]] = {RDAX: "x"}
 

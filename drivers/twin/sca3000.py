@@ -82,7 +82,7 @@ def sca3000_twin(part: Sca3000Part, scheme: str, truth: Truth, fixture: HeldPose
 
 
 SPREAD = Spread(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.5e-3, gain=1e-4, noise=0.0, thermometer=2.0)
-"""No source names the tolerances of a part: these limits are ours."""
+"""These limits are ours, because no source states the tolerances."""
 
 
 def draw_truth(part: Sca3000Part, seed: int) -> Truth:

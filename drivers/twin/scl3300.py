@@ -1,4 +1,4 @@
-"""The virtual SCL3300 and SCA3300: a link that answers the frames the part would send, one frame late."""
+"""The virtual SCL3300 and SCA3300: a link that answers the frames of the part, one frame late."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from tiltcal.drivers.twin.truth import Truth
 
 RATE = 2000.0
-"""Words a second."""
+"""Words per second."""
 BIT_SECONDS = 1.0 / 2_000_000
 
 AFTER_RESET = bytes.fromhex("0300007D")
-"""What a real part sent before its first answer; the data sheet leaves it undefined."""
+"""Answer of a real part before its first valid one; the data sheet leaves it undefined."""
 
 POWER, MODE_CHANGE, MEMORY = 0x10, 0x02, 0x08
 """Bits of STATUS."""
@@ -45,7 +45,7 @@ ENABLE_ANGLES = bytes.fromhex("B0001F6F")
 
 
 class Scl3300Twin:
-    """An SCL3300-D01 or SCA3300-D01 on the SPI bus, in the state that it has after switching on.
+    """An SCL3300-D01 or SCA3300-D01 on the SPI bus, in its state after power-up.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class Scl3300Twin:
         return answer[: len(out)]
 
     def recall(self, out: bytes, now_ns: int) -> None:
-        """Take a frame of an earlier time; a part that is spoken to in mid-session has been set up before."""
+        """Take a frame of an earlier time; in mid-session the part is already set up."""
         if not self._recalling:
             self._recalling = True
             self._range, self._standing, self._held = self._truths_range, 0, 0
@@ -98,7 +98,7 @@ class Scl3300Twin:
         """Do nothing: there is nothing to release."""
 
     def _reset(self) -> None:
-        """Be as after switching on: mode 1, bank 0, angles off, the flag of the supply set."""
+        """Take the state after power-up: mode 1, bank 0, angles off, the flag of the supply set."""
         self._range = self._part.ranges[0]
         self._bank, self._angles = 0, False
         self._standing = self._held = POWER
@@ -109,7 +109,7 @@ class Scl3300Twin:
         self._held |= flag
 
     def _take(self, request: bytes) -> None:
-        """Carry a request out; its answer is kept for the next frame."""
+        """Execute a request; its answer is sent with the next frame."""
         if len(request) != 4 or crc8(request[:3]) != request[3]:
             self._answer = _frame(request[0] >> 2 if request else 0, ERROR, 0)
         elif request == RESET:
@@ -135,7 +135,7 @@ class Scl3300Twin:
             self._angles = True
 
     def _register(self, address: int) -> int:
-        """Return what a register holds, 16 bits."""
+        """Return the content of a register, 16 bits."""
         axis = address - (ACC_X[0] >> 2)
         if 0 <= axis <= 2:
             return self._acceleration("xyz"[axis]) & 0xFFFF
@@ -159,7 +159,7 @@ class Scl3300Twin:
         return self._conversions.word(channel, RATE, -32768, 32767, scale)
 
     def _angle(self, axis: int) -> int:
-        """Of one axis above the plane of the other two."""
+        """Return the angle of one axis above the plane of the other two."""
         words = [self._acceleration(channel) for channel in "xyz"]
         own = words.pop(axis)
         return round(degrees(atan2(own, sqrt(words[0] ** 2 + words[1] ** 2))) / 90.0 * 16384)
@@ -171,7 +171,7 @@ def _frame(operation: int, status: int, data: int) -> bytes:
 
 
 def draw_truth(part: Scl3300Part, measuring: MeasuringRange, seed: int) -> Truth:
-    """Draw a part within the SCA3300's limits, which stand for the SCL3300's as well."""
+    """Draw a part within the limits of the SCA3300, which are used for the SCL3300 too."""
     spread = Spread(
         offset=part.offset_limit,
         sensitivity=0.007,
