@@ -5,9 +5,9 @@
 For every jig, number of positions and number of sensors: the bound over the mean square error (1 is the best there is),
 for offsets, main sensitivities and cross terms. ``*`` marks where the bound itself is out of reach of any estimator: an
 attitude's square moves the readings by more than a twentieth of the bound's variance, and the bound counts only first
-powers. Beside it, from the same readings: ordinary least squares with the angles as set, the six-face formula (half sum
-and half difference of opposite faces, as imucal has it), and unit gravity alone, whose cross terms are not comparable
-because its frame is its own.
+powers. Beside it, from the same readings: the estimator with a jig that is not stated, ordinary least squares with the
+angles as set, the six-face formula (half sum and half difference of opposite faces, as imucal has it), and unit gravity
+alone, whose cross terms are not comparable because its frame is its own.
 """
 
 from __future__ import annotations
