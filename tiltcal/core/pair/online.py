@@ -32,6 +32,12 @@ _SETTLED = 1e-3
 """In-phase residual, relative, below which the loop of p lets the loop of q begin."""
 _PATIENCE = 20 * SECTORS
 """Sectors after which it begins anyway: noise may not let the residual be that small."""
+_LOST = 1e-2
+"""Residual, relative, above which a loop that had settled runs with its full gains again."""
+_CALM = 7.0
+"""Time constants with full gains after a loop has settled, in which the last of the error goes."""
+_LOOP_MEMORY = 30.0
+"""Most turns over which a loop that has settled averages; with more it would lag behind p and q that change."""
 _DRIFT_MEMORY = 16 * SECTORS
 """Sectors over which the drift of the readings is averaged."""
 _FARTHEST = 0.9
@@ -54,9 +60,24 @@ class Controller:
         self._gains = gains
         self._step = step
         self._errors: deque[float] = deque(maxlen=2)
+        self._settled = 0.0
 
     def __call__(self, error: float) -> float:
-        """The correction for one more error."""
+        """Return the correction for one more error.
+
+        Once the error is small the gains fall with one over the time since, so that the correction averages over all of
+        it (H. Robbins, S. Monro, *A stochastic approximation method*, 1951), down to the loop's memory.
+        """
+        if abs(error) > _LOST:
+            self._settled = 0.0
+        elif self._settled or abs(error) < _SETTLED:
+            self._settled += self._step
+        integral = self._gains.integral
+        averaged = min(integral * self._settled - _CALM, integral * _LOOP_MEMORY - 1.0)
+        average = 1.0 / (1.0 + max(averaged, 0.0))
+        return average * self._correction(error)
+
+    def _correction(self, error: float) -> float:
         gains = self._gains
         correction = gains.integral * self._step * error
         if self._errors:
@@ -129,8 +150,8 @@ class Loops:
         total, first, orthogonal = (complex(sin, cos) for sin, cos in solved[:2, [0, 1, 3]].T)
         if abs(first) < 1e-300:
             raise EstimateError(f"{self._pair.first} has no signal at the turning of the stage")
-        lever = (orthogonal / first).imag
-        if abs(lever) < _LEAST_QUADRATURE:
+        quadrature = (orthogonal / first).imag
+        if abs(quadrature) < _LEAST_QUADRATURE:
             raise EstimateError(f"{self._pair.orthogonal} has no signal in quadrature to {self._pair.first}")
         self.in_phase, self.quadrature = (total / first).real, (total / first).imag
         self._settled.append(abs(self.in_phase) < _SETTLED)
@@ -141,7 +162,7 @@ class Loops:
         self.p = p
         self._trims_q |= (len(self._settled) == SECTORS and all(self._settled)) or self._sectors > _PATIENCE
         if self._trims_q:
-            self.q -= rest / lever * self._trims[1](self.quadrature)
+            self.q -= rest / quadrature * self._trims[1](self.quadrature)
 
     def _demodulated(self, end: int) -> Array:
         """Coefficients of the trimmed sum and the three channels over the last turn, less their drift."""
