@@ -12,7 +12,7 @@ from math import radians
 from pathlib import Path
 from typing import Any, Literal
 
-from tiltcal.core.comparison import CoefficientChange, changes
+from tiltcal.core.comparison import CoefficientChange, changes, values
 from tiltcal.core.model import AXES, Coefficients, Limits
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import COEFFICIENTS, in_degrees
@@ -133,7 +133,8 @@ class CalibrationRecord:
 def _names(key: str, found: Mapping[str, Any], context: Context) -> Context:
     """The channels and axes that the later sections may name."""
     if "coefficients" in found:
-        return Context(found["coefficients"].channels, found["coefficients"].axes)
+        coefficients: Coefficients = found["coefficients"]
+        return Context(coefficients.channels, coefficients.axes, tuple(values(coefficients)))
     return Context(found["sensor"].channels)
 
 

@@ -42,6 +42,8 @@ class Context:
         Of the sensor, in order.
     axes : sequence of str
         The columns of its sensitivity.
+    coefficients : sequence of str
+        The dotted names of the file's coefficients; empty where the file has none.
     given : float or None
         The angle that the user gives in place of the procedure's, degrees.
     angle : float or None
@@ -50,6 +52,7 @@ class Context:
 
     channels: Sequence[str] = AXES
     axes: Sequence[str] = AXES
+    coefficients: Sequence[str] = ()
     given: float | None = None
     angle: float | None = None
 

@@ -144,7 +144,7 @@ class UncertaintySection:
         default={},
     )
     covariance: Covariance | None = entry(
-        Converted(Section(Covariance), lambda found, node, _: _symmetric(found, node)),
+        Converted(Section(Covariance), lambda found, node, context: _symmetric(found, node, context)),
         "how the coefficients hang together",
         default=None,
     )
@@ -313,10 +313,12 @@ def _require_covariance(covariance: Array) -> None:
         )
 
 
-def _symmetric(found: Covariance, node: Node) -> Covariance:
+def _symmetric(found: Covariance, node: Node, context: Context) -> Covariance:
     section, names, matrix = node.entries(), found.parameters, found.matrix
     if len(set(names)) < len(names):
         raise section["parameters"].error("a parameter is named twice")
+    for item in section["parameters"].items():
+        item.choice([*context.coefficients, *(f"{TURN}{axis}" for axis in AXES)])
     size = len(names)
     if len(matrix) != size or any(len(row) != size for row in matrix):
         raise section["matrix"].error(f"{size} parameters need a matrix of {size} rows of {size} numbers")

@@ -122,6 +122,13 @@ def test_two_channels_may_have_a_z_column() -> None:
         ("[1e-8, 0.01]]", "[2e-8, 0.01]]", 16, "uncertainty.covariance.matrix[1]", "not symmetric"),
         (", [1e-8, 0.01]]", "]", 16, "uncertainty.covariance.matrix", "2 rows of 2"),
         ("offset.y], matrix", "offset.x], matrix", 16, "uncertainty.covariance.parameters", "twice"),
+        (
+            "offset.y], matrix",
+            "ofset.y], matrix",
+            16,
+            "uncertainty.covariance.parameters[1]",
+            "did you mean 'offset.y'",
+        ),
         ("tilt: [-60, 60]", "tilt: {w: [0, 1]}", 17, "limits.tilt.w", "unknown key"),
         ("chi_square: 3.1", "chi_square: .inf", 18, "fit.chi_square", "must be finite"),
         ("[{position", "[1, {position", 19, "positions[0]", "a mapping is needed"),
