@@ -212,10 +212,11 @@ class SpiTwin:
             self._registers.recalled()
             self._recalling = True
         register, writing = self._decode(out[0])
+        began_ns = now_ns - round(8 * len(out) * SPI_BIT_SECONDS * 1e9)
         if writing:
-            at_time(self._clock, now_ns, lambda: self._registers.write(register, out[-1]))
+            at_time(self._clock, began_ns, lambda: self._registers.write(register, out[-1]))
         else:
-            at_time(self._clock, now_ns, lambda: self._registers.read(register, len(out) - 1))
+            at_time(self._clock, began_ns, lambda: self._registers.read(register, len(out) - 1))
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""

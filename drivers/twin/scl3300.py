@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from math import atan2, degrees, sqrt
 from typing import TYPE_CHECKING
 
@@ -82,7 +84,7 @@ class Scl3300Twin:
         else:
             if fault is not None and fault.kind == "parity":
                 self._raise(MEMORY)
-            answer = self._answer
+            answer = self._answer()
             self._take(out)
         self._clock.sleep(8 * len(out) * BIT_SECONDS)
         return answer[: len(out)]
@@ -92,7 +94,8 @@ class Scl3300Twin:
         if not self._recalling:
             self._recalling = True
             self._range, self._standing, self._held = self._truths_range, 0, 0
-        counts.at_time(self._clock, now_ns, lambda: self._take(out))
+        began_ns = now_ns - round(8 * len(out) * BIT_SECONDS * 1e9)
+        counts.at_time(self._clock, began_ns, lambda: self._take(out))
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
@@ -102,25 +105,28 @@ class Scl3300Twin:
         self._range = self._part.ranges[0]
         self._bank, self._angles = 0, False
         self._standing = self._held = POWER
-        self._answer = AFTER_RESET
+        self._answer: Callable[[], bytes] = lambda: AFTER_RESET
 
     def _raise(self, flag: int) -> None:
         self._standing |= flag
         self._held |= flag
 
     def _take(self, request: bytes) -> None:
-        """Execute a request; its answer is sent with the next frame."""
+        """Execute a request; its answer is made when the next frame fetches it."""
+        operation = request[0] >> 2 if request else 0
         if len(request) != 4 or crc8(request[:3]) != request[3]:
-            self._answer = _frame(request[0] >> 2 if request else 0, ERROR, 0)
+            self._answer = partial(_frame, operation, ERROR, 0)
         elif request == RESET:
             self._reset()
         elif request[0] & 0x80:
             self._write(request)
-            self._answer = _frame(request[0] >> 2, self._status(), int.from_bytes(request[1:3], "big"))
+            self._answer = partial(_frame, operation, self._status(), int.from_bytes(request[1:3], "big"))
+        elif request == STATUS:
+            self._answer = partial(_frame, operation, self._status(), self._held)
+            self._held, self._standing = self._standing, 0
         else:
-            self._answer = _frame(request[0] >> 2, self._status(), self._register(request[0] >> 2))
-            if request == STATUS:
-                self._held, self._standing = self._standing, 0
+            status, bank = self._status(), self._bank
+            self._answer = lambda: _frame(operation, status, self._register(operation, bank))
 
     def _status(self) -> int:
         return ERROR if self._standing else NORMAL
@@ -134,8 +140,8 @@ class Scl3300Twin:
         elif request == ENABLE_ANGLES:
             self._angles = True
 
-    def _register(self, address: int) -> int:
-        """Return the content of a register, 16 bits."""
+    def _register(self, address: int, bank: int) -> int:
+        """Return the content of a register of a bank, 16 bits."""
         axis = address - (ACC_X[0] >> 2)
         if 0 <= axis <= 2:
             return self._acceleration("xyz"[axis]) & 0xFFFF
@@ -144,15 +150,13 @@ class Scl3300Twin:
         if address == TEMPERATURE[0] >> 2:
             return round((self._conversions.temperature() + 273.0) * 18.9) & 0xFFFF
         held = {
-            (STATUS[0] >> 2, 0): self._held,
-            (STATUS[0] >> 2, 1): self._held,
             (WHOAMI[0] >> 2, 0): self._part.identity,
             (SERIAL1[0] >> 2, 1): self._serial & 0xFFFF,
             (SERIAL2[0] >> 2, 1): self._serial >> 16,
             (MODES[0][0] >> 2 & 0x1F, 0): self._range.mode - 1,
-            (BANK_1[0] >> 2 & 0x1F, self._bank): self._bank,
+            (BANK_1[0] >> 2 & 0x1F, bank): bank,
         }
-        return held.get((address, self._bank), 0)
+        return held.get((address, bank), 0)
 
     def _acceleration(self, channel: str) -> int:
         scale = self._range.counts_per_g / self._truths_range.counts_per_g

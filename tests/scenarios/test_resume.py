@@ -57,6 +57,28 @@ def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
         assert path.read_bytes() == whole, place
 
 
+@pytest.mark.parametrize(
+    ("sensor", "address"),
+    [("scl3300", "sim:range=2.4g&seed=3"), ("adxl355", "sim:range=4g&seed=3"), ("iis2iclx", "sim:range=3g&seed=3")],
+)
+def test_a_part_that_is_set_up_is_as_it_was(sensor: str, address: str, tmp_path: Path) -> None:
+    """In another range than after a reset; cut in its start, in a sample, and where a position has just changed."""
+    from tiltcal.bench.measure import measure as measure_here
+
+    options = ["--sensor", sensor, "--address", address, "--serial", "S-1", "-o", "S-1.yaml", "--operator", "sim"]
+    done = tiltcal("measure", "cross-axis", *options, "--samples", "5", "--settle", "0.1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    path = tmp_path / JOURNAL
+    lines = path.read_bytes().splitlines(keepends=True)
+    golden = (tmp_path / "S-1.yaml").read_bytes()
+    moved = next(place for place, line in enumerate(lines) if b'"p"' in line)
+    for cut in (2, 9, len(lines) // 4, moved + 1, moved + 3):
+        path.write_bytes(b"".join(lines[:cut]))
+        measure_here(resume=path)
+        assert (tmp_path / "S-1.yaml").read_bytes() == golden, cut
+        assert path.read_bytes() == b"".join(lines), cut
+
+
 def test_killed_before_the_calibration_was_written(never_stopped: Path, tmp_path: Path) -> None:
     """The journal has its end record, the file is not there: resuming writes it."""
     (tmp_path / JOURNAL).write_bytes((never_stopped / JOURNAL).read_bytes())
