@@ -115,6 +115,7 @@ def test_a_program_that_goes_away_is_a_quit(tmp_path: Path) -> None:
         '{"answer": "ready", "tilt": {"q": 3}}',
         '{"answer": "ready", "gravity": [0, 0, 0]}',
         '{"answer": "ready", "angle": 30}',
+        '{"answer": "ready", "tilt": {"y": ' + "9" * 400 + "}}",
     ],
 )
 def test_an_answer_that_will_not_do_is_refused_with_the_reason(rubbish: str, tmp_path: Path) -> None:

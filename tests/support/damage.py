@@ -1,0 +1,200 @@
+"""Good input, damaged: by bytes, by words, or in its structure, the same way again for the same draw."""
+
+from __future__ import annotations
+
+import json
+from random import Random
+from typing import Any
+from zlib import crc32
+
+import yaml
+
+WORDS = [
+    *(
+        "",
+        "0",
+        "-1",
+        "1",
+        "1e400",
+        "-1e-400",
+        "nan",
+        "-inf",
+        "1.e3",
+        "0x10",
+        "1_000",
+        "9" * 400,
+        "9" * 5000,
+        "0.1.2",
+        "1e8",
+        "3,5",
+    ),
+    *("null", "true", "~", "[]", "{}", "&a", "*a", "<<", "!!python/object:os.system", "---", "...", "#", "'", '"', "`"),
+    *(
+        "x",
+        "y",
+        "z",
+        "temperature",
+        "time",
+        "offset",
+        "é",
+        "𝄞",
+        "\x1b[2J",
+        "\u202e",
+        "[/]",
+        "$\\frac{$",
+        "%s",
+        "../..",
+        "/",
+    ),
+    *(
+        "sim:",
+        "sim:seed=x",
+        "?",
+        "&",
+        "=",
+        "==",
+        ",",
+        ",,",
+        ";",
+        ":",
+        "\t",
+        " ",
+        "\n",
+        "\r\n",
+        "\x00",
+        "\ufeff",
+        "NaN",
+        "N/A",
+    ),
+]
+
+VALUES: list[Any] = [
+    *(None, True, False, 0, 1, -1, 2**63, 10**400, 1e308, 5e-324, -0.0, float("inf"), float("nan"), "", "x", "\x1b[2J"),
+    *([], [[]], [1], [None], {}, {"x": 1}, {"x": {"x": []}}, {"": 0}, "9" * 400, [0.0] * 50, "../../x.yaml", "[/]"),
+]
+
+
+def damaged_bytes(draw: Random, data: bytes) -> bytes:
+    """Change, drop, repeat or add bytes in a few places; now and then keep nothing but a piece."""
+    if draw.random() < 0.05:
+        return draw.randbytes(draw.randrange(200))
+    damaged = bytearray(data)
+    for _ in range(draw.choice((1, 1, 1, 1, 2, 3, 8))):
+        place = draw.randrange(len(damaged) + 1)
+        length = draw.choice((1, 1, 2, 4, 16, 100))
+        piece = damaged[place : place + length]
+        damaged[place : place + length] = draw.choice(
+            (
+                b"",
+                bytes(byte ^ (1 << draw.randrange(8)) for byte in piece),
+                draw.randbytes(length),
+                piece + piece,
+                draw.choice(WORDS).encode() + piece,
+            )
+        )
+    if draw.random() < 0.1:
+        del damaged[draw.randrange(len(damaged) + 1) :]
+    return bytes(damaged)
+
+
+def damaged_text(draw: Random, text: str) -> str:
+    """Put words where others were, and lines."""
+    for _ in range(draw.choice((1, 1, 1, 2, 4))):
+        separator = draw.choice((",", ",", "\n", " ", "&", "=", ":"))
+        parts = text.split(separator)
+        place = draw.randrange(len(parts))
+        match draw.randrange(5):
+            case 0:
+                parts[place] = draw.choice(WORDS)
+            case 1:
+                parts.insert(place, draw.choice(WORDS))
+            case 2:
+                del parts[place]
+            case 3:
+                parts.insert(place, draw.choice(parts))
+            case 4:
+                parts[place] += draw.choice(WORDS)
+        text = separator.join(parts)
+    return text
+
+
+def damaged_value(draw: Random, value: Any) -> Any:
+    """Put another value, key or item into one place of a structure."""
+    places = list(_places(value))
+    if not places:
+        return draw.choice(VALUES)
+    for _ in range(draw.choice((1, 1, 1, 1, 2, 3))):
+        holder, key = draw.choice(places)
+        try:
+            match draw.randrange(4):
+                case 0 | 1:
+                    holder[key] = draw.choice(VALUES)
+                case 2:
+                    del holder[key]
+                case 3 if isinstance(holder, dict):
+                    holder[draw.choice(WORDS)] = holder[key]
+                case _:
+                    holder[key] = [holder[key], holder[key]]
+        except (KeyError, IndexError):  # the place went with the one before
+            continue
+    return value
+
+
+def _places(value: Any) -> Any:
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        yield value, key
+        yield from _places(item)
+
+
+def damaged_yaml(draw: Random, text: str) -> bytes:
+    """Damage a YAML file: its bytes, its words, or what it says."""
+    match draw.randrange(4):
+        case 0:
+            return damaged_bytes(draw, text.encode())
+        case 1:
+            return damaged_text(draw, text).encode(errors="replace")
+    data = damaged_value(draw, yaml.safe_load(text))
+    return yaml.safe_dump(data, allow_unicode=True, sort_keys=False).encode(errors="replace")
+
+
+def damaged_journal(draw: Random, data: bytes) -> bytes:
+    """Damage a journal: its bytes, or what a line says, with checks that are right."""
+    if draw.randrange(4) == 0:
+        return damaged_bytes(draw, data)
+    lines = [json.loads(line) for line in data.splitlines()]
+    for _ in range(draw.choice((1, 1, 2))):
+        place = draw.choice((0, 0, len(lines) - 1, draw.randrange(len(lines)), _rare(draw, lines)))
+        lines[place] = damaged_value(draw, lines[place])
+    if draw.random() < 0.3:
+        del lines[draw.randrange(1, len(lines) + 1) :]
+    return _checked(lines)
+
+
+def _rare(draw: Random, lines: list[Any]) -> int:
+    """A line that is no transaction of the bus: an answer, a position, the end."""
+    rare = [
+        place for place, line in enumerate(lines) if (place and len(line) > 1 and len(str(line[1])) > 1) or place == 0
+    ]
+    return draw.choice(rare)
+
+
+def _checked(lines: list[Any]) -> bytes:
+    """Write lines of a journal with the checks that they have to have."""
+    crc, written = 0, []
+    for number, line in enumerate(lines):
+        if number == 0 and isinstance(line, dict):
+            line.pop("check", None)
+            body = _dumps(line)
+            crc = crc32(body)
+            written.append(body[:-1] + f',"check":"{crc:08x}"}}'.encode())
+        else:
+            content = line[:-1] if isinstance(line, list) else [line]
+            body = _dumps(content)
+            crc = crc32(body, crc)
+            written.append(body[:-1] + (b"," if content else b"") + f'"{crc:08x}"]'.encode())
+    return b"".join(line + b"\n" for line in written)
+
+
+def _dumps(value: Any) -> bytes:
+    return json.dumps(value, ensure_ascii=False, separators=(",", ":")).encode(errors="replace")
