@@ -1,4 +1,4 @@
-"""What ``tiltcal apply`` does to one log, and to several: one after another here, or each a task on a cluster."""
+"""The tasks of ``tiltcal apply``: one log each, run one after another here or on a cluster."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 _PATIENCE = "10s"
-"""To reach the scheduler."""
+"""Timeout for the connection to the scheduler."""
 
 
 @dataclass(frozen=True)
 class ApplyTask:
-    """One log and what is to be done to it.
+    """One log with its options and output.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class ApplyTask:
 
     @property
     def anywhere(self) -> ApplyTask:
-        """The same, whatever folder a worker is in."""
+        """Return the task with absolute paths, for a worker in another folder."""
         return replace(
             self,
             calibration=self.calibration.absolute(),
@@ -57,7 +57,7 @@ class ApplyTask:
         )
 
     def run(self, say: Callable[[str], None] = lambda line: None) -> ApplySummary:
-        """Compensate the log; ``say`` is called with each remark about what had to be assumed."""
+        """Compensate the log; ``say`` is called with each remark about an assumption."""
         with progress_bar("apply") as progress:
             return apply_log(
                 self.calibration,
@@ -77,7 +77,7 @@ Outcome = ApplySummary | TiltcalError
 def tasks_of(
     calibration: Path, options: ApplyOptions, logs: Sequence[str], folder: str, **more: Any
 ) -> list[ApplyTask]:
-    """A task for each of several logs, whose results go into a folder under the logs' own names.
+    """Return a task for each of several logs, whose results go into a folder under the logs' own names.
 
     Raises
     ------
@@ -101,12 +101,12 @@ def tasks_of(
 
 
 def done_here(tasks: Sequence[ApplyTask]) -> Iterator[tuple[ApplyTask, Outcome]]:
-    """Each task with its summary, or with why it could not be done; one after another."""
+    """Run the tasks one after another; yield each with its summary or its error."""
     return ((task, _outcome(task)) for task in tasks)
 
 
 def done_on(scheduler: str, tasks: Sequence[ApplyTask]) -> Iterator[tuple[ApplyTask, Outcome]]:
-    """The same on the workers of a dask scheduler, as they come; they must see the same files.
+    """Run the tasks on the workers of a dask scheduler, which must see the same files; yield each when it is done.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _outcome(task: ApplyTask) -> Outcome:
 
 
 def _result(future: Future[Outcome]) -> Outcome:
-    """What a worker answers; where it has no tiltcal, or is gone, that is its log's failure alone."""
+    """Return the answer of a worker; a worker without tiltcal, or a lost one, is an error of its log alone."""
     try:
         return future.result()
     except Exception as failure:

@@ -48,7 +48,7 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
 
 
 def _checked(path: Path) -> tuple[str, list[str]]:
-    """What a file is, and what is to be said against it."""
+    """Return the kind of a file, and its negative findings."""
     if _is_journal(path):
         return "journal", _of_journal(path)
     document = read_document(path)
@@ -109,7 +109,7 @@ def _of_journal_beside(path: Path, captured: FileRecord | None) -> list[str]:
 
 
 def _against_journal(path: Path, journal: Path) -> list[str]:
-    """Replay the journal that lies beside a calibration file."""
+    """Replay the journal beside a calibration file, and compare."""
     from tiltcal.bench.session import Session
 
     texts = Session.of_journal(journal).replay().texts

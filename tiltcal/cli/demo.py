@@ -81,7 +81,7 @@ def command(folder: Path, seed: int) -> None:
 
 
 def _record(path: Path, address: Address, model: Model) -> None:
-    """Write the log that the calibration is applied to, with its true tilt beside the readings."""
+    """Write the log for the calibration, with its true tilt beside the readings."""
     from tiltcal.bench.virtual_log import walk
 
     lines = ["time,x,y,temperature,true_tilt_x,true_tilt_y"]
@@ -98,7 +98,7 @@ def _apply(calibration: Path, log: Path, compensated: Path) -> None:
 
 
 def _errors(model: Model, compensated: Path) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Error of the tilt of each axis, with the data sheet's coefficients and with the calibrated ones, degrees."""
+    """Return the tilt error of each axis, with the data sheet's and with the calibrated coefficients, degrees."""
     column = _columns(compensated)
     true = {axis: column[f"true_tilt_{axis}"] for axis in ("x", "y")}
     before = {axis: _nominal_tilt(model, column[axis]) - true[axis] for axis in true}
@@ -122,7 +122,7 @@ def _columns(log: Path) -> dict[str, Array]:
 
 
 def _nominal_tilt(model: Model, readings: Array) -> Array:
-    """Tilt by the data sheet's offset and sensitivity, degrees."""
+    """Return the tilt from the data sheet's offset and sensitivity, degrees."""
     import numpy as np
 
     sines = np.clip((readings - model.offset) / model.sensitivity, -1.0, 1.0)

@@ -171,7 +171,7 @@ def _tell_free(calibration: CalibrationRecord) -> None:
 
 
 def _write_segments(path: Path, calibration: Calibration) -> None:
-    """Write the rows that were found, part by part of each position."""
+    """Write the static intervals that were found, by position."""
     from tiltcal.files.whole import write_whole
 
     lines = ["position,start,end"]

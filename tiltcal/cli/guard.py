@@ -1,4 +1,4 @@
-"""A process of its own for commands that read formats which a C or Rust library parses.
+"""A child process for commands that read formats of C or Rust libraries.
 
 A damaged Parquet or NetCDF file can end the process in its library (an abort, a crash) or keep it there for ever, deaf
 to Ctrl-C. Where such a file is named, the command runs in a child process: this one waits, hands Ctrl-C on, and turns
@@ -17,13 +17,13 @@ from contextlib import suppress
 from pathlib import PurePath
 
 GUARDED = (".parquet", ".pq", ".nc", ".nc4")
-"""Ends of the names of files that are guarded."""
+"""Suffixes of guarded files."""
 
 MAY_LOOP = (".nc", ".nc4")
-"""Those of them whose library reads every byte by a call, so that its progress shows."""
+"""Suffixes whose library reads every byte by a call, so that progress is visible."""
 
 BUSY = 8.0
-"""Processor seconds that a child may take with such a file open and without reading or writing a byte."""
+"""Largest processor time of a child with such a file open and without I/O, s."""
 
 _PATIENCE = 3.0  # seconds in which an interrupted child must leave
 _LOOK = 0.05  # seconds between two looks at the child
@@ -75,7 +75,7 @@ def _ends(name: str, suffixes: Sequence[str]) -> bool:
 
 
 def _watched(child: int, loopable: Sequence[str], interrupted: list[float]) -> int:
-    """Wait for a child; its exit code, or the negative number of the signal that ended it."""
+    """Wait for a child, and return its exit code, or the negative number of its signal."""
     progress, told = _Progress(child, loopable), False
     while True:
         done, status = os.waitpid(child, os.WNOHANG)
@@ -94,7 +94,7 @@ def _watched(child: int, loopable: Sequence[str], interrupted: list[float]) -> i
 
 
 class _Progress:
-    """What a process has read and written, and the processor time that it has taken since that last changed.
+    """The I/O of a process, and its processor time since the I/O last changed.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class _Progress:
         self._since = 0.0
 
     def stalled(self) -> bool:
-        """Return whether the process computes without a byte of progress."""
+        """Return whether the process computes without I/O."""
         if not self._files:
             return False
         try:

@@ -109,7 +109,7 @@ def command(
 
 
 def _drawing(matched: MatchedLog) -> PairDrawing | None:
-    """The figure of the first pair, where its spectra were asked for."""
+    """Return the figure of the first pair, if spectra were requested."""
     from tiltcal.report.pair_figures import PairDrawing
 
     if matched.spectra is None:
@@ -127,7 +127,7 @@ def _drawing(matched: MatchedLog) -> PairDrawing | None:
 
 
 def _triples(pairs: tuple[str, ...], orthogonals: tuple[str, ...]) -> list[tuple[str, str, str]]:
-    """The columns of each pair and its orthogonal."""
+    """Return the columns of each pair and its orthogonal."""
     if len(pairs) != len(orthogonals):
         raise UsageError(f"{len(pairs)} --pair and {len(orthogonals)} --orthogonal: each pair needs one orthogonal")
     found = []

@@ -167,7 +167,7 @@ def _sizes(text: str) -> tuple[int, ...]:
 
 @contextmanager
 def _kept(output: Path | None) -> Iterator[Path]:
-    """Where what is recorded goes: to the file that was asked for, or to one that is gone afterwards."""
+    """Yield the path of the recording: the requested file, or a temporary one."""
     from tempfile import TemporaryDirectory
 
     if output is not None:
@@ -188,7 +188,7 @@ def _recorded(
     path: Path,
     output: Path | None,
 ) -> bool:
-    """Record the sensor; whether it was interrupted."""
+    """Record the sensor, and return whether it was interrupted."""
     from tiltcal.bench.session_plan import single
     from tiltcal.cli.recording import capture
 

@@ -52,7 +52,7 @@ def _show(procedure: Procedure) -> None:
 
 
 def _determined(determines: Determines) -> str:
-    """What a procedure finds out, in words."""
+    """Return what a procedure determines, as text."""
     if determines.mounting:
         return "the mounting of a sensor that is calibrated"
     axes = f"sensitivity to {', '.join(determines.axes)}" if determines.axes else "no sensitivity"

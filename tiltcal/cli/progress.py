@@ -1,4 +1,4 @@
-"""The bar that shows how far a command has read its log."""
+"""The progress bar of a command that reads a log."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Progress | None]:
-    """Show a bar to a person who watches; nothing to a program, and nothing of a log without a size."""
+    """Show a progress bar on a terminal, for a log with a known size."""
     if not sys.stderr.isatty():
         yield None
         return

@@ -60,7 +60,7 @@ def command(
 
 
 def _to_parquet(log: Path, output: Path) -> None:
-    """Make the Parquet log of the captured CSV, block by block, and remove the CSV once it is there."""
+    """Convert the recorded CSV to Parquet, block by block, then remove the CSV."""
     from tiltcal.files.whole import whole_file
     from tiltcal.logs.formats import create_log, open_log
 

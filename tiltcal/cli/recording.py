@@ -1,4 +1,4 @@
-"""What the commands that log a sensor share: what is logged, how long, and the line that tells how far it is."""
+"""Recording with a progress line, for the commands that log a sensor."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from tiltcal.errors import UsageError
 from tiltcal.files.bench import BenchFile
 
 SHOWN_EVERY = 0.25
-"""Seconds between two looks of the progress line."""
+"""Period of the progress line, s."""
 
 
 @dataclass(frozen=True)
 class RecordedRows:
-    """What a capture came to.
+    """The result of a recording.
 
     Attributes
     ----------
@@ -40,12 +40,12 @@ class RecordedRows:
 
     @property
     def missing(self) -> str:
-        """Readings that are missing, in words to append; empty where there are none."""
+        """The missing readings as text; empty if there are none."""
         return _told_missing(self.tally)
 
 
 def capture(named: BenchFile, rate: float | None, rows: int | None, seconds: float | None, log: Path) -> RecordedRows:
-    """Log the sensors of a bench to a CSV file, until enough or until Ctrl-C.
+    """Log the sensors of a bench to a CSV file, until the limit or Ctrl-C.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def _told_missing(tally: RecordingTally) -> str:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[RecordingTally], None]]:
-    """A line that tells a person how far it is; nothing for a program."""
+    """Return a progress line for a terminal, or nothing."""
     shown = 0.0
 
     def tell(tally: RecordingTally) -> None:

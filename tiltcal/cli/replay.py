@@ -65,7 +65,7 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
 
 
 def _targets(named: Path, outputs: list[Path]) -> list[Path]:
-    """The files that one name stands for: itself, or one in that folder per sensor."""
+    """Return the files of one name: itself, or one per sensor in that folder."""
     if named.is_dir():
         return [named / path.name for path in outputs]
     if len(outputs) > 1:

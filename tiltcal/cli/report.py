@@ -1,4 +1,4 @@
-"""``tiltcal report``: the page that is filed with the sensor."""
+"""``tiltcal report``"""
 
 from __future__ import annotations
 
@@ -90,26 +90,26 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
     calibrations = [calibration_of(checked_kind(document, "tilt")) for document in documents]
     for earlier in calibrations[:-1]:
         require_same_sensor(earlier, calibrations[-1])
-    return _certificate(calibrations, names, logs, columns, skip_bad_rows)
+    return _tilt_page(calibrations, names, logs, columns, skip_bad_rows)
 
 
-def _certificate(
+def _tilt_page(
     calibrations: Sequence[CalibrationRecord],
     names: Sequence[str],
     logs: Sequence[str],
     columns: str,
     skip_bad_rows: bool,
 ) -> str:
-    from tiltcal.report.tilt_page import certificate
+    from tiltcal.report.tilt_page import tilt_page
 
     last = calibrations[-1]
     found = [_look_over(log, last, Path(names[-1]), columns, skip_bad_rows) for log in logs]
     earlier = [(one, Path(name).name) for one, name in zip(calibrations[:-1], names, strict=False)]
-    return certificate(last, _source(names[-1]), earlier, found)
+    return tilt_page(last, _source(names[-1]), earlier, found)
 
 
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:
-    """Read a log, compensated already or on the way."""
+    """Return the overview of a log; apply the calibration if the log is raw."""
     from tiltcal.calibration.calibration import Calibration
     from tiltcal.cli.progress import progress_bar
     from tiltcal.logs.apply import CompensatedLog
@@ -142,7 +142,7 @@ def _pair_page(calibration: PairRecord, source: FileFacts, logs: Sequence[str], 
 
 
 def _spectrum(log: str, number: int, calibration: PairRecord, skip_bad_rows: bool) -> Spectrum:
-    """The spectra of the first pair in a log."""
+    """Return the spectra of the first pair in a log."""
     from tiltcal.cli.progress import progress_bar
     from tiltcal.logs.formats import open_log
     from tiltcal.logs.pair_matching import demodulate_log

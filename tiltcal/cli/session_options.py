@@ -1,4 +1,4 @@
-"""What the commands that lead a session share: the operator's option, and remarks on stderr."""
+"""Common options and remarks of the commands that run a session."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ LEADERS = click.Choice(["terminal", "json", "sim"])
 
 
 def left_at_default(option: str) -> bool:
-    """Return whether the command line does not name an option."""
+    """Return whether an option is not on the command line."""
     context = click.get_current_context()
     return context.get_parameter_source(option) is click.core.ParameterSource.DEFAULT
 

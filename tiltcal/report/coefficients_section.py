@@ -1,4 +1,4 @@
-"""What a calibration found, as tables: coefficients, their budget and correlations, and what follows from them."""
+"""The tables of coefficients, uncertainty budget, correlations and derived quantities."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ SOURCES = {
     "thermometer": "thermometer",
     "assumed": "assumed",
 }
-"""Of uncertainty, as a calibration file names them and as the page does, in the order of their bars."""
+"""The sources of uncertainty: their names in a file and on the page, in the order of the bars."""
 
 ANGLES = ("roll", "pitch", "yaw")
 
 
 class Row(NamedTuple):
-    """One row of a table before its numbers are aligned; the uncertainty is standard, the factor that of 95 %."""
+    """One row of a table before alignment: standard uncertainty and coverage factor of the 95 % interval."""
 
     name: str
     words: str
@@ -74,7 +74,7 @@ class CoefficientRow:
 
 @dataclass(frozen=True)
 class Shares:
-    """Where the variance of one coefficient comes from: the shares by source, as parts of 1, and their sums before."""
+    """The budget of one coefficient: the share of its variance by source, and their cumulative sums."""
 
     words: str
     symbol: tuple[str, str]
@@ -84,7 +84,7 @@ class Shares:
 
 @dataclass(frozen=True)
 class TableCell:
-    """One correlation: what is printed, and on which ground."""
+    """One correlation: its text and background colour."""
 
     text: str
     ground: str
@@ -93,7 +93,7 @@ class TableCell:
 
 @dataclass(frozen=True)
 class Correlations:
-    """The lower triangle of a correlation matrix, each row as long as its place: the coefficients and their shades."""
+    """The lower triangle of a correlation matrix, row by row."""
 
     symbols: Sequence[tuple[str, str]]
     rows: Sequence[Sequence[TableCell]]
@@ -101,7 +101,7 @@ class Correlations:
 
 @dataclass(frozen=True)
 class CoefficientGroup:
-    """Quantities under a heading of their own, with what is to be said of them."""
+    """Quantities under one heading, with a remark."""
 
     heading: str
     quantities: Sequence[CoefficientRow]
@@ -109,7 +109,7 @@ class CoefficientGroup:
 
 
 def named(coefficients: Coefficients) -> dict[str, float]:
-    """Every coefficient by its dotted name, the non-linearity too."""
+    """Return every coefficient by its dotted name, including the nonlinearity."""
     found = values(coefficients)
     if coefficients.nonlinearity is not None:
         for channel, row in zip(coefficients.channels, coefficients.nonlinearity, strict=True):
@@ -118,7 +118,7 @@ def named(coefficients: Coefficients) -> dict[str, float]:
 
 
 def coefficient_table(calibration: CalibrationRecord) -> list[CoefficientRow]:
-    """Every coefficient with its uncertainty and its 95 % interval."""
+    """Return every coefficient with its uncertainty and its 95 % interval."""
     u, unit = calibration.uncertainty, calibration.sensor.unit
     rows = [
         Row(name, words(name), symbol(name), value, u.get(name), unit_of(name, unit), u.coverage_factor.get(name))
@@ -128,7 +128,7 @@ def coefficient_table(calibration: CalibrationRecord) -> list[CoefficientRow]:
 
 
 def budget(calibration: CalibrationRecord) -> list[Shares]:
-    """Which share of each variance comes from what; empty where the file does not say."""
+    """Return the budget of each coefficient; empty if the file has none."""
     found = []
     stated_of = calibration.fit.budget
     known = list(named(calibration.coefficients))
@@ -144,13 +144,13 @@ def budget(calibration: CalibrationRecord) -> list[Shares]:
 
 
 def sources_of(shares: Sequence[Shares]) -> list[str]:
-    """The sources that a budget names anywhere, in the order of their bars."""
+    """Return the sources that a budget contains, in the order of the bars."""
     met = {source for one in shares for source in one.shares}
     return [*(source for source in SOURCES if source in met), *sorted(met - set(SOURCES))]
 
 
 def correlations(calibration: CalibrationRecord) -> Correlations | None:
-    """Of the coefficients; None where the file has no covariance of at least two."""
+    """Return the correlations of the coefficients; None without a covariance of at least two."""
     covariance = calibration.uncertainty.covariance
     if covariance is None or len(covariance.parameters) < 2:
         return None
@@ -161,7 +161,7 @@ def correlations(calibration: CalibrationRecord) -> Correlations | None:
 
 
 def _cell(correlation: float) -> TableCell:
-    """Blue for a positive one, red for a negative one, the deeper the stronger."""
+    """Return the background: blue for a positive, red for a negative correlation, darker if stronger."""
     strength = min(abs(correlation), 1.0)
     full = _TOGETHER if correlation > 0.0 else _AGAINST
     ground = "".join(f"{round(255 + (end - 255) * strength):02x}" for end in full)
@@ -170,7 +170,7 @@ def _cell(correlation: float) -> TableCell:
 
 
 def derived_groups(calibration: CalibrationRecord) -> list[CoefficientGroup]:
-    """What follows from the coefficients: cross-axis errors, misalignment, intrinsic parameters, mounting."""
+    """Return the derived quantities: cross-axis sensitivity, misalignment, intrinsic parameters, mounting."""
     return [group for group in _derived(calibration) if group.quantities or group.remark]
 
 
@@ -201,7 +201,7 @@ def _intrinsic(own: IntrinsicRecord, unit: str) -> CoefficientGroup:
 
 
 def _scale(calibration: CalibrationRecord) -> CoefficientGroup:
-    """The sensitivities per m/s², where the gravity of the place was stated."""
+    """Return the sensitivities per m/s², if local gravity was stated."""
     derived, unit, gravity = calibration.derived, calibration.sensor.unit, calibration.derived.gravity_m_s2
     if gravity is None:
         return CoefficientGroup("Scale", ())
@@ -236,7 +236,7 @@ def _group(heading: str, *rows: Sequence[Row], remark: str = "") -> CoefficientG
 
 
 def _by_channel(sentence: str, unit: str, values: Mapping[str, float], u: Mapping[str, float]) -> list[Row]:
-    """The rows of one derived quantity, one for each channel, or for each pair of them such as ``xy``."""
+    """Return the rows of one derived quantity, one for each channel, or for each pair of them such as ``xy``."""
     return [
         Row("", sentence.format(" and ".join(name) if len(name) == 2 else name), ("", ""), value, u.get(name), unit)
         for name, value in values.items()

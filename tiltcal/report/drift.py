@@ -1,4 +1,4 @@
-"""How a sensor changed between its calibrations."""
+"""The changes of a sensor between its calibrations."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ChangeRow:
 
 @dataclass(frozen=True)
 class ChangeSection:
-    """What changed since an earlier calibration.
+    """The changes since an earlier calibration.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class ChangeSection:
 
 
 def drift(before: CalibrationRecord, name: str, after: CalibrationRecord) -> ChangeSection:
-    """Every coefficient that both files have, the earlier ones at the later one's reference temperature."""
+    """Return every coefficient that both files have, the earlier ones at the later one's reference temperature."""
     comparison = compare_records(before, after)
     found, verdict = comparison.changes, comparison.verdict
     old = column(_told(one.before, before.uncertainty.get(one.name)) for one in found)

@@ -1,4 +1,4 @@
-"""How figures are drawn here: matplotlib, as SVG that is the same whenever it is drawn, in a file or inside a page."""
+"""Figures with matplotlib: reproducible SVG, in a file or inside a page."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH = 6.85
-"""Of a figure in the page, inches: the text of A4 between margins of 18 mm."""
+"""Width of a figure on the page, inches: A4 with margins of 18 mm."""
 
 INK, GREY, BLUE, RED = "#000000", "#8a8a8a", "#1f6f8b", "#c0504d"
 
 CHANNELS = {"x": (BLUE, "o", "-"), "y": (RED, "s", "--"), "z": ("#4f6228", "^", ":")}
-"""Colour, mark and line of a channel: told apart without colour, too."""
+"""Colour, mark and line of a channel, distinguishable without colour."""
 
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -51,8 +51,8 @@ class SvgFigure:
 
 
 @contextmanager
-def house_style(salt: str = "tiltcal", size: float = 10.0) -> Iterator[None]:
-    """Draw and save as the house does: ids made from ``salt`` and not from chance, the font of ``size`` points."""
+def figure_style(salt: str = "tiltcal", size: float = 10.0) -> Iterator[None]:
+    """Draw and save in our style: reproducible ids from ``salt``, and a font of ``size`` points."""
     from matplotlib import rc_context
 
     with rc_context(_STYLE), rc_context({"svg.hashsalt": salt, "font.size": size}):
@@ -60,7 +60,7 @@ def house_style(salt: str = "tiltcal", size: float = 10.0) -> Iterator[None]:
 
 
 def save(figure: Figure, stream: BinaryIO) -> None:
-    """Write a figure as SVG without the time of day; within :func:`house_style`."""
+    """Write a figure as SVG without a date; use it within :func:`figure_style`."""
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": "tiltcal"})
 
 
@@ -85,7 +85,7 @@ def picture(
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     drawn = BytesIO()
-    with house_style(f"tiltcal-{name}", 8.0):
+    with figure_style(f"tiltcal-{name}", 8.0):
         figure = Figure(figsize=(WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.08))
         plot(figure)
         save(figure, drawn)
@@ -93,7 +93,7 @@ def picture(
 
 
 def inline(svg: str, name: str, title: str, description: str) -> str:
-    """An SVG file as an element of a page: no prologue, no style for the whole page, ids and text for its own.
+    """Return an SVG file as an element of a page: without prologue and page-wide style, with its own ids and text.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How well the positions agree: the positions as set and measured, and the verdict on them in words."""
+"""The positions as set and measured, their residuals, and the verdict on them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tiltcal.report.number_format import AlignedNumber, at_place, column, measur
 
 @dataclass(frozen=True)
 class PositionRow:
-    """One position: as it was set, what was read, and what the model leaves.
+    """One position: its setting, means and residuals.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class PositionRow:
 
 
 def position_table(calibration: CalibrationRecord) -> list[PositionRow]:
-    """Return every position that was measured, in order."""
+    """Return every measured position, in order."""
     channels, fit, told = calibration.coefficients.channels, calibration.fit, calibration.positions
     names = [record.position for record in told]
     # Positions of a mounting come last and were not fitted; they may bear a name that was.
@@ -68,7 +68,7 @@ def position_table(calibration: CalibrationRecord) -> list[PositionRow]:
 
 
 def as_set(position: PositionSet) -> str:
-    """Return the attitude of a position in words: the angles that were set, or where up was."""
+    """Return the attitude of a position as text: the set angles, or the direction that points up."""
     said = [f"{axis} {signed(f'{angle:g}')}°" for axis, angle in (position.tilt or {}).items()]
     if position.gravity is not None:
         said.append(f"up ({', '.join(_short(component) for component in position.gravity)})")
@@ -81,7 +81,7 @@ def as_set(position: PositionSet) -> str:
 
 
 def verdict(calibration: CalibrationRecord) -> list[str]:
-    """Return what the fit says, in sentences."""
+    """Return the verdict on the fit, in sentences."""
     return list(_sentences(calibration.fit, calibration.sensor.unit))
 
 
@@ -111,7 +111,7 @@ def _sentences(fit: FitRecord, unit: str) -> Iterator[str]:
 
 
 def _judged(fit: FitRecord) -> Iterator[str]:
-    """What chi-square says, or why there is none."""
+    """Return the verdict of chi-square, or the reason why there is none."""
     dof = fit.degrees_of_freedom
     if dof is None:
         return
@@ -173,7 +173,7 @@ def _mean(record: PositionRecord, channel: str) -> str:
 
 
 def _decimals(scale: float) -> int:
-    """So many that the largest of some numbers has three digits."""
+    """Return the number of decimals that gives the largest of some numbers three digits."""
     from math import floor, log10
 
     return min(max(2 - floor(log10(scale)), 0), 12) if scale > 0.0 else 2

@@ -1,4 +1,4 @@
-"""What a log comes to: shares of flags and their reasons, its angles over time and how often each occurs."""
+"""The summary of a log: shares of flags and reasons, angles over time, and their histograms."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
 
 BINS = 48
 SECONDS = (("s", 1.0, 300.0), ("min", 60.0, 4 * 3600.0), ("h", 3600.0, 4 * 86400.0), ("d", 86400.0, float("inf")))
-"""Units of a time axis: name, seconds, and how long a log may be for it."""
+"""Units of a time axis: name, seconds, and the longest log for it."""
 
 ROUND = "roll"
-"""An angle that goes on from 180° to -180°, so that its mean says nothing."""
+"""An angle that wraps from 180° to -180°, so that its mean has no meaning."""
 
 FEW = 100
-"""Rows that are shown one by one."""
+"""Largest number of rows that are drawn one by one."""
 
 LEAST_MOMENT, LAST_MOMENT = 1e8, 253402300799.0
-"""Seconds since 1970, from 1973 to 9999; fewer are counted from anywhere."""
+"""Seconds since 1970, from 1973 to 9999; smaller numbers have an unknown start."""
 
 GAP = 5.0
-"""Times the usual distance of two stretches, beyond which nothing was recorded."""
+"""Distance of two groups of rows, in usual distances, that counts as a gap."""
 
 
 @dataclass(frozen=True)
 class ReportedLog:
-    """A log as it lies on the disk, and what it comes to.
+    """A log file and its summary.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class ReportedLog:
 
 @dataclass(frozen=True)
 class Share:
-    """How many rows have a flag or a reason."""
+    """The number of rows with a flag or a reason."""
 
     code: int
     words: str
@@ -72,7 +72,7 @@ class Share:
 
 @dataclass(frozen=True)
 class AngleRow:
-    """One angle over the log, degrees."""
+    """The statistics of one angle over the log, degrees."""
 
     name: str
     least: AlignedNumber
@@ -82,7 +82,7 @@ class AngleRow:
 
 @dataclass(frozen=True)
 class LogSection:
-    """A log as the page shows it."""
+    """A log on the page."""
 
     name: str
     sha256: str
@@ -95,7 +95,7 @@ class LogSection:
 
 
 def log_section(log: ReportedLog, number: int) -> LogSection:
-    """The section of a log; ``number`` counts them in the page."""
+    """Return the section of a log with its number on the page."""
     overview = log.overview
     return LogSection(
         log.name,
@@ -115,7 +115,7 @@ def _shares(counts: dict[int, int], names: dict[int, str], rows: int) -> list[Sh
 
 
 def _percent(count: int, rows: int) -> str:
-    """A share in per cent that is not rounded to nothing, nor to everything."""
+    """Return a share in per cent that is never rounded to 0 or 100."""
     share = 100.0 * count / rows
     if 0 < count < rows:
         share = min(max(share, 0.001), 99.999)
@@ -136,7 +136,7 @@ def _angle_rows(overview: ColumnStatistics) -> list[AngleRow]:
 
 
 def words_of(angle: str) -> str:
-    """A column of angles in words: ``tilt_x`` is the tilt of x."""
+    """Return the name of a column of angles as text: ``tilt_x`` is the tilt of x."""
     return f"tilt of {angle.removeprefix('tilt_')}" if angle.startswith("tilt_") else angle
 
 
@@ -155,7 +155,7 @@ def _figure(log: ReportedLog, number: int) -> SvgFigure:
 
 
 def text(number: AlignedNumber) -> str:
-    """An aligned number as one text."""
+    """Return an aligned number as one text."""
     return number.whole + number.rest
 
 
@@ -193,7 +193,7 @@ def _histogram(panel: Axes, overview: ColumnStatistics, k: int) -> None:
 
 
 def _flag_strip(panel: Axes, time: Array, overview: ColumnStatistics) -> None:
-    """Where rows are flagged, a strip below the angles."""
+    """Draw a strip of flagged rows below the angles."""
     suspect, bad = overview.flagged.T
     for share, colour, height in ((suspect, GREY, 0.45), (bad, RED, 1.0)):
         panel.vlines(time[share > 0.0], 0.0, height, color=colour, linewidth=max(0.6, FEW / (4.0 * len(time))))
@@ -205,7 +205,7 @@ def _flag_strip(panel: Axes, time: Array, overview: ColumnStatistics) -> None:
 
 
 def _clock(log: ReportedLog) -> tuple[Array, str]:
-    """The time of every stretch from the first one on, and what the axis says."""
+    """Return the time of every group of rows since the first, and the label of the axis."""
     time = log.overview.time
     if not log.timed:
         return time, "row"
@@ -216,14 +216,14 @@ def _clock(log: ReportedLog) -> tuple[Array, str]:
 
 
 def _moment(seconds: float) -> str:
-    """When a log begins: a moment, where its seconds can only be those since 1970."""
+    """Return the start of a log, if its seconds can only be those since 1970."""
     if not LEAST_MOMENT <= seconds <= LAST_MOMENT:
         return "the first row"
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def _breaks(time: Array) -> NDArray[np.intp]:
-    """In front of which stretches nothing was recorded for long."""
+    """Return the groups of rows that follow a gap."""
     steps = np.diff(time)
     usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
     return np.asarray(np.flatnonzero(steps > GAP * usual) + 1 if usual > 0.0 else [], dtype=np.intp)

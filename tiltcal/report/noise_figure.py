@@ -1,4 +1,4 @@
-"""The figure of a sensor's noise: the Allan deviation of every channel, and the kinds of noise in it."""
+"""The figure of the noise: the Allan deviation of every channel, and its kinds of noise."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.scale import NoiseScale
 from tiltcal.files.whole import whole_file
-from tiltcal.report.figure import house_style, save
+from tiltcal.report.figure import figure_style, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,17 +25,10 @@ _DASHES = {"N": "--", "B": ":", "K": "-.", "R": (0, (8, 3))}
 
 
 def draw_noise(path: Path, noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> None:
-    """Write the Allan deviation of every channel, with the kinds of noise in it, as SVG.
-
-    Parameters
-    ----------
-    path : Path
-    noises : mapping of str to ChannelNoise
-    scale : NoiseScale
-    """
+    """Write the Allan deviation of every channel with its kinds of noise, as SVG."""
     from matplotlib.figure import Figure
 
-    with house_style(), whole_file(path) as stream:
+    with figure_style(), whole_file(path) as stream:
         figure = Figure(figsize=(8.0, 1.0 + 3.6 * len(noises)), layout="constrained")
         panels = figure.subplots(len(noises), 1, squeeze=False)[:, 0]
         for panel, (channel, noise) in zip(panels, noises.items(), strict=True):

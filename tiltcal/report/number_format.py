@@ -1,4 +1,4 @@
-"""Numbers as a laboratory writes them: with the digits that their uncertainty warrants, in columns on their point."""
+"""Numbers with the digits that their uncertainty allows, aligned on the decimal point."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ LABORATORY = 2
 MINUS, POINT, TIMES = "−", ".", " × 10"
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _MOST_DECIMALS = 9
-"""More than these are written as a power of ten."""
+"""Largest number of digits before a power of ten is used."""
 
 
 def measured(value: float, uncertainty: float) -> str:
-    """A value with its standard uncertainty in brackets as the page has it: two digits, a true minus, powers of ten."""
+    """Return a value with two digits of its standard uncertainty in brackets, a true minus, and powers of ten."""
     if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
         return plain(value, 6)
     if Decimal(f"{uncertainty:.{LABORATORY - 1}e}").adjusted() - (LABORATORY - 1) >= -_MOST_DECIMALS:
@@ -30,7 +30,7 @@ def measured(value: float, uncertainty: float) -> str:
 
 
 def plain(value: float, digits: int) -> str:
-    """A number with so many significant digits, in plain decimals where they are few."""
+    """Return a number with this number of significant digits, in plain decimals where possible."""
     if not isfinite(value):
         return str(value)
     exact = Decimal(f"{value:.{digits - 1}e}")
@@ -41,7 +41,7 @@ def plain(value: float, digits: int) -> str:
 
 
 def half_width(value: float) -> str:
-    """Half the width of an interval, with the two digits of an uncertainty: ``0.28``, ``310``."""
+    """Return half the width of an interval with two digits: ``0.28``, ``310``."""
     if not (isfinite(value) and value > 0.0):
         return ""
     rounded = Decimal(f"{value:.{LABORATORY - 1}e}")
@@ -51,24 +51,24 @@ def half_width(value: float) -> str:
 
 
 def at_place(value: float, decimals: int) -> str:
-    """A number with so many decimals, and no minus in front of zeros."""
+    """Return a number with this number of decimals, without a minus before zeros."""
     text = f"{value:.{decimals}f}"
     return signed(text if any(digit in text for digit in "123456789") else text.lstrip("-"))
 
 
 def signed(text: str) -> str:
-    """A number's text with a minus of the width of a digit."""
+    """Return the text of a number with a minus sign as wide as a digit."""
     return text.replace("-", MINUS)
 
 
 def grouped(count: int) -> str:
-    """A count with thin spaces between thousands."""
+    """Return a count with thin spaces between thousands."""
     return f"{count:,}".replace(",", "\u202f")
 
 
 @dataclass(frozen=True)
 class AlignedNumber:
-    """A number in a column: what stands before its point, and the rest.
+    """A number in a column: the part before its decimal point, and the rest.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class AlignedNumber:
 
 
 def column(texts: Iterable[str]) -> list[AlignedNumber]:
-    """The numbers of a column, in their order, to be set with their points below each other."""
+    """Return the numbers of a column, aligned on their decimal points."""
     parts = [_parted(text) for text in texts]
     before = max((len(whole) for whole, _ in parts), default=0)
     behind = max((len(rest) for _, rest in parts), default=0)
@@ -93,7 +93,7 @@ def column(texts: Iterable[str]) -> list[AlignedNumber]:
 
 
 def _parted(text: str) -> tuple[str, str]:
-    """In front of the point or, where a number has none, of what follows its digits."""
+    """Return the place of the decimal point, or of the end of the digits."""
     for index, character in enumerate(text):
         if not (character.isdigit() or character in MINUS + "+± "):
             return text[:index], text[index:]

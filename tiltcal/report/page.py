@@ -1,4 +1,4 @@
-"""From what a page says to its HTML: one file, with its style and figures inside."""
+"""The HTML of a page: one file, with its style and figures inside."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from tiltcal.errors import UsageError
 EXTRA = "a report needs {}, which is not installed: pip install 'tiltcal[report]'"
 
 KEPT = 16
-"""A table of no more rows than these stays on one page of paper."""
+"""Largest number of rows of a table that is kept on one page."""
 
 
 def require_extra() -> None:
-    """See, before anything is read, that the libraries of a report are there.
+    """Check that the libraries of a report are installed, before anything is read.
 
     Raises
     ------
@@ -28,7 +28,7 @@ def require_extra() -> None:
 
 
 def render(template: str, **content: Any) -> str:
-    """A page.
+    """Return a page.
 
     Parameters
     ----------

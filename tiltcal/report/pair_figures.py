@@ -1,4 +1,4 @@
-"""What a matching did: the source's figure 6."""
+"""The figure of a matching: spectra before and after (figure 6 of the source)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tiltcal.core.model import Array
 from tiltcal.files.whole import whole_file
-from tiltcal.report.figure import house_style, save
+from tiltcal.report.figure import figure_style, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +21,7 @@ COLOURS = ("#8a8a8a", "#c0504d", "#1f6f8b")
 
 @dataclass(frozen=True)
 class PairDrawing:
-    """What the figure shows.
+    """The data of the figure.
 
     Attributes
     ----------
@@ -48,12 +48,7 @@ class PairDrawing:
 
 
 def draw_matching(path: Path, drawing: PairDrawing) -> None:
-    """Write amplitude spectral densities as SVG (the source's figure 6), and beside them how the estimators settled.
-
-    Parameters
-    ----------
-    path : Path
-    drawing : PairDrawing
+    """Write amplitude spectral densities as SVG (the source's figure 6), and beside them the course of the estimates.
 
     Raises
     ------
@@ -62,7 +57,7 @@ def draw_matching(path: Path, drawing: PairDrawing) -> None:
     """
     from matplotlib.figure import Figure
 
-    with house_style(), whole_file(path) as stream:
+    with figure_style(), whole_file(path) as stream:
         figure = Figure(figsize=(8.0, 8.0 if drawing.course else 4.5), layout="constrained")
         panels = figure.subplots(2 if drawing.course else 1, 1, squeeze=False)[:, 0]
         draw_spectra(panels[0], drawing)
@@ -75,7 +70,7 @@ def draw_matching(path: Path, drawing: PairDrawing) -> None:
 
 
 def draw_spectra(panel: Axes, drawing: PairDrawing) -> None:
-    """Amplitude densities over frequency, and a line where the stage turns."""
+    """Draw amplitude densities over frequency, with a line at the spin frequency."""
     panel.axvline(drawing.spin, color="black", linewidth=0.8, linestyle=":", label="turning of the stage")
     for (name, density), colour in zip(drawing.densities.items(), COLOURS, strict=False):
         panel.loglog(drawing.frequency[1:], density[1:] ** 0.5, color=colour, linewidth=0.9, label=name)
@@ -84,7 +79,7 @@ def draw_spectra(panel: Axes, drawing: PairDrawing) -> None:
 
 
 def _draw_course(panel: Axes, drawing: PairDrawing) -> None:
-    """How far p and q of both estimators are from where the recursive one ends."""
+    """Draw the distance of p and q of both estimators from the final recursive estimate."""
     course = drawing.course
     turns = [one.turns for one in course]
     end = course[-1].recursive

@@ -1,4 +1,4 @@
-"""The page of matched accelerometer pairs: the source's Table 1, and its figure 6 where the log is given."""
+"""The page of matched accelerometer pairs: Table 1 of the source, and its figure 6 if there is a log."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BINS = 400
-"""Of a spectrum's frequencies, on a logarithmic scale."""
+"""Number of intervals of a spectrum on a logarithmic scale."""
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """The spectra of a log, drawn."""
+    """The drawn spectra of a log."""
 
     name: str
     figure: SvgFigure
 
 
 def spectrum(name: str, number: int, drawing: PairDrawing) -> Spectrum:
-    """The spectra of a log, drawn with so many points that their peaks and troughs are there.
+    """Return the spectra of a log, drawn with few points that keep all peaks and troughs.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def spectrum(name: str, number: int, drawing: PairDrawing) -> Spectrum:
 
 
 def _outstanding(frequency: Array, densities: Sequence[Array]) -> NDArray[np.intp]:
-    """Where any density is largest or smallest among its neighbours on a logarithmic scale; the first stays first."""
+    """Return the places where a density is largest or smallest within its interval."""
     if len(frequency) <= 2 * BINS:
         return np.arange(len(frequency))
     edges = np.unique(np.geomspace(1, len(frequency), BINS + 1).astype(np.intp))
@@ -83,7 +83,7 @@ def _outstanding(frequency: Array, densities: Sequence[Array]) -> NDArray[np.int
 
 @dataclass(frozen=True)
 class ComponentRow:
-    """One channel, or the sum: sin and cos at every stage."""
+    """One row, of a channel or the sum: sine and cosine components before and after."""
 
     name: str
     cells: Sequence[AlignedNumber]
@@ -91,7 +91,7 @@ class ComponentRow:
 
 @dataclass(frozen=True)
 class PairSection:
-    """One pair as the page shows it."""
+    """One pair on the page."""
 
     heading: str
     p: AlignedNumber
@@ -101,7 +101,7 @@ class PairSection:
 
 
 def write_pair_page(path: str | Path, calibration: PairRecord) -> None:
-    """Write the page of a calibration that is at hand and not in a file.
+    """Write the page of a calibration in memory.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def write_pair_page(path: str | Path, calibration: PairRecord) -> None:
 
 
 def pair_page(calibration: PairRecord, source: FileFacts, spectra: Sequence[Spectrum] = ()) -> str:
-    """One HTML page that needs no other file; the same input gives the same page.
+    """Return one HTML page that needs no other file; the same input gives the same page.
 
     Raises
     ------
@@ -168,5 +168,5 @@ def _section(matching: Matching) -> PairSection:
 
 
 def _factor(value: float) -> str:
-    """A factor with three significant digits, its thousands parted."""
+    """Return a factor with three significant digits and separated thousands."""
     return grouped(int(float(f"{value:.3g}"))) if value >= 1000.0 else plain(value, 3)

@@ -1,4 +1,4 @@
-"""What was calibrated, when, by whom and from what: the head of the page."""
+"""The head of the page: what was calibrated, when, by whom and from which data."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tiltcal.files.declaration import Section
 from tiltcal.files.records import MountingRun, PairProvenance, Provenance
 
 _VIRTUAL = "virtual"
-"""What a file that no real sensor made says of itself."""
+"""The mark of a file that was made without a real sensor."""
 
 _WORDS = {
     "made_by": "Made by",
@@ -37,20 +37,20 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class FileFacts:
-    """A calibration file as it lies on the disk."""
+    """The name and hash of a calibration file."""
 
     name: str
     sha256: str
 
     @classmethod
     def of_text(cls, name: str, text: str) -> FileFacts:
-        """The facts of a file that has this text."""
+        """Return the name and hash of a file with this text."""
         return cls(name, sha256(text.encode()).hexdigest())
 
 
 @dataclass(frozen=True)
 class Fact:
-    """One line of the head; ``code`` where it is for machines."""
+    """One line of the head; ``code`` for text in a fixed-width font."""
 
     label: str
     value: str
@@ -58,7 +58,7 @@ class Fact:
 
 
 def facts(calibration: CalibrationRecord, source: FileFacts) -> list[Fact]:
-    """What was calibrated, when and by whom, and everything else that the provenance says."""
+    """Return what was calibrated, when and by whom, and the rest of the provenance."""
     sensor = calibration.sensor
     return [
         Fact("Sensor", sensor.model),
@@ -71,7 +71,7 @@ def facts(calibration: CalibrationRecord, source: FileFacts) -> list[Fact]:
 
 
 def provenance_facts(provenance: Provenance | PairProvenance) -> list[Fact]:
-    """Return all that a provenance says, times first."""
+    """Return the content of a provenance, times first."""
     return [fact for fact in _facts(provenance) if fact.value]
 
 
@@ -84,7 +84,7 @@ def _facts(provenance: Provenance | PairProvenance) -> Iterator[Fact]:
 
 
 def period(provenance: Provenance | PairProvenance) -> str:
-    """Return when the session began and ended, to the second, in UTC."""
+    """Return the start and end of the session in UTC, to the second."""
     started, ended = provenance.started, provenance.ended
     if not started or not ended:
         return _moment(started or ended or "")
@@ -94,13 +94,13 @@ def period(provenance: Provenance | PairProvenance) -> str:
 
 
 def notice(provenance: Provenance | PairProvenance) -> str:
-    """Return what has to be said above all: that no real sensor was measured; empty for a real one."""
+    """Return the notice that no real sensor was measured; empty for a real one."""
     made_by = provenance.made_by or ""
     return f"Made by {made_by}." if _VIRTUAL in made_by else ""
 
 
 def procedure_facts(calibration: CalibrationRecord) -> list[Fact]:
-    """Return which procedure was run, and how."""
+    """Return the procedure and its settings."""
     run = calibration.procedure
     said = [
         ("Procedure", " – ".join(filter(None, (run.name, run.title)))),
@@ -115,7 +115,7 @@ def procedure_facts(calibration: CalibrationRecord) -> list[Fact]:
 
 
 def _leaves(record: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, str]]:
-    """Everything that a record says, by its dotted name."""
+    """Return the content of a record, by dotted names."""
     for key, value in record.items():
         if isinstance(value, Mapping):
             yield from _leaves(value, f"{lead}{key}.")
@@ -124,7 +124,7 @@ def _leaves(record: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, st
 
 
 def _in_words(value: Any) -> str:
-    """A value as a person writes it."""
+    """Return a value as text."""
     if isinstance(value, float):
         return f"{value:g}" if abs(value) < 1e6 else str(value)
     if isinstance(value, Mapping):
@@ -135,7 +135,7 @@ def _in_words(value: Any) -> str:
 
 
 def _moment(stamp: str) -> str:
-    """A time of the file without its fractions: ``2026-05-01 12:00:00 UTC``."""
+    """Return a time of the file without its fractions: ``2026-05-01 12:00:00 UTC``."""
     day, _, clock = stamp.partition("T")
     if not clock:
         return stamp

@@ -1,4 +1,4 @@
-"""The figure of the residuals: every position and channel, measured less modelled."""
+"""The figure of the residuals: every position and channel, measured minus modelled."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COVERAGE = 1.96
-"""Times the standard uncertainty of a mean, to either side of its residual."""
+"""Half length of a bar, in standard uncertainties of the mean."""
 
 
 def residual_figure(calibration: CalibrationRecord) -> SvgFigure | None:
-    """Measured less modelled for every position, a panel per channel; None where the file does not say."""
+    """Return the residuals of every position, one panel per channel; None if the file has none."""
     residuals = calibration.fit.residuals
     positions = [name for name, row in residuals.items() if row]
     if not positions:
@@ -78,7 +78,7 @@ def _plot_channel(panel: Axes, calibration: CalibrationRecord, positions: list[s
 
 
 def _angle_above(panel: Axes, calibration: CalibrationRecord, channel: str) -> None:
-    """A second scale: the angle near level that a residual stands for."""
+    """Draw a second scale: the residual as an angle near level."""
     from math import degrees
 
     from matplotlib.ticker import MaxNLocator
@@ -97,7 +97,7 @@ def _angle_above(panel: Axes, calibration: CalibrationRecord, channel: str) -> N
 
 
 def _uncertainties(calibration: CalibrationRecord, channel: str) -> dict[str, float]:
-    """Standard uncertainty of the mean by position; of a name that comes twice, the first, which was fitted."""
+    """Return the standard uncertainty of the mean by position; the first one if a name occurs twice."""
     found: dict[str, float] = {}
     for record in calibration.positions:
         u = (record.u or {}).get(channel)

@@ -1,4 +1,4 @@
-"""The figure of the drift: the fitted curve over temperature with its band, and the positions that it was fitted to."""
+"""The figure of the temperature drift: the fitted curve with its band, and the positions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ POINTS = 81
 
 
 def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
-    """Offset over temperature per channel, and the sensitivity's drift where there is one; None without either."""
+    """Return offset over temperature per channel, and the sensitivity drift if there is one; None without both."""
     thermal = calibration.coefficients.thermal
     if thermal is None:
         return None
@@ -72,7 +72,7 @@ def _curve(panel: Axes, t: Array, curve: Array, half: Array | None, channel: str
 
 
 def _positions(panel: Axes, calibration: CalibrationRecord, thermal: Thermal, column: int) -> None:
-    """The curve at each position's temperature, and on it the residual."""
+    """Return the curve at the temperature of each position, plus its residual."""
     channel = calibration.coefficients.channels[column]
     fitted: dict[str, tuple[float, float]] = {}
     for record in calibration.positions:
@@ -89,7 +89,7 @@ def _positions(panel: Axes, calibration: CalibrationRecord, thermal: Thermal, co
 
 
 def _half_width(calibration: CalibrationRecord, names: list[str], powers: Array) -> Array | None:
-    """Half the 95 % interval of a polynomial; None where the file does not say how uncertain it is."""
+    """Return half the 95 % interval of a polynomial; None if the file has no uncertainty of it."""
     covariance = calibration.uncertainty.covariance
     if covariance is None or any(name not in calibration.uncertainty for name in names):
         return None
@@ -104,6 +104,6 @@ def _half_width(calibration: CalibrationRecord, names: list[str], powers: Array)
 
 
 def _range(calibration: CalibrationRecord, thermal: Thermal) -> tuple[float, float]:
-    """The temperatures that were covered, or some around the reference."""
+    """Return the covered temperatures, or a range around the reference."""
     covered = calibration.limits.temperature or thermal.range
     return covered if covered else (thermal.reference - 10.0, thermal.reference + 10.0)

@@ -1,4 +1,4 @@
-"""The picture of a calibration's worth: tilt error before and after, along a log with known truth."""
+"""The figure of the tilt error before and after compensation, along a log with known true tilt."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tiltcal.core.model import Array
 from tiltcal.files.whole import whole_file
-from tiltcal.report.figure import house_style, save
+from tiltcal.report.figure import figure_style, save
 
 BEFORE, AFTER, TEMPERATURE = "#c0504d", "#1f6f8b", "#8a8a8a"
 
@@ -37,7 +37,7 @@ def draw_tilt_error(
     """
     from matplotlib.figure import Figure
 
-    with house_style(), whole_file(path) as stream:
+    with figure_style(), whole_file(path) as stream:
         figure = Figure(figsize=(8.0, 2.0 + 1.7 * len(axes)), layout="constrained")
         panels = figure.subplots(len(axes) + 1, 1, sharex=True, height_ratios=[*([2.0] * len(axes)), 1.0])
         for panel, axis in zip(panels, axes, strict=False):

@@ -1,4 +1,4 @@
-"""The figure of the tilt's error over its range: by the data sheet's coefficients, and what the calibration leaves."""
+"""The figure of the tilt error over its range, with the coefficients of the data sheet and after calibration."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 POINTS = 121
 STEEPEST = 80.0
-"""Beyond this the uncertainty of an arcsine runs away and hides all else, degrees."""
+"""Largest tilt of the figure, degrees; beyond it the uncertainty of the arcsine grows without limit."""
 
 USUAL = 30.0
-"""Shown where no range of tilts was covered, degrees."""
+"""Range of the figure if the calibration covers none, degrees."""
 
 
 @dataclass(frozen=True)
 class Curves:
-    """What is drawn for one axis, shape (n,), degrees.
+    """The curves of one axis, shape (n,), degrees.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Curves:
 
 
 def tilt_figure(calibration: CalibrationRecord) -> SvgFigure | None:
-    """Error of the tilt of each axis, the other level; None where the file states no uncertainty."""
+    """Return the figure, with one axis tilted at a time; None if the file states no uncertainty."""
     try:
         curves = _curves(calibration)
     except EstimateError:
@@ -92,7 +92,7 @@ def _plot(figure: Figure, curves: dict[str, Curves]) -> None:
 
 
 def _curves(calibration: CalibrationRecord) -> dict[str, Curves]:
-    """By axis; raises EstimateError where the file does not say how uncertain the coefficients are."""
+    """Return the curves by axis; raise EstimateError if the file has no uncertainty of the coefficients."""
     coefficients, nominal = _unmounted(calibration.coefficients), _nominal(calibration)
     compensation = Compensation(coefficients)
     kernels = [
@@ -110,7 +110,7 @@ def _curves(calibration: CalibrationRecord) -> dict[str, Curves]:
 
 
 def _doubt(calibration: CalibrationRecord, noise: float | None) -> UncertaintyInputs:
-    """What the tilt in the sensor's own frame is uncertain by."""
+    """Return the uncertainty of the tilt in the sensor frame."""
     coefficients = _unmounted(calibration.coefficients)
     doubt = stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).doubt
     own = [k for k, name in enumerate(doubt.names) if not name.startswith(TURN)]
@@ -123,7 +123,7 @@ def _doubt(calibration: CalibrationRecord, noise: float | None) -> UncertaintyIn
 
 
 def _reaches(calibration: CalibrationRecord, axes: Sequence[str]) -> dict[str, Array]:
-    """Tilts of each axis that is reported, over the range that was covered, degrees."""
+    """Return the tilts of each reported axis over the covered range, degrees."""
     found = {}
     for axis in axes:
         low, high = calibration.limits.tilt.get(axis, (radians(-USUAL), radians(USUAL)))
@@ -132,7 +132,7 @@ def _reaches(calibration: CalibrationRecord, axes: Sequence[str]) -> dict[str, A
 
 
 def _attitudes(axis: str, tilt: Array) -> Array:
-    """Up while one axis is tilted and the rest of gravity is along z, or for z along x; shape (n, 3)."""
+    """Return gravity with one axis tilted and the rest along z, or along x for the z axis; shape (n, 3)."""
     other = "z" if axis != "z" else "x"
     gravity = np.zeros((len(tilt), 3))
     gravity[:, "xyz".index(axis)] = np.sin(np.radians(tilt))
@@ -141,7 +141,7 @@ def _attitudes(axis: str, tilt: Array) -> Array:
 
 
 def _nominal(calibration: CalibrationRecord) -> Compensation | None:
-    """What the data sheet alone would make of readings; None where nobody knows the model, or its scale."""
+    """Return the tilt with the coefficients of the data sheet; None if model or scale are unknown."""
     from tiltcal.drivers import find_model
 
     sensor, coefficients = calibration.sensor, calibration.coefficients
@@ -164,5 +164,5 @@ def _nominal(calibration: CalibrationRecord) -> Compensation | None:
 
 
 def _unmounted(coefficients: Coefficients) -> Coefficients:
-    """The coefficients in the sensor's own frame, in which its range of tilts was covered."""
+    """Return the coefficients in the sensor frame, to which the range of tilts refers."""
     return replace(coefficients, mounting=None)

@@ -1,4 +1,4 @@
-"""The page of a tilt calibration: what a laboratory files with the sensor."""
+"""The page of a tilt calibration."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tiltcal.report.validity import covered, not_covered
 
 
 def write_tilt_page(path: str | Path, calibration: CalibrationRecord) -> None:
-    """Write the page of a calibration that is at hand and not in a file.
+    """Write the page of a calibration in memory.
 
     Raises
     ------
@@ -37,16 +37,16 @@ def write_tilt_page(path: str | Path, calibration: CalibrationRecord) -> None:
     require_extra()
     check_writable(path)
     name = f"{calibration.sensor.serial}.yaml"
-    write_whole(path, certificate(calibration, FileFacts.of_text(name, dump_calibration(calibration))))
+    write_whole(path, tilt_page(calibration, FileFacts.of_text(name, dump_calibration(calibration))))
 
 
-def certificate(
+def tilt_page(
     calibration: CalibrationRecord,
     source: FileFacts,
     earlier: Sequence[tuple[CalibrationRecord, str]] = (),
     logs: Sequence[ReportedLog] = (),
 ) -> str:
-    """One HTML page that needs no other file; the same input gives the same page.
+    """Return one HTML page that needs no other file; the same input gives the same page.
 
     Parameters
     ----------

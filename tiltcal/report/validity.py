@@ -1,4 +1,4 @@
-"""Where a calibration holds, and what it does not cover."""
+"""The range of validity of a calibration, and what it does not cover."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tiltcal.report.provenance import Fact, notice
 
 
 def covered(calibration: CalibrationRecord) -> list[Fact]:
-    """The ranges that the calibration was measured in."""
+    """Return the ranges that the positions covered."""
     limits, unit = calibration.limits, calibration.sensor.unit
     thermal = calibration.coefficients.thermal
     found = [
@@ -30,7 +30,7 @@ def covered(calibration: CalibrationRecord) -> list[Fact]:
 
 
 def not_covered(calibration: CalibrationRecord) -> list[str]:
-    """What nobody may read out of the file, in sentences."""
+    """Return what the calibration does not cover, in sentences."""
     return list(_open(calibration))
 
 
@@ -63,7 +63,7 @@ def _open(calibration: CalibrationRecord) -> Iterator[str]:
 
 
 def _held(calibration: CalibrationRecord) -> str:
-    """At which temperatures the positions were measured nevertheless."""
+    """Return the temperatures of the positions as text."""
     met = [one.temperature for one in calibration.positions if one.temperature is not None]
     if not met:
         return ""

@@ -27,7 +27,7 @@ from tiltcal.files.records import (
     SuspectPosition,
 )
 from tiltcal.report.provenance import FileFacts
-from tiltcal.report.tilt_page import certificate
+from tiltcal.report.tilt_page import tilt_page
 
 SOURCE = FileFacts("S.yaml", "0" * 64)
 
@@ -43,13 +43,13 @@ def as_data(name: str) -> dict[str, Any]:
 
 
 def page_of(calibration: CalibrationRecord, **more: Any) -> Page:
-    return Page(certificate(calibration, SOURCE, **more))
+    return Page(tilt_page(calibration, SOURCE, **more))
 
 
 @cache
 def text_of(name: str) -> str:
     """The page of a golden file."""
-    return certificate(golden(name), SOURCE)
+    return tilt_page(golden(name), SOURCE)
 
 
 @pytest.fixture(scope="module")
