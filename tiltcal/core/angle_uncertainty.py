@@ -43,7 +43,8 @@ ANYWHERE = pi / sqrt(3.0)
 _EXACT = 1e-9  # part of a square below which its error changes nothing else
 _LOWEST = -60  # binary exponent of an angle too small for anyone
 _SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(_LOWEST, 10) - 1)), 0, 22)  # by binary exponent
-_ROWS = 2048  # of a step: they stay in the cache, and the linear algebra starts no threads for them
+_ROWS = 8192  # of a step: they stay in the cache
+_ONE_THREAD = 1 << 18  # multiplications of a matrix product for which the linear algebra starts no threads
 _CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
 
 
@@ -183,6 +184,7 @@ class _Propagation:
             else [inputs.covariance, inputs.covariance * np.outer(widening, widening)]
         )
         self._raw = _pairs(len(parameters))
+        self._rows = min(_ROWS, _ONE_THREAD // max(1, *(len(one) ** 2 for one in parameters)))
         self._covariances = [
             [covariance[np.ix_(parameters[a], parameters[b])] for covariance in covariances] for a, b in self._raw
         ]
@@ -194,8 +196,8 @@ class _Propagation:
         """Return standard and expanded uncertainty of every angle, shape (2, angles, n), degrees."""
         count = len(chunk.out.flag)
         room = np.empty((2, self._angles, count))
-        for start in range(0, count, _ROWS):
-            rows = slice(start, start + _ROWS)
+        for start in range(0, count, self._rows):
+            rows = slice(start, start + self._rows)
             self._fill(_part(chunk, rows), room[:, :, rows])
             _shorten(room[:, :, rows])
         lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)

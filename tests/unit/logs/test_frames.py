@@ -21,6 +21,7 @@ from tiltcal.logs.apply import apply_log
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import apply_frame
 from tiltcal.logs.log import LogBlock
+from tiltcal.logs.prepared import ApplyOptions, prepare
 
 ROWS = 40_000  # more than a chunk of the kernel, and no multiple of one
 CAL = FIXTURES / "mavs.yaml"
@@ -195,3 +196,21 @@ def test_a_block_gives_readings_side_by_side() -> None:
     block = LogBlock({2: np.array([1.0, 2.0]), 0: np.array([3.0, 4.0])})
     assert block.readings([0, 2]).tolist() == [[3.0, 1.0], [4.0, 2.0]]
     assert len(block) == 2
+
+
+@pytest.mark.parametrize("name", ["mavs", "six-face", "mounting", "temperature-sweep"])
+def test_results_do_not_depend_on_where_blocks_end(name: str) -> None:
+    """Files are cut into blocks, frames are not: sums in another order would differ in the last bit."""
+    found = read(FIXTURES / f"{name}.yaml")
+    assert isinstance(found, Calibration)
+    kernel = prepare(found, ApplyOptions(uncertainty=True)).kernel
+    draw = np.random.default_rng(2)
+    span = abs(np.diag(found.coefficients.sensitivity)).max()
+    channels = len(found.coefficients.channels)
+    readings = np.asfortranarray(found.coefficients.offset + span * draw.uniform(-0.9, 0.9, (50_001, channels)))
+    temperature = draw.uniform(0.0, 30.0, len(readings))
+    whole = kernel.table(kernel(readings, temperature))
+    for rows in (slice(0, 7), slice(7, 20_011), slice(20_011, None)):
+        part = kernel.table(kernel(np.stack(readings[rows].T).T, temperature[rows]))
+        for column, values in part.items():
+            np.testing.assert_array_equal(values, whole[column][rows], err_msg=column)
