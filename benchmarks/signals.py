@@ -40,7 +40,7 @@ SESSIONS = {
     **{
         name: f"measure {name} {SENSOR}" for name in ("plane", "complete", "reversal", "two-temperature", "multi-angle")
     },
-    "mounting": f"measure mounting --base {PLANE} {SENSOR.replace('S-1', 'SIM-1')}",
+    "mounting": f"measure mounting --base {PLANE} {SENSOR.replace('S-1', 'SIM-42')}",
     "six-face": f"measure six-face {SENSOR.replace('sca100t-d02', 'sca3000-d01')}",
     "free": f"measure free {SENSOR.replace('sca100t-d02', 'sca3000-d01')}",
     "rotation": f"measure rotation --turns 3 {SENSOR.replace('sca100t-d02', 'gradiometer')}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from random import Random
 from typing import Any
 from zlib import crc32
@@ -126,8 +127,10 @@ def damaged_value(draw: Random, value: Any) -> Any:
     for _ in range(draw.choice((1, 1, 1, 1, 2, 3))):
         holder, key = draw.choice(places)
         try:
-            match draw.randrange(4):
+            match draw.randrange(6):
                 case 0 | 1:
+                    holder[key] = _near(draw, holder[key], places)
+                case 4 | 5:
                     holder[key] = draw.choice(VALUES)
                 case 2:
                     del holder[key]
@@ -138,6 +141,21 @@ def damaged_value(draw: Random, value: Any) -> Any:
         except (KeyError, IndexError):  # the place went with the one before
             continue
     return value
+
+
+def _near(draw: Random, value: Any, places: Sequence[tuple[Any, Any]]) -> Any:
+    """Another value of the same type: what a reader may take, and what works with it may not."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int | float):
+        changed = draw.choice((-value, 0, 1, 2, 1.5 * value, value + 1, 1e-300, 1e300, 1e-9 * value, 1e9 * value))
+        return int(changed) if isinstance(value, int) and draw.random() < 0.7 else changed
+    others = [holder[key] for holder, key in places if _holds(holder, key) and type(holder[key]) is type(value)]
+    return draw.choice(others or [value])
+
+
+def _holds(holder: Any, key: Any) -> bool:
+    return key in holder if isinstance(holder, dict) else key < len(holder)
 
 
 def _places(value: Any) -> Any:
