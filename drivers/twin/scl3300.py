@@ -7,7 +7,8 @@ from functools import partial
 from math import atan2, degrees, sqrt
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.scl3300 import (
+from tiltcal.drivers.scl3300 import MeasuringRange, Scl3300Part
+from tiltcal.drivers.scl3300_frames import (
     ACC_X,
     BANK_1,
     ERROR,
@@ -19,8 +20,6 @@ from tiltcal.drivers.scl3300 import (
     STATUS,
     TEMPERATURE,
     WHOAMI,
-    MeasuringRange,
-    Scl3300Part,
     crc8,
 )
 from tiltcal.drivers.twin import counts

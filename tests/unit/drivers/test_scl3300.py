@@ -9,11 +9,11 @@ from support.emulated.bench import Scl3300 as PartFacts
 from support.scl3300_part import ALLOWED, Scl3300Part
 
 from tiltcal.drivers import find_model
-from tiltcal.drivers import scl3300 as frames
+from tiltcal.drivers import scl3300_frames as frames
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.device import Model, Sensor
-from tiltcal.drivers.scl3300 import crc8, decode, decode_temperature
+from tiltcal.drivers.scl3300_frames import crc8, decode, decode_temperature
 from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.drivers.twin.truth import Fault, Truth
 from tiltcal.errors import BusError, DeviceFault, UsageError
