@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tiltcal.core.budget import coverage_factor
 from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
@@ -14,6 +15,7 @@ from tiltcal.core.intrinsic import IntrinsicQuantity, intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients, Thermal
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.files.records import (
+    DerivedCoverage,
     DerivedRecord,
     DerivedUncertainty,
     FitRecord,
@@ -106,25 +108,37 @@ def derived_record(found: Estimate, design: Design, assumed: str) -> DerivedReco
     if design.priors:
         return DerivedRecord(assumed=(f"sensitivity: {assumed}",))
     coefficients = found.coefficients
-    crossed, u_crossed = _derived(found, cross_axis)
-    turned, u_turned = _derived(found, misalignment)
+    crossed, u_crossed, k_crossed = _derived(found, cross_axis)
+    turned, u_turned, k_turned = _derived(found, misalignment)
     whole = len(coefficients.channels) == 3 and set(coefficients.axes) == set(AXES)
     return DerivedRecord(
         cross_axis_percent=crossed,
         misalignment_degrees=turned,
-        uncertainty=DerivedUncertainty(cross_axis_percent=u_crossed, misalignment_degrees=u_turned),
+        uncertainty=DerivedUncertainty(
+            cross_axis_percent=u_crossed,
+            misalignment_degrees=u_turned,
+            coverage_factor=DerivedCoverage(cross_axis_percent=k_crossed, misalignment_degrees=k_turned),
+        ),
         intrinsic=_intrinsic_record(found, design) if whole else None,
     )
 
 
 def _derived(
     found: Estimate, quantity: Callable[[Coefficients], dict[str, float]]
-) -> tuple[dict[str, float], dict[str, float]]:
-    """A derived quantity and its standard uncertainty by channel, rounded."""
+) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """A derived quantity, its standard uncertainty, and its coverage factor by channel, rounded.
+
+    Uncertainties that are wider by what each factor exceeds that of a normal distribution are propagated as the
+    standard ones are.
+    """
+    normal = float(coverage_factor(np.array([np.inf]))[0])
+    wider = found.budget.factors / normal
     u = derived_uncertainty(quantity, found.coefficients, found.names, found.covariance)
+    wide = derived_uncertainty(quantity, found.coefficients, found.names, found.covariance * np.outer(wider, wider))
     return (
         {c: round_to(value, u[c]) for c, value in quantity(found.coefficients).items()},
         {c: significant(value, DIGITS) for c, value in u.items()},
+        {c: round(normal * wide[c] / value, 3) for c, value in u.items() if value > 0.0},
     )
 
 

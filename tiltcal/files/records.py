@@ -145,11 +145,22 @@ class FitRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DerivedCoverage:
+    """Coverage factors of derived quantities, for intervals of 95 %."""
+
+    cross_axis_percent: Mapping[str, float] = entry(ByChannel(SHARE), "per channel", default={})
+    misalignment_degrees: Mapping[str, float] = entry(ByChannel(SHARE), "per channel", default={})
+
+
+@dataclass(frozen=True, kw_only=True)
 class DerivedUncertainty:
     """Standard uncertainties of derived quantities."""
 
     cross_axis_percent: Mapping[str, float] = entry(ByChannel(SHARE), "per channel, %", default={})
     misalignment_degrees: Mapping[str, float] = entry(ByChannel(SHARE), "per channel, degrees", default={})
+    coverage_factor: DerivedCoverage | None = entry(
+        Section(DerivedCoverage), "what each is multiplied with for an interval of 95 %", default=None
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

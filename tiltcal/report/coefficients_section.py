@@ -11,7 +11,7 @@ from tiltcal.calibration.labels import symbol, unit_of, words
 from tiltcal.core.comparison import values
 from tiltcal.core.model import Coefficients
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.records import DerivedUncertainty, IntrinsicRecord, IntrinsicUncertainty
+from tiltcal.files.records import DerivedCoverage, DerivedUncertainty, IntrinsicRecord, IntrinsicUncertainty
 from tiltcal.report.number_format import AlignedNumber, at_place, column, half_width, measured, plain
 
 SOURCES = {
@@ -176,11 +176,13 @@ def derived_groups(calibration: CalibrationRecord) -> list[CoefficientGroup]:
 
 def _derived(calibration: CalibrationRecord) -> Iterator[CoefficientGroup]:
     derived, unit = calibration.derived, calibration.sensor.unit
-    doubts = derived.uncertainty or DerivedUncertainty()
+    u = derived.uncertainty or DerivedUncertainty()
+    k = u.coverage_factor or DerivedCoverage()
+    crossed, turned = derived.cross_axis_percent, derived.misalignment_degrees
     yield _group(
         "Cross-axis error",
-        _by_channel("Cross-axis sensitivity of {}", "%", derived.cross_axis_percent, doubts.cross_axis_percent),
-        _by_channel("Misalignment of {}", "°", derived.misalignment_degrees, doubts.misalignment_degrees),
+        _by_channel("Cross-axis sensitivity of {}", "%", crossed, u.cross_axis_percent, k.cross_axis_percent),
+        _by_channel("Misalignment of {}", "°", turned, u.misalignment_degrees, k.misalignment_degrees),
     )
     if derived.intrinsic is not None:
         yield _intrinsic(derived.intrinsic, unit)
@@ -235,11 +237,18 @@ def _group(heading: str, *rows: Sequence[Row], remark: str = "") -> CoefficientG
     return CoefficientGroup(heading, _quantities([row for some in rows for row in some]), remark)
 
 
-def _by_channel(sentence: str, unit: str, values: Mapping[str, float], u: Mapping[str, float]) -> list[Row]:
+def _by_channel(
+    sentence: str,
+    unit: str,
+    values: Mapping[str, float],
+    u: Mapping[str, float],
+    factors: Mapping[str, float] | None = None,
+) -> list[Row]:
     """Return the rows of one derived quantity, one for each channel, or for each pair of them such as ``xy``."""
     return [
-        Row("", sentence.format(" and ".join(name) if len(name) == 2 else name), ("", ""), value, u.get(name), unit)
+        Row("", sentence.format(" and ".join(name) if len(name) == 2 else name), ("", ""), value, u.get(name), unit, k)
         for name, value in values.items()
+        for k in ((factors or {}).get(name),)
     ]
 
 

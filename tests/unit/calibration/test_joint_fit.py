@@ -15,11 +15,11 @@ SENSOR = SensorIdentity("recorded", "S", "g", ("x", "y", "z"))
 NOISE, JIG = 1e-4, 0.1
 
 
-def calibrated(stated: float, seed: int) -> CalibrationRecord:
-    """The six faces, each four times over, set with an error of 0.1° in each angle."""
+def calibrated(stated: float | None, seed: int, visits: int = 4) -> CalibrationRecord:
+    """The six faces, each some times over, set with an error of 0.1° in each angle."""
     rng = np.random.default_rng(seed)
     measurements = []
-    for number, up in enumerate(np.tile(np.vstack([np.eye(3), -np.eye(3)]), (4, 1))):
+    for number, up in enumerate(np.tile(np.vstack([np.eye(3), -np.eye(3)]), (visits, 1))):
         leaning = up + np.cross(np.radians(rng.normal(0.0, JIG, 3)), up)
         mean = leaning + rng.normal(0.0, NOISE, 3)
         summaries = {c: SampleSummary(float(v), 1e-3, 100, NOISE, 0.0, 9.0) for c, v in zip("xyz", mean, strict=True)}
@@ -40,3 +40,17 @@ def test_a_jig_stated_twice_too_large_is_remarked(seed: int) -> None:
 def test_a_jig_as_stated_is_not() -> None:
     """A false alarm in 2 of 100."""
     assert sum(too_good(calibrated(JIG, seed)) for seed in range(10)) <= 1
+
+
+@pytest.mark.parametrize("stated", [JIG, None], ids=["stated jig", "estimated jig"])
+def test_derived_quantities_have_a_coverage_factor(stated: float | None) -> None:
+    """The misalignment of z is that of its cross terms, so that its factor lies between theirs: Student's, where few
+    residuals tell the jig."""
+    found = calibrated(stated, 1, visits=2)
+    terms = [found.uncertainty.coverage_factor[f"sensitivity.z.{axis}"] for axis in "xy"]
+    assert found.derived.uncertainty is not None
+    factor = found.derived.uncertainty.coverage_factor
+    assert factor is not None
+    for own in (factor.misalignment_degrees["z"], factor.cross_axis_percent["z"]):
+        assert min(terms) - 0.01 < own < max(terms) + 0.01
+        assert (own > 2.0) == (stated is None)
