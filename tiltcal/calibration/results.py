@@ -238,7 +238,7 @@ def _source_of_uncertainty(found: Estimate, design: Design) -> str:
     if not found.stated:
         return "residuals"
     if design.free:
-        return "noise alone: no residuals are left"
+        return "noise alone: no position is left over"
     if design.jig is None:
         return NOISE_ALONE
     return "stated noise and jig"
