@@ -10,7 +10,17 @@ from typing import Any
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, LimitsSection, SensorIdentity
 from tiltcal.files.coefficients import CoefficientsSection
-from tiltcal.files.declaration import ByKey, ByName, Converted, Either, Entry, Format, ListOf, Section, entries_of
+from tiltcal.files.declaration import (
+    ByKey,
+    ByName,
+    Converted,
+    Either,
+    Format,
+    KeyDeclaration,
+    ListOf,
+    Section,
+    entries_of,
+)
 from tiltcal.files.journal import Header
 from tiltcal.files.pair import PairFile
 from tiltcal.files.positions import TabledRow
@@ -72,11 +82,11 @@ def _rows(record: type[Any], lead: str = "") -> Iterator[str]:
             yield from _rows(inner, f"{lead}{one.key}{suffix}.")
 
 
-def _row(key: str, one: Entry, text: str) -> str:
+def _row(key: str, one: KeyDeclaration, text: str) -> str:
     return f"| `{key}` | {_default(one)} | {text} |".replace("|  |", "| |")
 
 
-def _default(one: Entry) -> str:
+def _default(one: KeyDeclaration) -> str:
     if one.required:
         return "needed"
     if one.usual or one.default is None:

@@ -129,7 +129,7 @@ def _joined(
 def _own(uncertainty: Uncertainty, coefficients: Coefficients) -> tuple[tuple[str, ...], Array, Array]:
     """Names, covariance and coverage factors of the base's coefficients in the sensor's own frame."""
     try:
-        doubt = stated_uncertainty(uncertainty, coefficients).doubt
+        doubt = stated_uncertainty(uncertainty, coefficients).inputs
     except EstimateError:
         return (), np.zeros((0, 0)), np.zeros(0)
     kept = [k for k, name in enumerate(doubt.names) if not name.startswith(TURN)]

@@ -1,1 +1,1 @@
-"""The formats: what is read, checked and written."""
+"""File formats: declared, read, checked and written."""

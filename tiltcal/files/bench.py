@@ -1,4 +1,4 @@
-"""The bench file: the sensors on one fixture, the thermometer beside them, and who stands there.
+"""The bench file: the sensors on one fixture, the thermometer beside them, and the operator's name.
 
 ::
 

@@ -45,7 +45,7 @@ def _channels(found: tuple[str, ...], node: Node, context: Context) -> tuple[str
 
 @dataclass(frozen=True)
 class SensorIdentity:
-    """Which sensor a calibration belongs to."""
+    """The sensor that a calibration belongs to."""
 
     model: str = entry(Text(), "its model, such as `sca100t-d02`; `recorded` where `fit` was told none")
     serial: str = entry(Text(), "its serial number")
@@ -131,7 +131,7 @@ class CalibrationRecord:
 
 
 def _names(key: str, found: Mapping[str, Any], context: Context) -> Context:
-    """The channels and axes that the later sections may name."""
+    """Return the channels, axes and coefficients that the later sections may name."""
     if "coefficients" in found:
         coefficients: Coefficients = found["coefficients"]
         return Context(coefficients.channels, coefficients.axes, tuple(values(coefficients)))
@@ -197,7 +197,7 @@ def calibration_of(document: Node) -> CalibrationRecord:
 
 
 def require_same_sensor(old: CalibrationRecord, new: CalibrationRecord) -> None:
-    """See that two calibrations are of one sensor.
+    """Refuse two calibrations that are not of one sensor.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def require_same_sensor(old: CalibrationRecord, new: CalibrationRecord) -> None:
 
 
 def _comments(unit: str) -> dict[str, str]:
-    """The unit behind each key of the ``calibration`` section, and behind the sections that need a word."""
+    """Return the comments of a calibration file: the units of the coefficients, by dotted key."""
     return {
         "calibration.offset": f"{unit}, at the reference temperature",
         "calibration.sensitivity": f"{unit}/g, row = channel, column = axis",
@@ -227,7 +227,7 @@ def _comments(unit: str) -> dict[str, str]:
 
 
 def changes_between(before: CalibrationRecord, after: CalibrationRecord) -> list[CoefficientChange]:
-    """Every coefficient that two calibrations of one sensor have, at the later one's reference temperature."""
+    """Return the change of every coefficient between two calibrations, at the later one's reference temperature."""
     thermal = after.coefficients.thermal
     reference = None if thermal is None else thermal.reference
     known = (known_coefficients(one.uncertainty, one.coefficients, reference) for one in (before, after))

@@ -152,14 +152,14 @@ def _equal_columns(rows: Mapping[str, Mapping[str, float]], node: Node) -> Mappi
 
 
 def in_degrees(angle: float) -> float:
-    """An angle in radians as it is written: in degrees, with 12 digits so that 60 does not become 59.99999999999999."""
+    """Return an angle in radians as degrees, with 12 digits so that 60 does not become 59.99999999999999."""
     return significant(degrees(angle), _ANGLE_DIGITS)
 
 
 def _matrix(
     rows: Mapping[str, Mapping[str, float]], node: Node, channels: Sequence[str]
 ) -> tuple[tuple[str, ...], Array]:
-    """The columns that are there, in the order x, y, z, and the matrix."""
+    """Return the columns of a matrix, in the order x, y, z, and the matrix."""
     axes = tuple(axis for axis in AXES if axis in rows[channels[0]])
     square = _square_columns(node, channels, axes)
     matrix = np.array([[rows[channel][axis] for axis in axes] for channel in channels])
@@ -184,7 +184,7 @@ def _square_columns(node: Node, channels: Sequence[str], axes: Sequence[str]) ->
 
 
 def _padded(curves: Mapping[str, Sequence[float]], channels: Sequence[str]) -> Array:
-    """Polynomials of all channels with zeros up to the longest."""
+    """Return the polynomials of all channels as a table, with zeros up to the longest."""
     order = max((len(numbers) for numbers in curves.values()), default=0)
     table = np.zeros((len(channels), order))
     for row, channel in zip(table, channels, strict=True):
@@ -194,14 +194,14 @@ def _padded(curves: Mapping[str, Sequence[float]], channels: Sequence[str]) -> A
 
 
 def _by_channel(channels: Sequence[str], table: Array) -> dict[str, tuple[float, ...]]:
-    """The rows of a table by channel; empty where it has no columns."""
+    """Return the rows of a table by channel; empty where it has no columns."""
     return {channel: tuple(row) for channel, row in zip(channels, table.tolist(), strict=True) if row}
 
 
 def _nonlinearity(
     curves: Mapping[str, Sequence[float]], node: Node, channels: Sequence[str], axes: Sequence[str]
 ) -> Array:
-    """Shares of the square and the cube of each channel's own acceleration; a reading must have one angle."""
+    """Return the shares of the square and the cube by channel; refuse a reading that has several angles."""
     table = _padded(curves, channels)
     if table.shape[1] > NONLINEAR_TERMS:
         raise node.error(f"a non-linearity has at most {NONLINEAR_TERMS} terms, the square and the cube")

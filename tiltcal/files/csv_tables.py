@@ -1,4 +1,4 @@
-"""Small tables in CSV or JSON, read as strictly as our YAML: every cell knows its file, line and column."""
+"""Small tables in CSV or JSON, read as strictly as YAML: an error names file, line and column."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ _ENTRY = "entry"
 
 @dataclass(frozen=True)
 class Context:
-    """The parts of a file, and of the command, that say what other parts may hold.
+    """What earlier parts of a file, and the user, determine for later parts.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Format(ABC, Generic[T]):
 
 
 @dataclass(frozen=True)
-class Entry:
+class KeyDeclaration:
     """One key of a section.
 
     Attributes
@@ -113,7 +113,7 @@ class Entry:
 
     @property
     def required(self) -> bool:
-        """Whether the key has to be there."""
+        """Whether the key is required."""
         return self.default is MISSING
 
 
@@ -146,15 +146,15 @@ def entry(form: Format[Any], text: str, *, default: Any = MISSING, **more: Any) 
     default : optional
         The value of an absent key; without one the key is required.
     **more
-        The other attributes of :class:`Entry`.
+        The other attributes of :class:`KeyDeclaration`.
     """
-    metadata = {_ENTRY: Entry(form, text, default, **more)}
+    metadata = {_ENTRY: KeyDeclaration(form, text, default, **more)}
     if isinstance(default, Hashable):
         return field(default=default, metadata=metadata)
     return field(default_factory=lambda: copy(default), metadata=metadata)
 
 
-def entries_of(record: type[Any]) -> dict[str, Entry]:
+def entries_of(record: type[Any]) -> dict[str, KeyDeclaration]:
     """Return the entries of a section by the names of their fields, in the order of the file."""
     found = {one.name: one.metadata[_ENTRY] for one in fields(record) if _ENTRY in one.metadata}
     return {name: replace(one, key=one.key or name) for name, one in found.items()}
@@ -355,7 +355,7 @@ class ByChannel(ByKey[T]):
 
 @dataclass(frozen=True)
 class Converted(Format[T], Generic[S, T]):
-    """A value that is judged, or made into another one, after it was read.
+    """A value that is checked, or converted to another one, after it was read.
 
     Attributes
     ----------
@@ -366,7 +366,7 @@ class Converted(Format[T], Generic[S, T]):
     back : callable or None
         From the value to what ``form`` writes; None where they are equal.
     more : mapping
-        What the JSON Schema can say of the judgement.
+        What the JSON Schema can express of the check.
     """
 
     form: Format[S]
@@ -500,11 +500,11 @@ class Section(Format[T]):
         }
 
     def _fixed(self) -> dict[str, Any]:
-        """The keys that say which file this is."""
+        """Return the keys that identify the file."""
         return {"tiltcal": FORMAT_VERSION, "kind": self.kind} if self.kind else {}
 
 
-def _refuse_former_names(node: Node, declared: Sequence[Entry]) -> None:
+def _refuse_former_names(node: Node, declared: Sequence[KeyDeclaration]) -> None:
     """Refuse a key by its name in earlier versions, with the name that it has now."""
     former = {one.formerly: one.key for one in declared if one.formerly}
     for name, value in node.entries().items():

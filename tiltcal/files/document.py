@@ -1,4 +1,4 @@
-"""YAML 1.2 with places: every value knows its file, line and key.
+"""YAML 1.2 with locations: every value has its file, line and key.
 
 PyYAML alone reads ``1e-8`` as text, ``0042`` as 34, ``12:30`` as 750 and the second of two equal keys in silence. Here
 its parser gives only the events; what a scalar means is decided by the reader's expectation under the YAML 1.2 core
@@ -77,7 +77,7 @@ def read_tiltcal_file(path: str | Path, kind: str) -> Node:
 
 
 def checked_kind(document: Node, kind: str) -> Node:
-    """The document, after a check that its ``tiltcal`` version and ``kind`` are those that are needed."""
+    """Return a document after a check of its ``tiltcal`` version and its ``kind``."""
     entries = document.entries()
     for name in ("tiltcal", "kind"):
         if name not in entries:
@@ -92,7 +92,7 @@ def checked_kind(document: Node, kind: str) -> Node:
 
 
 def read_text(path: str | Path) -> str:
-    """The text of a file that is small and UTF-8.
+    """Return the text of a small file in UTF-8.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def parse_document(text: str, file: str | None = None) -> Node:
 
 
 class _Open:
-    """A collection whose end has not come yet."""
+    """A collection whose end was not read yet."""
 
     def __init__(self, node: Node) -> None:
         self.node = node
@@ -250,7 +250,7 @@ class _Composer:
 
 
 def _events(text: str) -> Iterator[yaml.Event]:
-    """The parser's events, from the C library where PyYAML was built with it."""
+    """Return the parser's events, from the C library where PyYAML was built with it."""
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     events: Iterator[yaml.Event] = yaml.parse(text, Loader=loader)
     return events

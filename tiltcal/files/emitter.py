@@ -1,4 +1,4 @@
-"""YAML text as the house writes it: small maps in one line, large ones opened, 120 columns wide.
+"""YAML text of a fixed style: small mappings in one line, large ones opened, 120 columns wide.
 
 What is written reads back equal under YAML 1.2, and the same under YAML 1.1: a text that either would take for a
 number, a date, a truth value or nothing is quoted, and ``1e-08`` is written ``1.0e-08``. The word ``y`` alone is left
@@ -27,7 +27,7 @@ _FOLD = re.compile(r"(?<=[^\s\\]) (?=[^\s])")
 
 
 def yaml_text(data: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
-    """A mapping as a YAML document.
+    """Return a mapping as a YAML document.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def _opened_list(data: Sequence[Any], indent: int, path: str) -> Iterator[str]:
 
 
 def _value_lines(value: Any, lead: str, indent: int, key: str, comments: Mapping[str, str]) -> Iterator[str]:
-    """The lines of one value after ``lead``, which is its key or the dash of its list."""
+    """Yield the lines of a value after ``lead``, which is its key or the dash of its list."""
     if not _is_collection(value):
         yield from _scalar_lines(value, lead, indent, key)
     elif _fits(value, lead, key):
@@ -87,7 +87,7 @@ def _value_lines(value: Any, lead: str, indent: int, key: str, comments: Mapping
 
 
 def _scalar_lines(value: Any, lead: str, indent: int, key: str) -> Iterator[str]:
-    """A scalar, a long text in quotes and folded at its spaces."""
+    """Yield the lines of a scalar; a long text is quoted and folded at its spaces."""
     text = _scalar(value, key)
     if len(lead) + 1 + len(text) <= WIDTH or not isinstance(value, str):
         yield f"{lead} {text}"
@@ -97,14 +97,14 @@ def _scalar_lines(value: Any, lead: str, indent: int, key: str) -> Iterator[str]
 
 
 def _filled_list(value: Sequence[Any], lead: str, indent: int, key: str) -> Iterator[str]:
-    """A list of scalars, its lines filled."""
+    """Yield the lines of a list of scalars, each as full as the width allows."""
     texts = [_scalar(item, f"{key}[{index}]") for index, item in enumerate(value)]
     pieces = [*(f"{text}, " for text in texts[:-1]), f"{texts[-1]}]"]
     yield from _filled(pieces, f"{lead} [", " " * (indent + 2))
 
 
 def _filled(pieces: Sequence[str], first: str, margin: str) -> Iterator[str]:
-    """Lines of as many pieces as the width takes; a line's last blank is what the break stands for."""
+    """Yield lines of as many pieces as fit; the line break stands for the last blank of a line."""
     line = first
     for number, piece in enumerate(pieces):
         if number and len(line) + len(piece.rstrip()) > WIDTH:
@@ -115,7 +115,7 @@ def _filled(pieces: Sequence[str], first: str, margin: str) -> Iterator[str]:
 
 
 def _fits(value: Any, lead: str, key: str) -> bool:
-    """Whether a collection is written in one line: nothing deeper than a list of scalars, and room for it."""
+    """Return whether a collection fits in one line: it is shallow, and short enough."""
     members = list(value.values()) if isinstance(value, Mapping) else list(value)
     flat = isinstance(value, Mapping) or not any(_is_collection(item) for item in members)
     shallow = all(_is_list_of_scalars(item) or not _is_collection(item) or not item for item in members)
@@ -170,7 +170,7 @@ def _number(value: float, key: str) -> str:
 
 
 def _quoted(text: str, key: str) -> str:
-    """A text in double quotes; the escapes of JSON are a part of YAML's."""
+    """Return a text in double quotes, with the escapes of JSON, which YAML shares."""
     if any("\ud800" <= character <= "\udfff" for character in text):
         raise InputError(f"the text {text!r} is not Unicode and cannot be written to a file", key=key)
     return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found.group()):04x}", json.dumps(text, ensure_ascii=False))

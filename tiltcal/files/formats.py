@@ -1,4 +1,4 @@
-"""The formats of all files: what each is, and its JSON Schema for editors."""
+"""The declarations of all kinds of files, and their JSON Schemas for editors."""
 
 from __future__ import annotations
 

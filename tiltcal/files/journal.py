@@ -138,7 +138,7 @@ class Event:
 
 
 class Events(Sequence[Event]):
-    """The events of a journal, read from its file a block at a time: a night of six sensors has millions.
+    """The events of a journal, read from its file in blocks: a night of six sensors has millions.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ class Journal:
     digest: hashlib._Hash
 
     def plan(self) -> Header:
-        """Return what the header says of the session.
+        """Return the session's plan, from the header.
 
         Raises
         ------
@@ -293,7 +293,7 @@ def _too_long(path: Path, number: int) -> JournalError:
 
 
 class JournalWriter:
-    """Appends to a journal; every event is in the kernel's hands when :meth:`append` returns.
+    """A journal that is appended to; the operating system has an event when :meth:`append` returns.
 
     Use :meth:`create` or :meth:`resume`.
     """
@@ -335,7 +335,7 @@ class JournalWriter:
 
     @classmethod
     def resume(cls, journal: Journal) -> JournalWriter:
-        """Go on with a journal after its last whole line; the torn one is cut off.
+        """Append to a journal after its last whole line; a torn line is cut off.
 
         Raises
         ------
@@ -373,7 +373,7 @@ class JournalWriter:
         self._events += 1
 
     def secure(self) -> None:
-        """Have what was written so far on the disk.
+        """Wait until all that was written is on the disk.
 
         Raises
         ------
@@ -393,7 +393,7 @@ class JournalWriter:
         return sha256
 
     def close(self) -> None:
-        """Let the file go; closing twice is allowed."""
+        """Close the file; a second call does nothing."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
@@ -403,7 +403,7 @@ class JournalWriter:
 
 
 def write_all(descriptor: int, data: bytes) -> None:
-    """Write all of it: the operating system may take a part at a time."""
+    """Write all of the data; the operating system may take a part at a time."""
     view = memoryview(data)
     while view:
         view = view[os.write(descriptor, view) :]
@@ -447,7 +447,7 @@ def _event(line: bytes, crc: int, path: Path, number: int) -> tuple[Event, int]:
 
 
 def _body(line: bytes) -> bytes:
-    """A line without its check."""
+    """Return a line without its check."""
     return line[:-_ARRAY_CHECK] + b"]"
 
 
@@ -456,7 +456,7 @@ def _event_of(found: list[Any], number: int) -> Event:
 
 
 def _loads(body: bytes, path: Path, number: int) -> Any:
-    """The JSON of a line, without numbers that no session has and nesting that no reader survives."""
+    """Parse the JSON of a line; refuse numbers that no session has, and deep nesting."""
     try:
         return json.loads(body, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
     except RecursionError:
@@ -479,7 +479,7 @@ def _finite(literal: str) -> float:
 
 
 def _is_event(found: Any) -> bool:
-    """Whether a line has the elements of its kind, each of its type."""
+    """Return whether a line has the elements of its kind, each of its type."""
     if not isinstance(found, list) or len(found) < 2 or not _is_count(found[0]):
         return False
     _, kind, *payload = found
@@ -504,7 +504,7 @@ def _is_transaction(payload: list[Any]) -> bool:
 
 
 def _is_answer(answer: Any) -> bool:
-    """Whether this is what an operator says: words, angles of axes, a direction, a temperature."""
+    """Return whether a value is an operator's answer: words, angles, a direction, a temperature."""
     if not isinstance(answer, dict) or not {"to", "answer"} <= answer.keys() <= _ANSWER_KEYS:
         return False
     tilt, gravity = answer.get("tilt", {}), answer.get("gravity", [0, 0, 1])

@@ -1,4 +1,4 @@
-"""One value of a document: what it is, and where it stands."""
+"""One value of a document with its location."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Scalar:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One value of a document, and where it stands.
+    """One value of a document with its file, line and key.
 
     Every reading method raises :class:`InputError` with file, line and key where the value is not what is asked for.
 
@@ -55,30 +55,30 @@ class Node:
     key: str | None
 
     def error(self, message: str) -> InputError:
-        """An error that names this place, to be raised."""
+        """Return an error with this location, to be raised."""
         return InputError(message, file=self.file, line=self.line, key=self.key)
 
     @property
     def is_null(self) -> bool:
-        """Whether nothing stands here: ``null``, ``~`` or a key without a value."""
+        """Whether the value is ``null``, ``~`` or absent after its key."""
         return self._plain(_NULL) is not None
 
     @property
     def is_blank(self) -> bool:
-        """Whether this is the text ``""``."""
+        """Whether the value is the text ``""``."""
         return self.content == Scalar("", plain=False)
 
     @property
     def is_mapping(self) -> bool:
-        """Whether this is a mapping."""
+        """Whether the value is a mapping."""
         return isinstance(self.content, dict)
 
     def names(self, *words: str) -> bool:
-        """Whether one of these words stands here."""
+        """Return whether the value is one of these words."""
         return isinstance(self.content, Scalar) and self.content.text in words
 
     def text(self) -> str:
-        """The characters of a scalar, with or without quotes: ``0042`` stays ``"0042"``."""
+        """Return the characters of a scalar, with or without quotes: ``0042`` stays ``"0042"``."""
         if not isinstance(self.content, Scalar) or self.is_null:
             raise self._unexpected("text")
         if not self.content.text.strip():
@@ -87,7 +87,7 @@ class Node:
         return self.content.text
 
     def number(self, *, minimum: float | None = None, above: float | None = None) -> float:
-        """A finite number written without quotes.
+        """Return a finite number written without quotes.
 
         Parameters
         ----------
@@ -104,14 +104,14 @@ class Node:
         return value
 
     def integer(self, *, minimum: int | None = None) -> int:
-        """A whole number written without quotes, a decimal point or an exponent."""
+        """Return a whole number written without quotes, decimal point and exponent."""
         literal = self._plain(_INTEGER)
         value = self._based("a whole number") if literal is None else self._whole(literal)
         self._bounded(value, minimum, None)
         return value
 
     def flag(self) -> bool:
-        """``true`` or ``false``."""
+        """Return ``true`` or ``false`` as a bool."""
         if self._plain(_TRUE) is not None:
             return True
         if self._plain(_FALSE) is not None:
@@ -119,24 +119,24 @@ class Node:
         raise self._unexpected("true or false")
 
     def choice(self, options: Sequence[str]) -> str:
-        """One of a few words."""
+        """Return one of a few words."""
         value = self.text()
         if value not in options:
             raise self.error(f"unknown value {value!r}{_hint(value, options)}; it is one of {', '.join(options)}")
         return value
 
     def items(self) -> list[Node]:
-        """The members of a list."""
+        """Return the members of a list."""
         if not isinstance(self.content, list):
             raise self._unexpected("a list")
         return self.content
 
     def numbers(self) -> list[float]:
-        """The members of a list of finite numbers."""
+        """Return the members of a list of finite numbers."""
         return [item.number() for item in self.items()]
 
     def interval(self) -> tuple[float, float]:
-        """Two numbers ``[low, high]`` in that order."""
+        """Return two numbers ``[low, high]`` in that order."""
         bounds = self.numbers()
         if len(bounds) != 2:
             raise self.error(f"a range has two numbers [low, high], found {len(bounds)}")
@@ -146,13 +146,13 @@ class Node:
         return low, high
 
     def entries(self) -> dict[str, Node]:
-        """The members of a mapping whose keys are free."""
+        """Return the members of a mapping with any keys."""
         if not isinstance(self.content, dict):
             raise self._unexpected("a mapping")
         return self.content
 
     def mapping(self, *, required: Sequence[str] = (), optional: Sequence[str] = ()) -> dict[str, Node]:
-        """The members of a mapping whose keys are fixed.
+        """Return the members of a mapping with fixed keys.
 
         Parameters
         ----------
@@ -176,7 +176,7 @@ class Node:
         return {name: node for name, node in entries.items() if name in required or not node.is_null}
 
     def plain(self) -> Any:
-        """The value as plain Python data, for records of free form; scalars by the YAML 1.2 core schema.
+        """Return the value as plain Python data; scalars by the YAML 1.2 core schema.
 
         Raises
         ------
@@ -201,13 +201,13 @@ class Node:
         return self.content.text if isinstance(self.content, Scalar) else None
 
     def _plain(self, grammar: re.Pattern[str]) -> str | None:
-        """The text of a plain scalar that the grammar describes as a whole, or None."""
+        """Return the text of a plain scalar that matches a grammar, or None."""
         content = self.content
         fits = isinstance(content, Scalar) and content.plain and grammar.fullmatch(content.text) is not None
         return content.text if isinstance(content, Scalar) and fits else None
 
     def _based(self, expected: str = "a number") -> int:
-        """An octal or hexadecimal whole number."""
+        """Return an octal or hexadecimal whole number."""
         literal = self._plain(_BASED)
         if literal is None:
             raise self._unexpected(expected)
@@ -246,7 +246,7 @@ class Node:
 
 
 def document_of(data: Any, file: str | None = None, line: int | None = None) -> Node:
-    """Plain data as a document, so that a record is checked by the code that checks a file.
+    """Return plain data as a document, so that the code that checks a file checks a record too.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def _node_of(data: Any, file: str | None, line: int | None, key: str | None, dep
 
 
 def require_printable(text: str, file: str | None, line: int | None, key: str | None) -> None:
-    """Refuse control characters, which a terminal takes for commands; a line's end and a tab are none.
+    """Refuse control characters, which can command a terminal; line feed and tab are allowed.
 
     Raises
     ------
@@ -306,12 +306,12 @@ def require_printable(text: str, file: str | None, line: int | None, key: str | 
 
 
 def member_key(key: str | None, name: str) -> str:
-    """Dotted path of a mapping's member."""
+    """Return the dotted path of a mapping's member."""
     return name if key is None else f"{key}.{name}"
 
 
 def item_key(key: str | None, index: int) -> str:
-    """Dotted path of a list's item, counted from 0."""
+    """Return the dotted path of a list's item, counted from 0."""
     return f"{key or ''}[{index}]"
 
 

@@ -57,7 +57,7 @@ class SinCos(Format[tuple[float, float]]):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spin:
+class SpinSection:
     """The section ``spin``."""
 
     turns: float = entry(Number(above=0.0), "turns of the stage in the record")
@@ -91,7 +91,7 @@ def _by_stage(item: Format[tuple[float, float]]) -> ByKey[Mapping[str, tuple[flo
 
 
 @dataclass(frozen=True, kw_only=True)
-class PairSection:
+class PairEntry:
     """One of ``pairs`` as it stands in a file."""
 
     pair: tuple[str, ...] = entry(_NAMES, "`[first, second]`, two columns")
@@ -117,7 +117,7 @@ class PairSection:
     )
 
 
-def _matching_of(section: PairSection, node: Node, context: Context) -> Matching:
+def _matching_of(section: PairEntry, node: Node, context: Context) -> Matching:
     entries, u = node.entries(), section.uncertainty
     names = (*section.pair, section.orthogonal)
     if len(set(names)) < len(names):
@@ -140,11 +140,11 @@ def _matching_of(section: PairSection, node: Node, context: Context) -> Matching
     return Matching(pair, section.p, section.q, u.p, u.q, components)
 
 
-def _section_of(matching: Matching) -> PairSection:
-    """The section with the digits that the file has, so that what follows from them follows from the file again."""
+def _section_of(matching: Matching) -> PairEntry:
+    """Return the section with the digits of the file, so that the file gives the same derived values again."""
     matching = _rounded(matching)
     rows = {stage: matching.components[stage].items() for stage in STAGES}
-    return PairSection(
+    return PairEntry(
         pair=(matching.pair.first, matching.pair.second),
         orthogonal=matching.pair.orthogonal,
         p=matching.p,
@@ -168,14 +168,14 @@ def _distinct(found: tuple[Matching, ...], node: Node, context: Context) -> tupl
 class PairFile:
     """A pair file as it stands."""
 
-    spin: Spin = entry(Section(Spin), "how the stage turned")
+    spin: SpinSection = entry(Section(SpinSection), "how the stage turned")
     online: bool = entry(
         Flag(), "whether p and q are what the online estimator ended with", default=False, usual="`false`", kept=True
     )
     pairs: tuple[Matching, ...] = entry(
         Converted(
             ListOf(
-                Converted(Section(PairSection), _matching_of, _section_of),
+                Converted(Section(PairEntry), _matching_of, _section_of),
                 1,
                 2,
                 says="one or two pairs are needed here, found {found}",
@@ -252,7 +252,7 @@ def write_pair(path: str | Path, calibration: PairRecord) -> None:
 def dump_pair(calibration: PairRecord) -> str:
     """Return the text of a pair file; numbers have the digits that their uncertainty warrants."""
     frequency = calibration.frequency
-    spin = Spin(
+    spin = SpinSection(
         turns=significant(calibration.turns, 9),
         frequency=None if frequency is None else significant(frequency, 9),
         phase=calibration.phase,
@@ -278,7 +278,7 @@ def pair_of(document: Node) -> PairRecord:
 
 
 def _rounded(matching: Matching) -> Matching:
-    """With the digits that the file has, so that what is derived from them is derived from the file again."""
+    """Return a matching with the digits of the file."""
     components = {
         stage: {
             name: Component(

@@ -1,4 +1,4 @@
-"""A table of positions: what a sensor read on average in each, worked out elsewhere."""
+"""A table of positions: the mean readings of a sensor in each."""
 
 from __future__ import annotations
 

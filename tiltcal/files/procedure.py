@@ -1,4 +1,4 @@
-"""Procedures as data: the positions in order, the operator's sentence for each, and what they determine."""
+"""The procedure file: positions in order, the operator's sentence for each, and what they determine."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ def _distinct(positions: tuple[Position, ...], node: Node, context: Context) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class Soak:
-    """What a new temperature has to settle to."""
+    """The conditions for a new temperature to count as settled."""
 
     seconds: float = entry(Number(above=0.0), "the window, seconds")
     drift: float = entry(Number(above=0.0), "the largest drift in it, °C")
@@ -271,7 +271,7 @@ class PositionsProcedure:
 
 @dataclass(frozen=True)
 class Procedure:
-    """What is done at the bench, in order.
+    """A procedure: the positions to measure in order, or the rotation of a stage.
 
     Attributes
     ----------
@@ -323,7 +323,7 @@ class Procedure:
             )
 
     def with_turns(self, turns: int | None) -> Procedure:
-        """This procedure with so many turns at most; None leaves it as it is.
+        """Return this procedure with another limit of turns; None leaves it as it is.
 
         Raises
         ------
@@ -340,13 +340,13 @@ class Procedure:
 
 
 def shipped_procedures() -> dict[str, Path]:
-    """The files of the procedures that come with tiltcal, by name."""
+    """Return the files of the procedures that come with tiltcal, by name."""
     folder = Path(str(files("tiltcal.procedures")))
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def find_procedure(name_or_path: str, angle: float | None = None) -> Procedure:
-    """A shipped procedure by its name, or a user's by its path.
+    """Return a shipped procedure by its name, or a user's by its path.
 
     Parameters
     ----------
@@ -398,7 +398,7 @@ def read_procedure(path: str | Path, angle: float | None = None) -> Procedure:
 def procedure_from_record(
     record: Mapping[str, Any], angle: float | None = None, *, file: str | None = None, line: int | None = None
 ) -> Procedure:
-    """The procedure that a journal's header holds.
+    """Return the procedure of a journal's header.
 
     Parameters
     ----------
@@ -441,7 +441,7 @@ def _of_positions(found: PositionsProcedure, node: Node, context: Context) -> Pr
 
 
 def _with_angle(key: str, found: Mapping[str, Any], context: Context) -> Context:
-    """The angle that the positions may name."""
+    """Return the context with the angle that the positions may name."""
     if key != "angle":
         return context
     return replace(context, angle=chosen_angle(found["name"], found.get("angle"), context.given))
@@ -473,7 +473,7 @@ def chosen_angle(name: str, free: float | None, angle: float | None) -> float | 
 
 
 def _located(node: Node, direction: Any, given: Mapping[str, float] | Sequence[float]) -> Vector:
-    """A direction from what a position gives, with its place in any complaint."""
+    """Return the direction of a position; an error names its key."""
     try:
         vector: Vector = direction(given)
     except InputError as failure:
@@ -482,7 +482,7 @@ def _located(node: Node, direction: Any, given: Mapping[str, float] | Sequence[f
 
 
 def _filled_in(prompt: str, node: Node, values: Mapping[str, float | None]) -> str:
-    """The operator's sentence with ``{angle}`` and ``{temperature}`` filled in."""
+    """Return the operator's sentence with ``{angle}`` and ``{temperature}`` filled in."""
 
     def value_of(found: re.Match[str]) -> str:
         value = values.get(found.group(1))

@@ -1,4 +1,4 @@
-"""The records of a calibration file: how well the positions agree, what follows, how it was made.
+"""The records of a calibration file: quality of the fit, derived quantities, provenance.
 
 No angle is computed with them. A report shows them, ``check`` judges them and a later fit builds on them.
 """
@@ -53,7 +53,7 @@ class SuspectPosition:
 
 @dataclass(frozen=True, kw_only=True)
 class CrossValidation:
-    """How the order of the drift was chosen."""
+    """The choice of the order of the drift."""
 
     order: int = entry(Integer(minimum=1), "the order that was chosen")
     error_by_order: Mapping[str, float] = entry(
@@ -73,7 +73,7 @@ class Hysteresis:
 
 @dataclass(frozen=True, kw_only=True)
 class MountingFit:
-    """How well the positions of a mounting agree."""
+    """The quality of the fit of a mounting."""
 
     residuals_degrees: Mapping[str, float] = entry(ByName(Number()), "per position, degrees", default={})
     degrees_of_freedom: int | None = entry(Integer(minimum=0), "readings left over", default=None)
@@ -83,7 +83,7 @@ class MountingFit:
 
 @dataclass(frozen=True, kw_only=True)
 class FitRecord:
-    """How well the positions of a calibration agree, and where its uncertainty comes from."""
+    """The quality of a fit, and the sources of its uncertainty."""
 
     residuals: Mapping[str, Mapping[str, float]] = entry(
         ByName(CHANNELS),
@@ -175,7 +175,7 @@ class IntrinsicUncertainty:
 
 @dataclass(frozen=True, kw_only=True)
 class IntrinsicRecord:
-    """What does not change with the mounting of a sensor of three channels."""
+    """The parameters of a three-channel sensor that do not change with its mounting."""
 
     offset: Mapping[str, float] = entry(CHANNELS, "per channel, unit", default={})
     sensitivity: Mapping[str, float] = entry(CHANNELS, "per channel along its own direction, unit/g", default={})
@@ -199,7 +199,7 @@ class IntrinsicRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class DerivedRecord:
-    """What follows from the coefficients."""
+    """Quantities derived from the coefficients."""
 
     cross_axis_percent: Mapping[str, float] = entry(
         CHANNELS, "per channel, % (Cross-axis Compensation, eq. 1)", default={}
@@ -293,7 +293,7 @@ class RowRanges(Format[tuple[tuple[int, int], ...]]):
 
 @dataclass(frozen=True, kw_only=True)
 class PositionRecord:
-    """What was measured in one position."""
+    """The readings of one position."""
 
     position: str = entry(Text(), "its name")
     mean: Mapping[str, float] = entry(CHANNELS, "mean readings, unit", default={})
@@ -331,7 +331,7 @@ class LogRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentsRecord:
-    """Where the still segments of a log come from: a file, or how they were found."""
+    """The origin of the still segments of a log: a file, or how they were found."""
 
     name: str | None = entry(Text(), "of their file", default=None)
     sha256: str | None = entry(Text(), "the SHA-256 of their file", default=None)
@@ -343,7 +343,7 @@ class SegmentsRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchSensorRecord:
-    """One sensor of the bench of a pair."""
+    """One sensor on the stage of a pair calibration."""
 
     serial: str = entry(Text(), "its serial number")
     model: str | None = entry(Text(), "its model", default=None)
@@ -366,7 +366,7 @@ class BenchRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """How a tilt calibration was made."""
+    """The provenance of a tilt calibration."""
 
     made_by: str | None = entry(Text(), "`measurement`, `the virtual bench …`, `fit of …`", default=None)
     operator: str | None = entry(Text(), "who led the session", default=None)
@@ -390,7 +390,7 @@ class Provenance:
 
 @dataclass(frozen=True, kw_only=True)
 class SamplesRecord:
-    """How many samples of a rotation were used."""
+    """The numbers of samples of a rotation."""
 
     used: int = entry(Integer(minimum=0), "samples that were used")
     left_out: int = entry(Integer(minimum=0), "samples that were left out")
@@ -398,7 +398,7 @@ class SamplesRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class PairProvenance:
-    """How a pair calibration was made."""
+    """The provenance of a pair calibration."""
 
     made_by: str | None = entry(Text(), "`measurement`, `the virtual bench …`, `match of …`", default=None)
     operator: str | None = entry(Text(), "who led the session", default=None)

@@ -64,7 +64,7 @@ def _distinct(pairs: tuple[Pair, ...], node: Node, context: Context) -> tuple[Pa
 
 @dataclass(frozen=True)
 class Rotation:
-    """What is done while a stage turns."""
+    """The pairs that are matched while a stage turns, and when it ends."""
 
     phase: str = entry(Text(), "the channel of the stage angle, degrees")
     pairs: tuple[Pair, ...] = entry(
@@ -98,12 +98,12 @@ class Rotation:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The readings of all pairs, each once."""
+        """The channels of all pairs, each once."""
         return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
 
 
 def require_turns(turns: int) -> int:
-    """So many turns, where that many can be asked for.
+    """Return a number of turns after a check of its bounds.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The twin file: what a virtual sensor really is, ``kind: twin``.
+"""The twin file, ``kind: twin``: the true coefficients of a virtual sensor.
 
 ::
 
@@ -172,7 +172,7 @@ def _truth_of(found: TruthSection, node: Node, context: Context) -> Truth:
 
 
 def _channels(key: str, found: Mapping[str, Any], context: Context) -> Context:
-    """The channels are those that have an offset, in the order x, y, z."""
+    """Return the context with the channels that have an offset, in the order x, y, z."""
     return Context(channels=[axis for axis in AXES if axis in found["offset"]])
 
 

@@ -1,6 +1,6 @@
-"""The ``uncertainty`` section of a calibration file: what is read, and what the angles are uncertain by.
+"""The ``uncertainty`` section of a calibration file: its reader, its writer, and the inputs of the angles' uncertainty.
 
-Standard uncertainties (k = 1) in the shape of the ``calibration`` section, for people; how they hang together
+Standard uncertainties (k = 1) in the shape of the ``calibration`` section, for people; their covariance
 (``covariance``) and what each is multiplied with for an interval of 95 % (``coverage_factor``), by the coefficients'
 dotted names; and what a single ``reading`` of a log is uncertain by.
 """
@@ -51,7 +51,7 @@ _ROUNDED = 0.01  # an eigenvalue of the correlations that is below zero by more 
 
 @dataclass(frozen=True, kw_only=True)
 class Covariance:
-    """How the uncertain coefficients hang together."""
+    """The covariance of the uncertain coefficients."""
 
     parameters: tuple[str, ...] = entry(
         ListOf(Text()),
@@ -96,16 +96,16 @@ class Uncertainty(Mapping[str, float]):
 
 @dataclass(frozen=True)
 class StatedUncertainty:
-    """What a calibration file says of its uncertainty, for the kernel.
+    """The uncertainty that a calibration file states, as the inputs of an angle's uncertainty.
 
     Attributes
     ----------
-    doubt : UncertaintyInputs
+    inputs : UncertaintyInputs
     remarks : tuple of str
-        What had to be taken for granted.
+        What had to be assumed.
     """
 
-    doubt: UncertaintyInputs
+    inputs: UncertaintyInputs
     remarks: tuple[str, ...]
 
 
@@ -145,19 +145,19 @@ class UncertaintySection:
     )
     covariance: Covariance | None = entry(
         Converted(Section(Covariance), lambda found, node, context: _symmetric(found, node, context)),
-        "how the coefficients hang together",
+        "the covariance of the coefficients",
         default=None,
     )
 
 
 def _of_section(found: UncertaintySection, node: Node, context: Context) -> Uncertainty:
-    """The section with its standard uncertainties by dotted name."""
+    """Return the section with its standard uncertainties by dotted name."""
     shaped = {key: value for key, value in _SECTION.write(found).items() if key in SHAPED}
     return Uncertainty(dict(_named(shaped)), found.single_reading, found.coverage_factor, found.covariance)
 
 
 def _section_of(uncertainty: Uncertainty) -> UncertaintySection:
-    """The section in the shape of ``calibration``."""
+    """Return the uncertainty in the shape of ``calibration``."""
     shaped: dict[str, Any] = {key: {} for key in SHAPED}
     for name, u in uncertainty.items():
         *path, last = name.split(".")
@@ -185,7 +185,7 @@ UNCERTAINTY = Converted(_SECTION, _of_section, _section_of)
 def stated_uncertainty(
     uncertainty: Uncertainty, coefficients: Coefficients, *, reading_noise: float | None = None
 ) -> StatedUncertainty:
-    """What the angles of a calibration are uncertain by.
+    """Return the inputs for the uncertainty of angles.
 
     Parameters
     ----------
@@ -249,19 +249,19 @@ def stated_uncertainty(
 def known_coefficients(
     uncertainty: Uncertainty, coefficients: Coefficients, reference: float | None
 ) -> dict[str, KnownCoefficient]:
-    """How well the coefficients are known at a reference temperature, °C, or at their own; empty where nobody says."""
+    """Return the uncertainty of each coefficient at a reference temperature, °C; empty where none is stated."""
     exact = {name: KnownCoefficient(0.0) for name, u in uncertainty.items() if u == 0.0}
     try:
-        doubt = stated_uncertainty(uncertainty, coefficients).doubt
+        stated = stated_uncertainty(uncertainty, coefficients).inputs
     except EstimateError:
         return exact
-    own = np.array([not name.startswith(TURN) for name in doubt.names])
-    names = [name for name, kept in zip(doubt.names, own, strict=True) if kept]
-    return exact | known(coefficients, names, doubt.covariance[np.ix_(own, own)], doubt.factors[own], reference)
+    own = np.array([not name.startswith(TURN) for name in stated.names])
+    names = [name for name, kept in zip(stated.names, own, strict=True) if kept]
+    return exact | known(coefficients, names, stated.covariance[np.ix_(own, own)], stated.factors[own], reference)
 
 
 def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:
-    """Standard uncertainties by dotted name; a list counts from the power of its first number."""
+    """Yield standard uncertainties by dotted name; a list counts from the power of its first number."""
     for key, value in section.items():
         name = f"{lead}{key}"
         if isinstance(value, Mapping):
@@ -274,7 +274,7 @@ def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, fl
 
 
 def _joint(uncertainty: Uncertainty) -> tuple[tuple[str, ...], Array]:
-    """The uncertain coefficients and their covariance; without a stated one they are uncorrelated."""
+    """Return the uncertain coefficients and their covariance; without a stated one they are uncorrelated."""
     stated = uncertainty.covariance
     if stated is not None:
         return stated.parameters, np.array(stated.matrix, dtype=float).reshape(2 * (len(stated.parameters),))
@@ -289,7 +289,7 @@ def _joint(uncertainty: Uncertainty) -> tuple[tuple[str, ...], Array]:
 def _with_turn(
     names: tuple[str, ...], covariance: Array, mounting: Mounting, u: Mapping[str, float]
 ) -> tuple[tuple[str, ...], Array]:
-    """The same, and the mounting's turn about the application's axes, from uncorrelated angles; all in degrees."""
+    """Add the mounting's turn about the application's axes, from uncorrelated angles, degrees."""
     axes = np.column_stack(
         [
             mounting_matrix(Mounting(0.0, mounting.pitch, mounting.yaw))[:, 0],

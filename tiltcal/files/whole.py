@@ -20,7 +20,7 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[BinaryIO]:
-    """A binary stream whose content becomes the file when the block ends well.
+    """Open a binary stream whose content becomes the file when the block ends without an error.
 
     The stream writes to a file without a name in the same folder, so that a program that is killed leaves nothing
     behind; where the system knows no such files, to a temporary one. At the end it is flushed to the disk and renamed;
@@ -129,7 +129,7 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
 
 
 def _nameless(folder: Path) -> int | None:
-    """A file that is gone with its last descriptor, unless it is given a name; None where there are none such."""
+    """Open a file without a name, which vanishes unless it gets one; None where the system has no such files."""
     if not hasattr(os, "O_TMPFILE") or not os.path.exists("/proc/self/fd"):
         return None
     try:
@@ -141,13 +141,13 @@ def _nameless(folder: Path) -> int | None:
 
 
 def _keep_permissions(target: Path, stream: BinaryIO) -> None:
-    """Give the new file the permissions of the one that it replaces; some file systems have none to give."""
+    """Copy the permissions of the file that is replaced; some file systems have none."""
     with suppress(OSError):
         os.fchmod(stream.fileno(), stat.S_IMODE(target.stat().st_mode))
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the rename itself last; some file systems cannot, and then the content is safe all the same."""
+    """Write the rename to the disk; where a file system cannot, the content is safe nevertheless."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

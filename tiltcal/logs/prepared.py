@@ -176,4 +176,4 @@ def _uncertain(
     stated = stated_uncertainty(calibration.record.uncertainty, calibration.coefficients, reading_noise=reading_noise)
     for remark in stated.remarks:
         say(f"note: {remark}")
-    return CompensationWithUncertainty(compensation, calibration.coefficients, stated.doubt)
+    return CompensationWithUncertainty(compensation, calibration.coefficients, stated.inputs)

@@ -1,1 +1,1 @@
-"""Figures of a calibration."""
+"""Pages and figures of a calibration."""

@@ -112,7 +112,7 @@ def _curves(calibration: CalibrationRecord) -> dict[str, Curves]:
 def _doubt(calibration: CalibrationRecord, noise: float | None) -> UncertaintyInputs:
     """Return the uncertainty of the tilt in the sensor frame."""
     coefficients = _unmounted(calibration.coefficients)
-    doubt = stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).doubt
+    doubt = stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).inputs
     own = [k for k, name in enumerate(doubt.names) if not name.startswith(TURN)]
     return replace(
         doubt,
