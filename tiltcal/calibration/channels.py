@@ -44,7 +44,7 @@ def require_own_readings(sensor: MeasuredSensor) -> None:
 
 
 def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
-    """Return what the sensitivities tell of the wiring.
+    """Return remarks on the wiring that the sensitivities show.
 
     Raises
     ------

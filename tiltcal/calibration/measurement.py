@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any
 
 from tiltcal.core.estimation.design import STRAIGHT
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model, Population
+from tiltcal.errors import UsageError
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.files.records import PositionRecord
 
@@ -30,12 +32,27 @@ class BenchUncertainty:
         Of a heading, degrees. Not stated, headings count as exact.
     thermometer : float or None
         Of a temperature, °C. Not stated, it is the step of the sensors' own thermometers, or nothing.
+
+    Raises
+    ------
+    UsageError
+        One is negative or no number.
     """
 
     jig: float | None = None
     thermometer: float | None = None
     table: float | None = None
     heading: float | None = None
+
+    def __post_init__(self) -> None:
+        for option, value in (
+            ("--jig", self.jig),
+            ("--thermometer", self.thermometer),
+            ("--table-lean", self.table),
+            ("--heading-uncertainty", self.heading),
+        ):
+            if value is not None and not (isfinite(value) and value >= 0.0):
+                raise UsageError(f"{option} {value:g}: a standard uncertainty is 0 or more")
 
 
 @dataclass(frozen=True)

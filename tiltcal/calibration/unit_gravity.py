@@ -1,4 +1,4 @@
-"""Calibration in positions that nobody set: that gravity is 1 g in each is all that is known of them."""
+"""Calibration in positions that were not set: gravity is 1 g in each, and nothing else is known of them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def require_no_jig(procedure: Procedure, jig: float | None) -> None:
 
 
 def directed(sensors: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
-    """The sensors of a fixture with every position where the readings say that it was, for the estimator to refine.
+    """Return the sensors of a fixture with the directions that their readings show, for the estimator to refine.
 
     Parameters
     ----------

@@ -38,6 +38,12 @@ from tiltcal.logs.static_intervals import (
 from tiltcal.logs.streams import sha256_of
 
 UNKNOWN_MODEL = "recorded"
+SHORTEST = 4
+"""Rows of a window over which a sensor can be still."""
+
+LOCAL_GRAVITY = (9.7, 9.9)
+"""Gravity on the ground is between these, m/s²."""
+
 R = TypeVar("R", LogRecord, FileRecord, SegmentsRecord)
 
 FOUND_ONLY = "--window and --segments-out are for `tiltcal fit free` without --segments, which finds them"
@@ -126,6 +132,10 @@ def fit(
     source = FitSource(data, segments, _is_table(data, segments) if table is None else table, columns, window)
     source.require_sound(free=steps.determines.free)
     require_no_jig(steps, jig)
+    if gravity is not None and not LOCAL_GRAVITY[0] <= gravity <= LOCAL_GRAVITY[1]:
+        raise UsageError(
+            f"--gravity {gravity:g}: local gravity is between {LOCAL_GRAVITY[0]:g} and {LOCAL_GRAVITY[1]:g} m/s²"
+        )
     model = find_model(sensor) if sensor else None
     if model is not None:
         require_tilt(steps, model)
@@ -191,6 +201,8 @@ class FitSource:
             )
         if self.window is not None and not (free and self.finds):
             raise UsageError(FOUND_ONLY)
+        if self.window is not None and self.window < SHORTEST:
+            raise UsageError(f"--window {self.window}: a window has {SHORTEST} rows or more")
 
     def set_positions(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
         """Positions in the directions of a procedure, or in those that the segments give.

@@ -80,3 +80,17 @@ def test_a_base_with_a_mounting_is_refused(base: Path) -> None:
     base.write_text(OWN.replace("uncertainty:", "  mounting: {roll: 1.0, pitch: 0.0, yaw: 0.0}\nuncertainty:", 1))
     with pytest.raises(tiltcal.UsageError, match="has a mounting, which reversal would drop"):
         tiltcal.fit("reversal", **recorded("reversal", (2.5, 2.4)), base=base, **SENSOR)
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"jig": -0.1}, "--jig -0.1: a standard uncertainty is 0 or more"),
+        ({"thermometer": float("nan")}, "--thermometer nan: a standard uncertainty is 0 or more"),
+        ({"gravity": 12.0}, "--gravity 12: local gravity is between 9.7 and 9.9"),
+        ({"window": 2}, "--window"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(options: dict[str, Any], why: str, base: Path) -> None:
+    with pytest.raises(tiltcal.UsageError, match=why):
+        tiltcal.fit("reversal", **recorded("reversal", (2.5, 2.4)), base=base, **SENSOR, **options)
