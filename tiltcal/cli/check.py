@@ -8,20 +8,16 @@ from pathlib import Path
 import click
 
 from tiltcal.errors import UsageError
-from tiltcal.files.bench import read_bench
-from tiltcal.files.document import read_document
+from tiltcal.files.document import KINDS, checked_kind, read_document
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure import read_procedure
 from tiltcal.files.records import FileRecord
-from tiltcal.files.twin import read_twin
 
 JUDGED_FAILING = 1
-KINDS = ("tilt", "pair", "procedure", "bench", "twin")
 
 
 @click.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
 @click.argument("paths", metavar="FILE...", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--schema", type=click.Choice(KINDS), help="Print the JSON Schema of a kind of file, for an editor.")
+@click.option("--schema", type=click.Choice([*KINDS]), help="Print the JSON Schema of a kind of file, for an editor.")
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON list.")
 def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     """Check calibration files, procedures, twins and journals.
@@ -55,17 +51,13 @@ def _checked(path: Path) -> tuple[str, list[str]]:
     named = document.entries().get("kind")
     if named is None:
         raise document.error("the key 'kind' is missing: this is not a tiltcal file")
-    kind = named.choice(KINDS)
-    if kind == "procedure":
-        read_procedure(path)
-        return "procedure", []
-    if kind == "bench":
-        read_bench(path)
-        return "bench", []
-    if kind == "twin":
-        read_twin(path)
-        return "twin", []
-    return _of_calibration(path)
+    kind = named.choice(list(KINDS))
+    if kind in ("tilt", "pair"):
+        return _of_calibration(path)
+    from tiltcal.files.formats import FORMATS
+
+    FORMATS[kind].read(checked_kind(document, kind))
+    return kind, []
 
 
 def _is_journal(path: Path) -> bool:

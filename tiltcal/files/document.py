@@ -29,8 +29,8 @@ KINDS = {
     "tilt": "a tilt calibration",
     "pair": "a pair calibration, as 'tiltcal match' writes it",
     "procedure": "a procedure, as 'tiltcal measure' runs it",
-    "twin": "a virtual sensor, for an address such as sim:?twin=FILE",
     "bench": "a bench, for 'tiltcal measure --bench'",
+    "twin": "a virtual sensor, for an address such as sim:?twin=FILE",
 }
 
 
