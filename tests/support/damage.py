@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from copy import deepcopy
 from random import Random
 from typing import Any
 from zlib import crc32
@@ -123,7 +124,7 @@ def damaged_value(draw: Random, value: Any) -> Any:
     """Put another value, key or item into one place of a structure."""
     places = list(_places(value))
     if not places:
-        return draw.choice(VALUES)
+        return deepcopy(draw.choice(VALUES))
     for _ in range(draw.choice((1, 1, 1, 1, 2, 3))):
         holder, key = draw.choice(places)
         try:
@@ -131,13 +132,13 @@ def damaged_value(draw: Random, value: Any) -> Any:
                 case 0 | 1:
                     holder[key] = _near(draw, holder[key], places)
                 case 4 | 5:
-                    holder[key] = draw.choice(VALUES)
+                    holder[key] = deepcopy(draw.choice(VALUES))
                 case 2:
                     del holder[key]
                 case 3 if isinstance(holder, dict):
-                    holder[draw.choice(WORDS)] = holder[key]
+                    holder[draw.choice(WORDS)] = deepcopy(holder[key])
                 case _:
-                    holder[key] = [holder[key], holder[key]]
+                    holder[key] = [holder[key], deepcopy(holder[key])]
         except (KeyError, IndexError):  # the place went with the one before
             continue
     return value
@@ -151,7 +152,7 @@ def _near(draw: Random, value: Any, places: Sequence[tuple[Any, Any]]) -> Any:
         changed = draw.choice((-value, 0, 1, 2, 1.5 * value, value + 1, 1e-300, 1e300, 1e-9 * value, 1e9 * value))
         return int(changed) if isinstance(value, int) and draw.random() < 0.7 else changed
     others = [holder[key] for holder, key in places if _holds(holder, key) and type(holder[key]) is type(value)]
-    return draw.choice(others or [value])
+    return deepcopy(draw.choice(others or [value]))
 
 
 def _holds(holder: Any, key: Any) -> bool:
