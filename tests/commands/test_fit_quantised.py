@@ -50,16 +50,23 @@ def calibrated(folder: Path, data: np.ndarray) -> CalibrationRecord:
 
 class TestQuantisation:
     def test_a_channel_that_stands_at_a_rounded_value_is_uncertain_by_the_rounding(self, tmp_path: Path) -> None:
-        """One count, rectangular: 1/sqrt(12) a face, and the offset is the mean of six."""
+        """One count, rectangular: 1/sqrt(12) a reading. Four faces read alike and share theirs: the offset is the mean
+        of one of them and the two others."""
         coarse = readings(noise=1.0)
         coarse[:, :, 1] = 100.0 * np.array([[0], [0], [1], [-1], [0], [0]]) - 4.0
         found = calibrated(tmp_path, np.round(coarse))
-        assert found.uncertainty["offset.y"] == pytest.approx(1.0 / sqrt(12) / sqrt(6), rel=0.01)
+        assert found.uncertainty["offset.y"] == pytest.approx(1.0 / sqrt(12) / sqrt(3), rel=0.01)
 
     def test_noise_of_a_step_averages_it_out(self, tmp_path: Path) -> None:
         """What is left is noise and rounding of single samples over the root of all of them."""
         found = calibrated(tmp_path, np.round(readings(noise=1.0)))
         assert found.uncertainty["offset.y"] == pytest.approx(sqrt((1.0 + 1 / 12) / 6 / SAMPLES), rel=0.15)
+
+    def test_a_converter_ten_times_coarser_than_the_noise(self, tmp_path: Path) -> None:
+        """Most faces read one value in all channels: they are quantised, not stuck, and the rounding counts."""
+        found = calibrated(tmp_path, np.round(readings(noise=0.1, seed=5, scale=103.37)))
+        assert 0.7 / sqrt(12) / sqrt(3) < found.uncertainty["offset.x"] < 1.1 / sqrt(12) / sqrt(3)
+        assert abs(found.coefficients.offset[0] - 7.31) < 2 * found.uncertainty["offset.x"]
 
 
 class TestStuck:

@@ -14,6 +14,7 @@ import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.detection import identical_by_chance, resolution
+from tiltcal.core.estimation.pooling import noise_under_rounding
 from tiltcal.core.frames import Vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.statistics import SampleSummary, drift, summarise
@@ -260,9 +261,13 @@ def _require_temperatures(holds: Sequence[StaticInterval], file: str) -> None:
 
 
 def _require_alive(holds: Sequence[StaticInterval], step: float, file: str) -> None:
-    """Refuse a channel that stood at one value where its own noise would have moved it."""
-    usual = {c: float(np.median([hold.summaries[c].std for hold in holds])) for c in holds[0].summaries}
-    for channel, noise in usual.items():
+    """Refuse a channel that stood at one value where its own noise would have moved it.
+
+    The noise is that of all segments before rounding: a converter that is coarser than the noise stands still, too.
+    """
+    for channel in holds[0].summaries:
+        scatter = float(np.mean([hold.summaries[channel].std ** 2 for hold in holds]))
+        noise = noise_under_rounding(scatter, step) if step else sqrt(scatter)
         for hold in holds:
             summary = hold.summaries[channel]
             if summary.std == 0.0 and not identical_by_chance(summary.n, noise, step):
@@ -288,8 +293,6 @@ def _hold(record: RecordedReadings, step: float, parts: Sequence[Segment], name:
     temperature = samples.pop(TEMPERATURE, None)
     for part in parts:
         _require_readings(record, part, list(samples), file)
-    if all(np.ptp(values) == 0.0 for values in samples.values()):
-        raise _refusal(parts[0], "all samples are identical: the sensor was stuck, not still; choose other rows", file)
     known = None if temperature is None else temperature[np.isfinite(temperature)]
     return StaticInterval(
         name,

@@ -75,8 +75,8 @@ class Design:
     reference : float
         Reference temperature, °C; used where an order is above 0.
     jig : float or None
-        Standard uncertainty of each set angle, degrees, normal and per axis. None: not stated, all positions count the
-        same and their scatter says how uncertain they are. Infinite: the directions are only a first guess, and unit
+        Standard uncertainty of each set angle, degrees, normal and per axis. None: not stated, and estimated from the
+        residuals. Infinite: the directions are only a first guess, and unit
         gravity alone determines the coefficients.
     table : float or None
         Standard uncertainty of the table's lean, degrees per axis; all positions share it. None where nothing is known

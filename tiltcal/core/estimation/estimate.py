@@ -5,8 +5,8 @@ chooses how far its attitudes are unknowns:
 
 - **stated**, any angle from 0 up: each attitude is an unknown with the jig's uncertainty as its prior. At 0 it is
   ordinary weighted least squares.
-- **not stated** (None): the attitudes are taken as set, all positions count the same, and the residuals say how
-  uncertain the result is.
+- **not stated** (None): the residuals show its uncertainty, and the equations are solved as if that was stated
+  (:mod:`tiltcal.core.estimation.variance_components`).
 - **infinite**: the attitudes are free, and unit gravity alone determines the coefficients. The mounting rotation is
   then undetermined; the gauge is an upper-triangular sensitivity matrix of the first sensor with three channels.
 """

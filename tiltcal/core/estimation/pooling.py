@@ -53,7 +53,7 @@ TIMES = np.geomspace(0.02, 30.0, 400)
 ENOUGH = 5.0
 """Correlation times that a block should have."""
 
-HARMONICS = np.arange(1, 21)
+HARMONICS = np.arange(1, 1001)
 
 COARSE = 0.5
 """Noise below this share of the reading's step leaves a rounding error in a mean."""
@@ -154,9 +154,18 @@ def noise_of_means(
             return (
                 np.where(drawn, common, variance),
                 np.where(drawn, float(np.sum(dof[drawn])), inf),
-                np.full(len(variance), sqrt(_rounding_variance(noise, step))),
+                sqrt(_rounding_variance(noise, step)) * np.sqrt(_alike(summaries, step)),
             )
     return (*pooled(variance, dof), rounding)
+
+
+def _alike(summaries: Sequence[SampleSummary], step: float) -> Array:
+    """Count the positions that read the same within half a step: they share one rounding error.
+
+    The root of the count makes the mean of positions that are alike as uncertain as one of them.
+    """
+    means = np.array([summary.mean for summary in summaries])
+    return np.asarray(np.sum(np.abs(means[:, None] - means) < step / 2.0, axis=1), dtype=np.float64)
 
 
 def noise_under_rounding(scatter: float, step: float) -> float:
