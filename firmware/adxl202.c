@@ -88,8 +88,6 @@ static bool measure(uint8_t pin, struct cycle *found)
 
     cli();
     overflows = 0;
-    TIFR1 = _BV(TOV1);
-    TIMSK1 = _BV(TOIE1);
     PCMSK2 = _BV(pin);
     PCIFR = _BV(PCIF2);
     edge.fresh = false;
@@ -98,7 +96,6 @@ static bool measure(uint8_t pin, struct cycle *found)
         if (await(pin, false, &fall) && await(pin, true, &rise) && await(pin, false, &fall) && await(pin, true, &next))
             break;
     PCMSK2 = 0;
-    TIMSK1 = 0;
     found->t1 = fall - rise;
     found->t2 = next - rise;
     return overflows < PATIENCE;
@@ -177,6 +174,8 @@ int main(void)
     EICRA = _BV(ISC11) | _BV(ISC01);
     TCCR1A = 0;
     TCCR1B = _BV(CS10);
+    /* Always on: were it switched on for a measurement, an overflow just before that might go uncounted. */
+    TIMSK1 = _BV(TOIE1);
     /* 16 MHz / 8 / 17 is 117647 baud, 2.1 % beside 115200, as these boards' own boot loader has it. */
     UCSR0A = _BV(U2X0);
     UBRR0 = 16;

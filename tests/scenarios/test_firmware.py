@@ -61,6 +61,13 @@ def test_every_period_of_the_part_and_those_of_the_timer(board: Board, period: i
         assert max(map(abs, one)) <= 0.3 * 160_000 / period
 
 
+@pytest.mark.parametrize("x", [8_000, 8_001])
+def test_an_overflow_as_a_measurement_begins_is_counted(board: Board, x: int) -> None:
+    """Sentence 313 of this run once had a T2 that was short by a whole round of the timer."""
+    pulses = Pulses(16_000, x, 8_000, centred=True)
+    assert max(abs(error) for one in errors(board.run(pulses, 3.0), pulses) for error in one) <= 0.3
+
+
 def test_ten_minutes_without_a_lost_or_damaged_sentence(board: Board) -> None:
     pulses = Pulses(160_000, 71_234, 93_211, centred=True)
     found = errors(board.run(pulses, 600.0), pulses)
