@@ -6,7 +6,6 @@ The names below are the library; each is imported when it is first used, so that
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 from tiltcal.errors import (
     BusError,
@@ -20,6 +19,9 @@ from tiltcal.errors import (
     TiltcalError,
     UsageError,
 )
+
+TYPE_CHECKING = False
+"""Not that of ``typing``: until ``tiltcal.__main__`` runs, Ctrl-C is Python's, so nothing slow is imported."""
 
 if TYPE_CHECKING:
     from tiltcal.bench.measure import measure, open_sensor

@@ -18,7 +18,11 @@ A message says what was found, where, and what to do.
 
 from __future__ import annotations
 
-from pathlib import Path
+TYPE_CHECKING = False
+"""Not that of ``typing``, which takes time to import; see ``tiltcal/__init__.py``."""
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 class TiltcalError(Exception):

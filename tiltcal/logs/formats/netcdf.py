@@ -26,6 +26,7 @@ from tiltcal.core.model import Array
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.logs.cf_attributes import describe, is_judgement, seconds_of_unit
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
+from tiltcal.logs.streams import interrupts_held
 
 _ROWS = 1 << 16
 """Of a block, or as many as a chunk of the file holds, which is unpacked as a whole."""
@@ -197,10 +198,15 @@ class NetcdfWriter(LogWriter):
         first = next(rows)
         columns = list(first[0].values)
         dimension, like = log.dimension(columns), log.attributes(log.names[columns[0]])
-        with _refusing_to_add(log.name), h5netcdf.File(self._sink, "r+", decode_vlen_strings=True) as file:
+        with (
+            interrupts_held() as check_interrupts,
+            _refusing_to_add(log.name),
+            h5netcdf.File(self._sink, "r+", decode_vlen_strings=True) as file,
+        ):
             variables = {name: self._variable(file, name, dimension, like) for name in self._added}
             start = 0
             for block, table in chain([first], rows):
+                check_interrupts()
                 for name, values in table.items():
                     variables[name][start : start + len(block)] = np.asarray(values)
                 start += len(block)
