@@ -127,7 +127,7 @@ def _each(tasks: Sequence[ApplyTask], scheduler: str | None, as_json: bool) -> i
     told = {}
     for task, outcome in done_here(tasks) if scheduler is None else done_on(scheduler, tasks):
         if isinstance(outcome, TiltcalError):
-            _say(f"{task.log} failed and failed and is left out: {outcome}")
+            _say(f"{task.log} failed and is left out: {outcome}")
             continue
         told[task.log] = {"output": task.output, **outcome.as_data()}
         if not as_json:
