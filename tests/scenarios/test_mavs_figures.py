@@ -24,7 +24,7 @@ from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.twin import read_twin
 
 TWIN = FIXTURES / "twins" / "mavs.yaml"
-SEEDS = range(12)
+SEEDS = range(6)
 LEVEL = (0.0, 0.0, 1.0)
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ Gravity = tuple[float, float, float]
 
 @pytest.fixture(scope="module")
 def calibrations(tmp_path_factory: pytest.TempPathFactory) -> list[CalibrationRecord]:
-    """Twelve benches: the same part, set anew by hand each time."""
+    """Six benches: the same part, set anew by hand each time."""
     folder = tmp_path_factory.mktemp("mavs")
     found = []
     for seed in SEEDS:

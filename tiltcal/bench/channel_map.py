@@ -41,7 +41,7 @@ class ChannelRef:
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """Where the readings of a rotation come from.
+    """The devices and values that give the readings of a rotation.
 
     Attributes
     ----------

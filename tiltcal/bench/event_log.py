@@ -25,7 +25,7 @@ REMEMBERED = 32
 
 
 class SessionState(Enum):
-    """Where a session is on its event log."""
+    """The position of a session on its event log."""
 
     PLAYING = "the next event is in the journal"
     RESUMING = "the journal is played, and nothing has happened since"
@@ -50,10 +50,6 @@ class EventLog:
         What was captured before.
     writer : JournalWriter, optional
         Where live events go. Without one nothing live may happen: that is a replay.
-
-    Attributes
-    ----------
-    state : SessionState
     """
 
     def __init__(self, clock: Clock, journal: Journal | None = None, writer: JournalWriter | None = None) -> None:

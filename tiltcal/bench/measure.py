@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from tiltcal.bench.operators.opening import open_operator
 from tiltcal.bench.sensor_set import open_device
 from tiltcal.bench.session import Session
+from tiltcal.bench.session_calibration import changes_in_words
 from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, plan_session, single
 from tiltcal.bench.virtual import VirtualBench
 from tiltcal.calibration.calibrate import base_of
@@ -53,6 +54,7 @@ def measure(
     turns: int | None = None,
     base: str | Path | None = None,
     typical_temperature: bool = False,
+    closing: bool = False,
     journal: str | Path | None = None,
     resume: str | Path | None = None,
     plain: bool = False,
@@ -95,6 +97,8 @@ def measure(
         The sensor's calibration file, which a mounting completes.
     typical_temperature : bool
         Whether the data sheet's mean temperature curves stand in for a temperature run.
+    closing : bool
+        Whether the first position is visited once more at the end, which shows what has changed meanwhile.
     journal : str or Path, optional
         Where the session is captured; by default beside the output.
     resume : str or Path, optional
@@ -130,6 +134,7 @@ def measure(
             procedure, bench, resume, {"--sensor": sensor, "--address": address, "--serial": serial, "-o": output}
         )
         steps = find_procedure(str(procedure), tilt).with_turns(turns)
+        steps = steps.with_closing() if closing else steps
         require_no_jig(steps, jig)
         if steps.rotation is not None:
             _require_no_positions(samples, settle, jig)
@@ -174,6 +179,8 @@ def measure(
     for one in calibrations:
         for note in one.fit.notes:
             remark(f"{one.sensor.serial}: {note}")
+        if session.plan.procedure.closes:
+            remark(changes_in_words(one.record))
     return calibrations[0] if len(session.plan.sensors) == 1 else calibrations
 
 

@@ -67,6 +67,7 @@ def plan(
     noise: float | None = None,
     samples: int | None = None,
     tilt: float | None = None,
+    closing: bool = False,
 ) -> PredictedUncertainty | PredictedMounting | PlannedRotation:
     """Predict how well a procedure will determine every coefficient, before anybody starts.
 
@@ -90,6 +91,8 @@ def plan(
         Per position, in place of the procedure's.
     tilt : float, optional
         The angle that the procedure leaves free, degrees.
+    closing : bool
+        Whether the first position is visited once more at the end.
 
     Returns
     -------
@@ -111,6 +114,7 @@ def plan(
     if address is not None:
         model = model.at(parse_address(address))
     steps = find_procedure(procedure, tilt)
+    steps = steps.with_closing() if closing else steps
     require_no_jig(steps, jig)
     if steps.rotation is not None:
         channels = map_channels(steps.rotation, [("", model)])

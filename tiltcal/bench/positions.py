@@ -19,7 +19,7 @@ from tiltcal.files.procedure import Position
 
 @dataclass(frozen=True)
 class SessionSettings:
-    """What the command line may change of a procedure.
+    """The settings of a procedure that a session may change.
 
     Attributes
     ----------

@@ -24,12 +24,12 @@ from tiltcal.errors import HardwareError, UsageError
 from tiltcal.files.journal import write_all
 
 SECURE_NS = 1_000_000_000
-"""How long a row may wait for the disk."""
+"""Time that a row may wait for the disk, ns."""
 
 
 @dataclass
 class RecordingTally:
-    """What a recording holds so far.
+    """The content of a recording so far.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ def header(connected: Sequence[ConnectedSensor], *, thermometer: bool) -> list[s
 def sample_rows(
     stream: BinaryIO, connected: Sequence[ConnectedSensor], started: datetime, events: EventLog, thermometer: bool
 ) -> Listener:
-    """What writes a session's samples as the rows of a log; a sensor that was given up leaves its cells empty.
+    """Return a listener that writes samples as the rows of a log; a sensor that was given up leaves its cells empty.
 
     Parameters
     ----------

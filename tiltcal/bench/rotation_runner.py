@@ -27,11 +27,11 @@ from tiltcal.files.records import BenchRecord, BenchSensorRecord, PairProvenance
 from tiltcal.files.rotation import Rotation
 
 BLOCK_NS = 200_000_000
-"""How long samples are collected before they are looked at, and before the operator is polled."""
+"""Time over which samples are collected before they are judged and the operator is polled, ns."""
 LARGEST_BLOCK = 16
-"""Samples: fewer than a turn has, so that no turn goes by untold."""
+"""Samples: fewer than a turn has, so that every turn is told."""
 SOONEST = 5
-"""Turns before p and q are called known: from fewer nobody sees how the turns scatter."""
+"""Turns before p and q are called known: fewer do not show how the turns scatter."""
 
 KEPT = "the samples before count"
 CONVERGED, ALL_TURNS, STOPPED = "p and q are known as asked", "all turns are made", "the operator stopped"
@@ -39,7 +39,7 @@ CONVERGED, ALL_TURNS, STOPPED = "p and q are known as asked", "all turns are mad
 
 @dataclass(frozen=True)
 class RotationResult:
-    """What a rotation gave.
+    """The result of a rotation.
 
     Attributes
     ----------
@@ -68,22 +68,12 @@ class RotationResult:
 
     @property
     def frequency(self) -> float | None:
-        """Of the spin, Hz; None where no time passed."""
+        """The frequency of the spin, Hz; None where no time passed."""
         return self.turns / self.seconds if self.seconds > 0.0 else None
 
 
 class RotationRunner:
-    """One session at a turning stage.
-
-    Parameters
-    ----------
-    rotation : Rotation
-    channels : ChannelMap
-    sensors : SensorSet
-    operator : RotationOperator
-    log : EventLog
-    clock : RecordedClock
-    """
+    """One session at a turning stage."""
 
     def __init__(
         self,
@@ -109,10 +99,6 @@ class RotationRunner:
 
     def run(self, title: str) -> RotationResult:
         """Let the stage turn until the pairs are matched.
-
-        Parameters
-        ----------
-        title : str
 
         Raises
         ------
@@ -210,7 +196,7 @@ class RotationRunner:
         block.readings.append([ref.value(sample) for ref in self._channels.readings])
 
     def _stops(self, collected: RotationSamples) -> bool:
-        """Whether the operator said stop, and there is enough to stop with."""
+        """Return whether the operator said stop, and enough turns are made."""
         # One message of a fast line may hold samples for several blocks: the place of a word is a number of samples.
         if self._log.poll(f"turning {self._samples}", self._operator.poll) is None:
             return False

@@ -1,4 +1,4 @@
-"""What a turning stage has given so far: its samples, summed up as they come.
+"""The samples of a turning stage, summed up as they come.
 
 Every sample goes to two estimators. The recursive ones tell what p and q are by now; the regression over all that
 counts gives the result. What cannot be used (the stage stands or turns back, a gap, missing values) is held from both.
@@ -47,11 +47,7 @@ class SampleBlock:
 
 
 class SampleSpan:
-    """What was used of a stage between two interruptions.
-
-    Parameters
-    ----------
-    channels : sequence of str
+    """The samples between two interruptions that are used.
 
     Attributes
     ----------
@@ -98,7 +94,7 @@ class SampleSpan:
 
 
 class RotationSamples:
-    """What a turning stage has given so far; it takes no more memory the longer it turns.
+    """The samples of a turning stage so far, in memory that does not grow with the turns.
 
     Parameters
     ----------
@@ -135,12 +131,12 @@ class RotationSamples:
 
     @property
     def holds(self) -> str:
-        """Why samples are held now; empty where they are not, or where the stage has yet to begin."""
+        """The reason why samples are held now; empty where they count, or before the stage turns."""
         return self._stream.why if self._stream.turns else ""
 
     @property
     def idle(self) -> str:
-        """Why waiting is of no use, where nothing counts since the beginning or the last interruption; else empty."""
+        """The reason why waiting is of no use; empty where samples count since the start or the last interruption."""
         turned = self._seen.turns
         if self._stream.turns > self._began or STANDSTILL <= turned < 1.0:
             return ""
@@ -174,7 +170,7 @@ class RotationSamples:
         return told
 
     def interrupt(self) -> int:
-        """What comes from here on may have another zero of the angle, and other offsets: the device was out of sight.
+        """Begin a new span: after an interruption the zero of the angle and the offsets may be others.
 
         What was collected since the last time is kept where it is turns enough to tell its phase.
 
@@ -199,7 +195,7 @@ class RotationSamples:
         return {name: one for name, one in found.items() if isfinite(one.u_p) and isfinite(one.u_q)}
 
     def known_to(self, uncertainty: float) -> bool:
-        """Whether p and q of every pair are known so well.
+        """Return whether p and q of every pair are known with this standard uncertainty.
 
         The recursive estimators propose it, unless they had to begin anew; the regression has to agree, by how the
         turns scatter and by the noise within them.

@@ -1,4 +1,4 @@
-"""What is wrong with the samples of a position: values far off, absurd temperatures, rails, a channel that is stuck."""
+"""Checks of the samples of a position: values far off, absurd temperatures, rails, a channel that is stuck."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TEMPERATURE_JUMP = 5.0
 """A temperature this far from the median of a position's is a failed conversion, °C."""
 
 AGREEMENT = 20.0
-"""How far a position's temperature may be from the one asked for, or from that of its neighbours, °C."""
+"""The largest distance of a position's temperature from the one asked for, or from a position before, °C."""
 
 DIFFERENT = 0.1
 """A difference of gravity along a channel that every sensor reads as a change, g."""

@@ -23,7 +23,7 @@ Sample = tuple[Reading, ...]
 """One reading of each sensor of a set, in its order."""
 
 Listener = Callable[[Mapping[str, Reading]], None]
-"""Has the readings of a sample by serial number."""
+"""Takes the readings of a sample by serial number."""
 
 ATTEMPTS = 5
 """Failures in a row after which a sensor is given up."""
@@ -52,7 +52,7 @@ class ConnectedSensor:
 
     @property
     def identity(self) -> SensorIdentity:
-        """What the calibration file says the sensor is."""
+        """The identity of the sensor in its calibration file."""
         return SensorIdentity(self.model.name, self.serial, self.model.unit, self.model.channels)
 
 
@@ -147,7 +147,7 @@ class SensorSet:
         return readings, reasons
 
     def discard(self) -> None:
-        """Drop what sensors sent while nobody listened.
+        """Drop what the sensors sent before now.
 
         Raises
         ------
@@ -218,10 +218,6 @@ def connected(
         What drivers wait on.
     virtual : VirtualBench
         Makes the twins of ``sim:`` addresses.
-
-    Yields
-    ------
-    SensorSet
     """
     devices = (*sensors, thermometer) if thermometer is not None else tuple(sensors)
     links = [

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SessionResult:
-    """What a session gave.
+    """The result of a session.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class Session:
 
     @property
     def outputs(self) -> list[Path]:
-        """Where the calibration files go, one per sensor, or one for all pairs of a stage."""
+        """The calibration files, one per sensor, or one for all pairs of a stage."""
         return [self._output(device) for device in self.plan.sensors if device.output]
 
     @property

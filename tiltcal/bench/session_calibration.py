@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from math import hypot
 from typing import Any
 
 from tiltcal.bench.positions import PositionResult
@@ -91,6 +92,19 @@ def tilt_provenance(plan: SessionPlan, device: DeviceSetup, ending: SessionEnd) 
         ),
         link_statistics=None if statistics is None else dict(statistics),
     )
+
+
+def changes_in_words(calibration: CalibrationRecord) -> str:
+    """Return how the readings of the last position differ from those of the first, where both are one position."""
+    first, last = calibration.positions[0], calibration.positions[-1]
+    coefficients, unit = calibration.coefficients, calibration.sensor.unit
+    parts = []
+    for row, channel in enumerate(coefficients.channels):
+        change = last.mean[channel] - first.mean[channel]
+        u = hypot((first.u or {}).get(channel, 0.0), (last.u or {}).get(channel, 0.0))
+        sensitivity = abs(float(coefficients.sensitivity[row, coefficients.axes.index(channel)]))
+        parts.append(f"{channel} {change:+.3g} ± {2 * u:.2g} {unit} ({1000 * change / sensitivity:+.2g} mg)")
+    return f"{calibration.sensor.serial}: back in {first.position} the readings have changed by {', '.join(parts)}"
 
 
 def _base(plan: SessionPlan) -> CalibrationRecord | None:

@@ -277,7 +277,7 @@ def stamp(moment: datetime) -> str:
 
 
 def _require_population(plan: SessionPlan) -> None:
-    """Refuse mean temperature curves that nobody knows, or that the procedure measures itself."""
+    """Refuse mean temperature curves that have no source, or that the procedure measures itself."""
     determines = plan.procedure.determines
     if plan.procedure.rotation is not None:
         raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: a pair has no temperature terms")
@@ -329,5 +329,5 @@ def require_in_range(procedure: Procedure, model: Model, orientation: Orientatio
 
 
 def _to_the_millisecond(moment: datetime) -> datetime:
-    """What a stamp can hold, so that a replay counts from the same instant."""
+    """Return the moment as a time stamp holds it, so that a replay counts from the same instant."""
     return moment.replace(microsecond=moment.microsecond // 1000 * 1000)

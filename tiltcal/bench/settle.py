@@ -19,14 +19,18 @@ FEWEST = 5
 """Readings without which nothing can be said of a window."""
 
 NEAR = 2.0
-"""How far a sensor's own thermometer may be from the temperature that was asked for, °C."""
+"""The largest distance of a sensor's own thermometer from the temperature that was asked for, °C."""
 
 LONG = 10
 """Windows that count as a long one. Over it a temperature must hold where the thermometer is not near the one asked
 for, and a reading whose noise hides a slow drift over one window."""
 
+SOAKS = 3
+"""Windows over which a soaking sensor must not drift either. One window is judged again and again while it waits, so
+that chance lets a slow drift pass one of them some time."""
+
 JUDGEMENTS = 20
-"""How often in one window the readings are judged."""
+"""Judgements of the readings in one window."""
 
 SIGMAS = 4.0
 """A drift below this many of its own standard uncertainties is noise."""
@@ -40,14 +44,17 @@ STILL = 0.0005
 STEADY = 0.002
 """A drift below this in one window is a sensor at its temperature, g (0.11° near level)."""
 
+SOAKED = 0.001
+"""A drift below this over the soaking windows is a sensor at its temperature, g."""
+
 SHAKING = 0.1
 """Scatter above this is a sensor in someone's hand, g."""
 
 PATIENCE = 60.0
-"""How long a position may take to become still, seconds."""
+"""Time in which a position must become still, seconds."""
 
 OVERNIGHT = 12 * 3600.0
-"""How long a chamber may take to its temperature, seconds."""
+"""Time in which a chamber must reach its temperature, seconds."""
 
 Timed = tuple[float, Sample]
 """A sample with its time in seconds."""
@@ -59,7 +66,7 @@ class Unsettled(Exception):
 
 @dataclass(frozen=True)
 class Window:
-    """What the readings must hold over.
+    """The time over which readings must stand still.
 
     Attributes
     ----------
@@ -68,7 +75,7 @@ class Window:
     temperature_drift : float or None
         The largest change of temperature in it, °C; None where temperature does not matter.
     target : float or None
-        The temperature that was asked for, °C; None where the thermometer's word does not matter.
+        The temperature that was asked for, °C; None where the thermometer does not count.
     """
 
     seconds: float
@@ -139,7 +146,7 @@ def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Cal
 
 
 def _still_moving(held: deque[Timed], models: Sequence[Model], window: Window) -> str | None:
-    """What still changes, empty where it is too early to say, None where all is at rest."""
+    """Return what still changes; empty where it is too early to judge, None where all is at rest."""
     now, sample = held[-1]
     why = ""
     if len(held) >= FEWEST and now - held[0][0] >= window.seconds and window.near(sample):
@@ -147,6 +154,8 @@ def _still_moving(held: deque[Timed], models: Sequence[Model], window: Window) -
         recent = list(islice(held, min(start, len(held) - FEWEST), None))
         still = STEADY if window.soaking else STILL
         moving = movement(recent, models, window.temperature_drift, still=still, shown=window.soaking)
+        if moving is None and window.soaking:
+            moving = _drifting(held, models, SOAKS * window.seconds)
         if moving is None:
             return None
         why = moving
@@ -158,6 +167,14 @@ def _still_moving(held: deque[Timed], models: Sequence[Model], window: Window) -
     return why
 
 
+def _drifting(held: deque[Timed], models: Sequence[Model], seconds: float) -> str | None:
+    """Return what drifts over the last seconds, or that they have not passed yet; None where nothing does."""
+    now = held[-1][0]
+    if now - held[0][0] < seconds:
+        return f"steady for {now - held[0][0]:.0f} s of {seconds:.0f} s"
+    return movement([one for one in held if now - one[0] <= seconds], models, still=SOAKED)
+
+
 def movement(
     held: Sequence[Timed],
     models: Sequence[Model],
@@ -166,7 +183,7 @@ def movement(
     sigmas: float = SIGMAS,
     shown: bool = False,
 ) -> str | None:
-    """What changes over a run of samples, in words, or None.
+    """Return what changes over a run of samples, in words; None where nothing does.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ def _to_sensor(device: DeviceSetup, truth: Truth) -> Callable[[Vector], Vector]:
 
 
 def truth_of(address: Address, model: Model) -> Truth:
-    """What the virtual sensor behind a ``sim:`` address really is.
+    """Return the truth of the virtual sensor behind a ``sim:`` address.
 
     Raises
     ------

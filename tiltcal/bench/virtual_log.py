@@ -39,7 +39,7 @@ class VirtualRow:
     tilt: dict[str, float]
 
 
-def walk(
+def sweep(
     address: Address, model: Model, *, rows: int, reach: float, temperatures: tuple[float, float]
 ) -> Iterator[VirtualRow]:
     """Sweep the tilt of both axes within ``±reach`` while the chamber goes from one temperature to the other.
@@ -54,10 +54,6 @@ def walk(
         Degrees.
     temperatures : tuple of float
         First and last, °C.
-
-    Yields
-    ------
-    VirtualRow
     """
     clock = VirtualClock()
     place = DeviceSetup(model.name, "", str(address))
@@ -80,5 +76,5 @@ def walk(
 
 
 def _both(reach: float) -> float:
-    """How far y may go while x is at its reach: two tilts of more than 45° at once are no direction."""
+    """Return the share of the reach that y may take beside x: two tilts of more than 45° at once are no direction."""
     return min(1.0, degrees(asin((1 - sin(radians(reach)) ** 2) ** 0.5)) / reach * 0.9)

@@ -82,10 +82,10 @@ def command(folder: Path, seed: int) -> None:
 
 def _record(path: Path, address: Address, model: Model) -> None:
     """Write the log for the calibration, with its true tilt beside the readings."""
-    from tiltcal.bench.virtual_log import walk
+    from tiltcal.bench.virtual_log import sweep
 
     lines = ["time,x,y,temperature,true_tilt_x,true_tilt_y"]
-    for row in walk(address, model, rows=ROWS, reach=REACH, temperatures=TEMPERATURES):
+    for row in sweep(address, model, rows=ROWS, reach=REACH, temperatures=TEMPERATURES):
         x, y = row.values
         lines.append(f"{row.time:.4f},{x:.0f},{y:.0f},{row.temperature:.2f},{row.tilt['x']:.5f},{row.tilt['y']:.5f}")
     write_whole(path, "\n".join(lines) + "\n")

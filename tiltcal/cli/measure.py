@@ -70,6 +70,9 @@ from tiltcal.cli.session_options import LEADERS, left_at_default, remark
     is_flag=True,
     help="Use the mean temperature curves of the data sheet for a unit without its own; the file states this.",
 )
+@click.option(
+    "--closing", is_flag=True, help="Visit the first position again at the end, to show what has changed meanwhile."
+)
 @click.option("--journal", type=click.Path(path_type=Path), help="The journal of the session [beside the output].")
 @click.option("--resume", type=click.Path(path_type=Path), metavar="JOURNAL", help="Continue an interrupted session.")
 @click.option("--plain", is_flag=True, help="Plain lines: no live reading, no single keys.")
@@ -90,6 +93,7 @@ def command(
     turns: int | None,
     base: Path | None,
     typical_temperature: bool,
+    closing: bool,
     journal: Path | None,
     resume: Path | None,
     plain: bool,
@@ -119,6 +123,7 @@ def command(
         turns=turns,
         base=base,
         typical_temperature=typical_temperature,
+        closing=closing,
         journal=journal,
         resume=resume,
         plain=plain,

@@ -21,6 +21,7 @@ import click
 @click.option("--noise", type=click.FloatRange(0.0), help="Standard deviation of one sample, in the sensor's unit.")
 @click.option("--samples", type=click.IntRange(2), help="Samples per position; overrides the procedure.")
 @click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
+@click.option("--closing", is_flag=True, help="Visit the first position again at the end.")
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 def command(
     procedure: str,
@@ -32,6 +33,7 @@ def command(
     noise: float | None,
     samples: int | None,
     tilt: float | None,
+    closing: bool,
     as_json: bool,
 ) -> None:
     """Predict the standard uncertainty of every coefficient of PROCEDURE.
@@ -50,5 +52,6 @@ def command(
         noise=noise,
         samples=samples,
         tilt=tilt,
+        closing=closing,
     )
     click.echo(json.dumps(found.as_data()) if as_json else str(found))

@@ -338,6 +338,38 @@ class Procedure:
 
         return replace(self, rotation=replace(self.rotation, turns=require_turns(turns)))
 
+    @property
+    def closes(self) -> bool:
+        """Whether the last position is the first one again."""
+        return len(self.positions) > 1 and _stands(self.positions[0]) == _stands(self.positions[-1])
+
+    def with_closing(self) -> Procedure:
+        """Return this procedure with its first position once more at the end, which shows what has changed meanwhile.
+
+        One that ends where it began stays as it is.
+
+        Raises
+        ------
+        UsageError
+            There are no positions, or nobody sets them.
+        """
+        self.require_positions()
+        if self.determines.free:
+            raise UsageError(f"{self.name} sets no position that could be visited again: leave --closing out")
+        if self.closes:
+            return self
+        first = self.positions[0]
+        name, again = f"{first.name}-again", "Back to the first position, to show what has changed."
+        entries = list(self.record["positions"])
+        entries.append({**entries[0], "name": name, "prompt": f"{again} {entries[0]['prompt']}"})
+        closing = replace(first, name=name, prompt=f"{again} {first.prompt}")
+        return replace(self, positions=(*self.positions, closing), record={**self.record, "positions": entries})
+
+
+def _stands(position: Position) -> tuple[object, ...]:
+    """Return all that a position sets."""
+    return position.gravity, position.heading, position.temperature, position.stage
+
 
 def shipped_procedures() -> dict[str, Path]:
     """Return the files of the procedures that come with tiltcal, by name."""

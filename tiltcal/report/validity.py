@@ -9,6 +9,9 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.number_format import plain, signed
 from tiltcal.report.provenance import Fact, notice
 
+ALIKE = 2.0
+"""Temperatures that are no further apart count as one, °C."""
+
 
 def covered(calibration: CalibrationRecord) -> list[Fact]:
     """Return the ranges that the positions covered."""
@@ -59,7 +62,19 @@ def _open(calibration: CalibrationRecord) -> Iterator[str]:
         yield "The angles of the jig: none was stated, and they are not in the uncertainty."
     if not calibration.uncertainty.coverage_factor:
         yield "Intervals of 95 %: the file has no coverage factors."
+    if not _closed(calibration):
+        yield "A change of the sensor during the session: the first position was not visited again at its end."
     yield "Motion, vibration and ageing: all positions were measured at rest, on the dates above."
+
+
+def _closed(calibration: CalibrationRecord) -> bool:
+    """Return whether the last position was the first one again, at its temperature."""
+    positions, attitudes = calibration.positions, calibration.procedure.set
+    if len(positions) < 2 or not {positions[0].position, positions[-1].position} <= set(attitudes):
+        return False
+    first, last = positions[0], positions[-1]
+    warmer = (last.temperature or 0.0) - (first.temperature or 0.0)
+    return attitudes[first.position] == attitudes[last.position] and abs(warmer) <= ALIKE
 
 
 def _held(calibration: CalibrationRecord) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,14 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from tiltcal import Calibration, measure
+from tiltcal import Calibration, measure, plan
 from tiltcal.bench import sensor_set
 from tiltcal.bench.operators.rig import understood
+from tiltcal.bench.session import Session
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.statistics import summarise
-from tiltcal.errors import EstimateError, InputError, Stopped
+from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.files.procedure import find_procedure
@@ -214,3 +217,34 @@ def test_a_channel_that_does_not_react_to_gravity_has_no_sensitivity() -> None:
     still = [replace(one, summaries={**one.summaries, "y": summarise([2.5] * 100)}) for one in measurements]
     with pytest.raises(EstimateError, match="y of A-1 does not react to gravity"):
         calibrate([replace(sensor, measurements=still)], find_procedure("plane"), BenchUncertainty())
+
+
+def test_a_closing_visit_shows_a_sensor_that_was_knocked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the fourth position x steps by 12 counts, 15 mg; each position takes about 140 readings."""
+    said: list[str] = []
+    quiet = session("plane", said, closing=True, journal="quiet.jsonl", jig=0.05)
+    assert [one.position for one in quiet.positions][-1] == "x-tilt1-again"
+    assert re.search(r"S-1: back in x-tilt1 the readings have changed by x [+-]0\.\d+ ± 0\.\d+ count", said[-1])
+    step = 12
+
+    def change(out: bytes, answer: bytes, number: int) -> bytes:
+        return word((answer[1] << 3 | answer[2] >> 5) + step) if out[0] == 0x10 and number > 430 else answer
+
+    disturb(monkeypatch, change)
+    knocked = session("plane", said, closing=True, jig=0.05)
+    change_of_x = re.search(r"changed by x \+(\d+\.?\d*) ±", said[-1])
+    assert change_of_x is not None
+    assert float(change_of_x[1]) == pytest.approx(step, abs=1.5)
+    chi_square, dof = knocked.fit.chi_square, knocked.fit.degrees_of_freedom
+    assert chi2.sf(chi_square, dof) < 1e-3 < chi2.sf(quiet.fit.chi_square, quiet.fit.degrees_of_freedom)
+
+
+def test_a_closing_visit_is_planned_once_and_replays() -> None:
+    steps = find_procedure("plane").with_closing()
+    assert len(steps.positions) == 5
+    assert steps.with_closing() == steps
+    assert plan("plane", sensor="sca100t-d02", jig=0.1, closing=True).prediction.dof == 4  # type: ignore[union-attr]
+    with pytest.raises(UsageError, match="sets no position that could be visited again"):
+        find_procedure("free").with_closing()
+    session("zero-45", closing=True, settle=0.2, samples=10)
+    assert [str(one) for one in Session.of_journal(Path("S-1.journal.jsonl")).replay().texts] == ["S-1.yaml"]

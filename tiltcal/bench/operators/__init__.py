@@ -1,1 +1,1 @@
-"""Who carries out the positions: a person, a program, or the virtual jig."""
+"""The operators of a session: a person, a program, or the virtual jig."""

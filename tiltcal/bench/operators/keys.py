@@ -1,4 +1,4 @@
-"""What a person types: single keys on a terminal, whole lines elsewhere."""
+"""The keys that a person presses: single ones on a terminal, whole lines elsewhere."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ENTER = "\n"
 
 
 class Keys(Protocol):
-    """Where the operator's choices come from."""
+    """A source of the operator's choices."""
 
     def choice(self, timeout: float | None) -> str | None:
         """The next key (:data:`ENTER` for Enter), or None when ``timeout`` seconds pass without one.

@@ -18,12 +18,8 @@ MOST = 1000
 class LineReader:
     """The lines of a text stream.
 
-    It reads the stream's descriptor itself, because what Python has buffered no one can ask for without waiting; nobody
-    else may read the stream. A stream without a descriptor is read as it is, and has nothing ready.
-
-    Parameters
-    ----------
-    stream : text stream
+    It reads the stream's descriptor itself, because Python's buffer cannot be asked without waiting; nothing else may
+    read the stream. A stream without a descriptor is read as it is, and has nothing ready.
     """
 
     def __init__(self, stream: TextIO) -> None:

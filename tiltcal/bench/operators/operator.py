@@ -1,4 +1,4 @@
-"""Who carries out a session: what is asked, what may be answered, and what the operator is told.
+"""The operator of a session: its questions, its answers, and what it is told.
 
 A procedure of positions is carried out by a :class:`PositionOperator`, one of a turning stage by a
 :class:`RotationOperator`. A person at a terminal (``terminal.py``), a program or a Python object (``rig.py``,
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tiltcal.core.pair.model import Pair
 
 TEMPERATURES = (-60.0, 150.0)
-"""What a sensor at a bench can have, °C: a DS18B20 that fails reads -127."""
+"""The range of temperatures at a bench, °C: a DS18B20 that fails reads -127."""
 
 Live = Callable[[], Mapping[str, Reading]]
 """Takes one sample of every sensor, by serial number."""
@@ -71,7 +71,7 @@ class OperatorAnswer:
 
 
 class Operator(Protocol):
-    """What every operator is asked and told at the end of a session."""
+    """The end of a session, which every operator is asked and told."""
 
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         """Answer ``yes``: the calibration files may be written.

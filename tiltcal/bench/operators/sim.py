@@ -1,4 +1,4 @@
-"""The operator of a virtual bench: the virtual jig has taken the position before it is asked, so it says yes."""
+"""The operator of a virtual bench: the virtual jig has taken the position before it is asked, so it answers yes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class _Sim:
     Parameters
     ----------
     say : callable
-        Takes one line of talk; by default nobody hears it.
+        Takes one line of talk; dropped by default.
     """
 
     def __init__(self, say: Callable[[str], None] = _silent) -> None:
