@@ -77,7 +77,7 @@ def test_a_row_that_is_at_fault_keeps_its_place(block: int) -> None:
     ("times", "said"),
     [
         (["3", "2", "1"], "goes back at row 1"),
-        (["0", "0", "0"], "stand still"),
+        (["0", "0", "0"], "do not change"),
         (["soon", "later"], "neither seconds nor ISO 8601"),
         (["0"], "no two rows"),
     ],
