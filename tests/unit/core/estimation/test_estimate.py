@@ -333,12 +333,12 @@ def test_what_is_known_before_is_kept_and_counts() -> None:
 class TestRefused:
     def test_three_faces_only(self) -> None:
         faces = [observe(name, g, 1.0) for name, g in zip("xyz", [(1, 0, 0), (0, 1, 0), (0, 0, 1)], strict=True)]
-        with pytest.raises(EstimateError, match=r"cannot tell offset\.x"):
+        with pytest.raises(EstimateError, match=r"do not separate offset\.x"):
             estimate(faces, Design(("x",), ("x", "y", "z")))
 
     def test_an_axis_that_no_position_excites_is_named(self) -> None:
         level = [observe("a", (0, 0, 1), 1.0), observe("b", (0, 0, -1), -1.0)]
-        with pytest.raises(EstimateError, match=r"nothing|says anything of sensitivity\.x\.x"):
+        with pytest.raises(EstimateError, match=r"no position determines sensitivity\.x\.x"):
             estimate(level, Design(("x",), ("x", "z")))
 
     def test_a_missing_temperature_names_its_position(self) -> None:
