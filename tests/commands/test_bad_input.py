@@ -129,7 +129,9 @@ class TestFit:
         )
 
     def test_stuck_is_not_still(self, folder: Path) -> None:
-        told = self.fit(folder, "position,start,end,gx,gy,gz\nup,0,2,0,0,1\n", "--columns", "x=y,y=y,z=z")
+        """A value that stays while the sensor is turned is stuck; within one position a coarse converter does that."""
+        segments = "position,start,end,gx,gy,gz\nup,0,20,0,0,1\nside,20,40,1,0,0\n"
+        told = self.fit(folder, segments, "--columns", "x=x,y=y,z=z")
         assert "stuck" in told
 
     def test_too_few_positions(self, folder: Path) -> None:

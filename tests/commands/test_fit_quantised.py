@@ -83,4 +83,4 @@ class TestStuck:
         data[:, :, 2] = 37.0
         result = fitted(tmp_path, data)
         assert result.returncode == 2
-        assert "z reads 37 in every position: is it connected?" in result.stderr
+        assert "z reads 37 in every position: it is stuck; is it connected?" in result.stderr

@@ -285,7 +285,9 @@ def _require_moved(measurements: Sequence[Measurement], file: str) -> None:
         reach = {one.gravity[axis] for one in measurements if channel in one.summaries}
         means = {one.summaries[channel].mean for one in measurements if channel in one.summaries}
         if len(means) == 1 and max(reach) - min(reach) > TILTED:
-            raise InputError(f"{channel} reads {means.pop():g} in every position: is it connected?", file=file)
+            raise InputError(
+                f"{channel} reads {means.pop():g} in every position: it is stuck; is it connected?", file=file
+            )
 
 
 def _hold(record: RecordedReadings, step: float, parts: Sequence[Segment], name: str, file: str) -> StaticInterval:
