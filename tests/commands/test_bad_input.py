@@ -175,3 +175,19 @@ def test_an_unknown_command_offers_the_near_one() -> None:
     result = tiltcal("mesure")
     assert result.returncode == 2
     assert "measure" in result.stderr
+
+
+@pytest.mark.parametrize("command", ["measure", "fit"])
+def test_a_serial_number_with_a_control_character(command: str, tmp_path: Path) -> None:
+    """The file would be refused when it is read back, and the terminal obeys the character."""
+    serial = ("--serial", "S\x1b[2J1", "-o", "new.yaml")
+    (tmp_path / "log.csv").write_text("x,y,z\n1,2,3\n")
+    (tmp_path / "seg.csv").write_text("position,start,end\nx-up,0,1\n")
+    if command == "measure":
+        result = measure(*serial, cwd=tmp_path)
+    else:
+        fitted = ("six-face", "log.csv", "--segments", "seg.csv", "--unit", "V")
+        result = tiltcal("fit", *fitted, *serial, cwd=tmp_path)
+    assert result.returncode == 2
+    assert "the serial number: the control character '\\x1b' is not allowed" in result.stderr
+    assert not (tmp_path / "new.yaml").exists()

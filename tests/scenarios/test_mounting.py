@@ -91,7 +91,7 @@ def _measured(gravity: np.ndarray, readings: np.ndarray) -> Measurement:
 
 
 def test_one_direction_leaves_the_turn_about_it_undetermined() -> None:
-    with pytest.raises(EstimateError, match="turn about it is undetermined"):
+    with pytest.raises(EstimateError, match="rotation about it is undetermined"):
         solve_mounting(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]]))
     with pytest.raises(EstimateError, match="undetermined"):
         solve_mounting(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))

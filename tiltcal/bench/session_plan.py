@@ -23,6 +23,7 @@ from tiltcal.drivers.device import Model
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.journal import DeviceHeader, Journal
+from tiltcal.files.node import require_printable
 from tiltcal.files.procedure import Procedure, procedure_from_record
 
 VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
@@ -268,6 +269,7 @@ def devices_of(bench: BenchFile) -> tuple[tuple[DeviceSetup, ...], DeviceSetup |
 
 def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:
     """A bench of one sensor, which needs no file."""
+    require_printable(serial, None, None, "the serial number")
     return BenchFile((BenchSensor(serial, model, address),), jig=jig)
 
 

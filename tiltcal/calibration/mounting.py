@@ -129,11 +129,11 @@ def _joined(
 def _own(uncertainty: Uncertainty, coefficients: Coefficients) -> tuple[tuple[str, ...], Array, Array]:
     """Names, covariance and coverage factors of the base's coefficients in the sensor's own frame."""
     try:
-        doubt = stated_uncertainty(uncertainty, coefficients).inputs
+        known = stated_uncertainty(uncertainty, coefficients).inputs
     except EstimateError:
         return (), np.zeros((0, 0)), np.zeros(0)
-    kept = [k for k, name in enumerate(doubt.names) if not name.startswith(TURN)]
-    return tuple(doubt.names[k] for k in kept), doubt.covariance[np.ix_(kept, kept)], doubt.factors[kept]
+    kept = [k for k, name in enumerate(known.names) if not name.startswith(TURN)]
+    return tuple(known.names[k] for k in kept), known.covariance[np.ix_(kept, kept)], known.factors[kept]
 
 
 def _uncertainty(before: Uncertainty, joint: _Joint, u: Mapping[str, float]) -> Uncertainty:
@@ -166,10 +166,10 @@ def _rounded(found: MountingEstimate, joint: _Joint) -> tuple[Mounting, dict[str
     """The angles with the digits that their uncertainty warrants, radians; and that, degrees."""
     if found.u is None:
         return found.mounting, {}
-    doubt = angle_uncertainty(mounting_matrix(found.mounting), joint.covariance[-3:, -3:])
-    u = {name: degrees(getattr(doubt, name)) for name in ANGLES}
+    known = angle_uncertainty(mounting_matrix(found.mounting), joint.covariance[-3:, -3:])
+    u = {name: degrees(getattr(known, name)) for name in ANGLES}
     # Where roll and yaw cannot be told apart their sum or difference is as well known as the pitch.
-    digits = dict.fromkeys(ANGLES, min(u.values())) if doubt.roll == UNKNOWN_ANGLE else u
+    digits = dict.fromkeys(ANGLES, min(u.values())) if known.roll == UNKNOWN_ANGLE else u
     angles = {name: radians(round_to(degrees(getattr(found.mounting, name)), digits[name])) for name in u}
     return Mounting(**angles), {name: significant(value, 4) for name, value in u.items()}
 

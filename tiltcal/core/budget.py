@@ -102,11 +102,11 @@ def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float]]) -
     ndarray, shape (k,)
         Infinite where no part was estimated.
     """
-    doubt = np.zeros_like(variance)
+    weighted = np.zeros_like(variance)
     for part, dof in parts:
         if np.isfinite(dof):
-            doubt += part**2 / dof
-    return np.asarray(np.where(doubt > 0.0, variance**2 / np.where(doubt > 0.0, doubt, 1.0), np.inf))
+            weighted += part**2 / dof
+    return np.asarray(np.where(weighted > 0.0, variance**2 / np.where(weighted > 0.0, weighted, 1.0), np.inf))
 
 
 def propagated(function: Callable[[Array], Array], parameters: Array, covariance: Array) -> Array:

@@ -98,7 +98,7 @@ def intrinsic(
 
     vector = vector_of(coefficients, names)
     values, u = numbers(vector), propagated(numbers, vector, covariance)
-    found = [IntrinsicQuantity(float(value), float(doubt)) for value, doubt in zip(values, u, strict=True)]
+    found = [IntrinsicQuantity(float(value), float(standard)) for value, standard in zip(values, u, strict=True)]
     pairs = [first + second for first, second in combinations(channels, 2)]
     own = Intrinsic(
         offset=dict(zip(channels, found[:3], strict=True)),
@@ -129,10 +129,10 @@ def _mounting(
         there = np.array([around.roll, around.pitch, around.yaw])
         return np.asarray(np.degrees(np.mod(there - turned + np.pi, 2 * np.pi) - np.pi))
 
-    doubt = propagated(roll_pitch_yaw, vector_of(coefficients, names), covariance).tolist()
+    standard = propagated(roll_pitch_yaw, vector_of(coefficients, names), covariance).tolist()
     found = {
         name: IntrinsicQuantity(degrees(angle), u)
-        for name, angle, u in zip(("roll", "pitch", "yaw"), turned, doubt, strict=True)
+        for name, angle, u in zip(("roll", "pitch", "yaw"), turned, standard, strict=True)
     }
     if angles.gimbal_lock or is_locked(angles.mounting.pitch, radians(found["pitch"].u)):
         found |= {name: replace(found[name], u=degrees(UNKNOWN_ANGLE)) for name in ("roll", "yaw")}

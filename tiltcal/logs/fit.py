@@ -19,6 +19,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.node import require_printable
 from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.records import FileRecord, LogRecord, Provenance, SegmentsRecord
@@ -324,4 +325,6 @@ def _identity(
             f"unit gravity alone needs three channels x, y and z; {model.name if model else 'it'} has "
             f"{', '.join(channels)}: name a procedure whose positions were set"
         )
+    for what, text in (("the serial number", serial), ("the unit", unit or "")):
+        require_printable(text, None, None, what)
     return SensorIdentity(model.name if model else UNKNOWN_MODEL, serial, unit or str(model and model.unit), channels)

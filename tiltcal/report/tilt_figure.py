@@ -112,13 +112,13 @@ def _curves(calibration: CalibrationRecord) -> dict[str, Curves]:
 def _doubt(calibration: CalibrationRecord, noise: float | None) -> UncertaintyInputs:
     """Return the uncertainty of the tilt in the sensor frame."""
     coefficients = _unmounted(calibration.coefficients)
-    doubt = stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).inputs
-    own = [k for k, name in enumerate(doubt.names) if not name.startswith(TURN)]
+    known = stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).inputs
+    own = [k for k, name in enumerate(known.names) if not name.startswith(TURN)]
     return replace(
-        doubt,
-        names=tuple(doubt.names[k] for k in own),
-        covariance=doubt.covariance[np.ix_(own, own)],
-        factors=doubt.factors[own],
+        known,
+        names=tuple(known.names[k] for k in own),
+        covariance=known.covariance[np.ix_(own, own)],
+        factors=known.factors[own],
     )
 
 

@@ -139,15 +139,15 @@ class Estimate:
         """What each standard uncertainty is multiplied with for an interval of 95 %."""
         return dict(zip(self.names, self.budget.factors.tolist(), strict=True))
 
-    def suspects(self, doubt: float = 0.01) -> list[AttitudeError]:
+    def suspects(self, significance: float = 0.01) -> list[AttitudeError]:
         """Positions that were further off than the stated jig allows, the worst first.
 
         Parameters
         ----------
-        doubt : float
+        significance : float
             Probability, over all positions together, of suspecting one of a jig that is as stated.
         """
-        worst = [one for one in self.attitudes if one.p < doubt / len(self.attitudes)]
+        worst = [one for one in self.attitudes if one.p < significance / len(self.attitudes)]
         return sorted(worst, key=lambda one: one.chi_square, reverse=True)
 
 
