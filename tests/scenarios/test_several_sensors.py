@@ -95,7 +95,7 @@ def test_a_sensor_that_fails_is_reported_and_the_others_go_on(tmp_path: Path) ->
     )
     result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", "--samples", "30", cwd=tmp_path)
     assert result.returncode == 3
-    assert "BAD is given up, the others go on" in result.stderr
+    assert "BAD is dropped, the others continue" in result.stderr
     assert "no calibration file for BAD" in result.stderr
     assert "--resume" not in result.stderr, "the session is complete"
     assert read_calibration(tmp_path / "GOOD.yaml").coefficients.offset == pytest.approx([1021.0, 1021.0], abs=0.5)
