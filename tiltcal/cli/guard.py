@@ -46,20 +46,22 @@ def run_guarded(run: Callable[[], int], args: Sequence[str]) -> int:
     args : sequence of str
         The command line, to name the files in messages.
     """
+    interruption = _Interruption()
+    before = signal.signal(signal.SIGINT, interruption.note)
     child = os.fork()
     if not child:
+        signal.signal(signal.SIGINT, before)
         os.environ.setdefault("RUST_BACKTRACE", "0")
         os._exit(run())
+    interruption.child = child
     files = _guarded(args)
-    interrupted: list[float] = []
-    before = signal.signal(signal.SIGINT, lambda *_: interrupted.append(time.monotonic()))
     try:
-        code = _watched(child, [name for name in files if _ends(name, MAY_LOOP)], interrupted)
+        code = _watched(child, [name for name in files if _ends(name, MAY_LOOP)], interruption)
     finally:
         signal.signal(signal.SIGINT, before)
     if code >= 0:
         return code
-    if interrupted:
+    if interruption.since is not None:
         print("tiltcal: interrupted", file=sys.stderr)
         return _INTERRUPTED
     print(f"tiltcal: {' or '.join(files)} cannot be read: {_ending(-code)}; the file is damaged", file=sys.stderr)
@@ -74,23 +76,66 @@ def _ends(name: str, suffixes: Sequence[str]) -> bool:
     return PurePath(name).suffix.lower() in suffixes
 
 
-def _watched(child: int, loopable: Sequence[str], interrupted: list[float]) -> int:
+def _watched(child: int, loopable: Sequence[str], interruption: _Interruption) -> int:
     """Wait for a child, and return its exit code, or the negative number of its signal."""
-    progress, told = _Progress(child, loopable), False
+    progress = _Progress(child, loopable)
     while True:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
             return os.waitstatus_to_exitcode(status)
-        waited = time.monotonic() - interrupted[0] if interrupted else 0.0
+        waited = 0.0 if interruption.since is None else time.monotonic() - interruption.since
         if waited > _PATIENCE:
             os.kill(child, signal.SIGKILL)
-        elif interrupted and not told and waited > 2 * _LOOK:
-            # On a terminal Ctrl-C has reached the child already, which then leaves by itself.
-            told = True
-            os.kill(child, signal.SIGINT)
+        elif waited > 2 * _LOOK:
+            interruption.hand_on()
         elif progress.stalled():
             os.kill(child, signal.SIGXCPU)
         time.sleep(_LOOK)
+
+
+class _Interruption:
+    """Ctrl-C at this process, and its way to the child: once, and at once where no terminal sends it to both.
+
+    Attributes
+    ----------
+    child : int
+        Process number; 0 before there is one.
+    since : float or None
+        When it came, s of the monotonic clock.
+    """
+
+    def __init__(self) -> None:
+        self.child = 0
+        self.since: float | None = None
+        self._handed_on = False
+
+    def note(self, *_: object) -> None:
+        """Handle the signal."""
+        if self.since is None:
+            self.since = time.monotonic()
+        if self.child and not _in_front_of_a_terminal():
+            self.hand_on()
+
+    def hand_on(self) -> None:
+        """Interrupt the child; on a terminal Ctrl-C has reached it already, and it leaves by itself before this."""
+        if not self._handed_on:
+            self._handed_on = True
+            with suppress(ProcessLookupError):
+                os.kill(self.child, signal.SIGINT)
+
+
+def _in_front_of_a_terminal() -> bool:
+    """Return whether this process group is the one that a terminal sends Ctrl-C to."""
+    try:
+        terminal = os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY)
+    except OSError:
+        return False
+    try:
+        return os.tcgetpgrp(terminal) == os.getpgrp()
+    except OSError:
+        return False
+    finally:
+        os.close(terminal)
 
 
 class _Progress:
