@@ -18,7 +18,7 @@ from struct import Struct
 from time import sleep
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
-from tiltcal.drivers.bus.os_errors import no_permission
+from tiltcal.drivers.bus.device_node_errors import no_permission
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import errno
 import os
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.os_errors import node_error
+from tiltcal.drivers.bus.device_node_errors import node_error
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:

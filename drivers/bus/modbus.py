@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.os_errors import no_permission
+from tiltcal.drivers.bus.device_node_errors import no_permission
 from tiltcal.drivers.bus.serial import PARITIES
 from tiltcal.errors import BusError, HardwareError
 

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from tiltcal.drivers.bus.os_errors import no_permission
+from tiltcal.drivers.bus.device_node_errors import no_permission
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:

@@ -12,12 +12,12 @@ import numpy as np
 from tiltcal.calibration.channels import judge_channels
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
 from tiltcal.calibration.results import derived_record, fit_record, rounded, uncertainty_of
-from tiltcal.core.comparison import values
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.equations import HYSTERESIS
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, largest_loops
 from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means
 from tiltcal.core.model import AXES, Limits
+from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError

@@ -7,7 +7,7 @@ from math import asin, degrees
 
 import numpy as np
 
-from tiltcal.core.comparison import values
+from tiltcal.core.named_coefficients import values
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.records import FitRecord

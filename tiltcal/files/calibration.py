@@ -12,8 +12,8 @@ from math import radians
 from pathlib import Path
 from typing import Any, Literal
 
-from tiltcal.core.comparison import CoefficientChange, changes, values
 from tiltcal.core.model import AXES, Coefficients, Limits
+from tiltcal.core.named_coefficients import CoefficientChange, changes, values
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import COEFFICIENTS, in_degrees
 from tiltcal.files.declaration import (

@@ -16,9 +16,9 @@ import numpy as np
 
 from tiltcal.core.angle_uncertainty import TURN, UncertaintyInputs
 from tiltcal.core.budget import coverage_factor
-from tiltcal.core.comparison import KnownCoefficient, known, values
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.named_coefficients import KnownCoefficient, known, values
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.declaration import (

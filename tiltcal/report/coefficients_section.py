@@ -8,8 +8,8 @@ from math import degrees, sqrt
 from typing import NamedTuple
 
 from tiltcal.calibration.labels import symbol, unit_of, words
-from tiltcal.core.comparison import values
 from tiltcal.core.model import Coefficients
+from tiltcal.core.named_coefficients import values
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.records import DerivedCoverage, DerivedUncertainty, IntrinsicRecord, IntrinsicUncertainty
 from tiltcal.report.number_format import AlignedNumber, at_place, column, half_width, measured, plain

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.core.comparison import KnownCoefficient, changes, known, referred
 from tiltcal.core.model import Coefficients, Thermal
+from tiltcal.core.named_coefficients import KnownCoefficient, changes, known, referred
 
 small = st.floats(-0.01, 0.01)
 

@@ -1,4 +1,4 @@
-"""Whether two calibrations of one sensor differ by more than their uncertainty."""
+"""Coefficients by their dotted names: how well each is known, and how it changed between two calibrations."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tiltcal.core.model import Array, Coefficients, Thermal, polynomial, vector_
 
 @dataclass(frozen=True)
 class KnownCoefficient:
-    """How well a coefficient is known.
+    """The standard uncertainty of a coefficient.
 
     Attributes
     ----------
     u : float
-        Standard uncertainty.
+        In the unit of the coefficient.
     dof : float
         Its effective degrees of freedom; infinite where it was not estimated from a scatter.
     """
@@ -30,7 +30,7 @@ class KnownCoefficient:
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """How one coefficient changed.
+    """The change of one coefficient between two calibrations.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class CoefficientChange:
         return abs(self.difference) / self.u if self.u else None
 
     def threshold(self, confidence: float) -> float:
-        """How many standard uncertainties the difference of an unchanged coefficient may be."""
+        """Return the number of standard uncertainties that the difference of an unchanged coefficient stays within."""
         from scipy.special import ndtri, stdtrit
 
         upper = (1.0 + confidence) / 2.0
@@ -70,7 +70,7 @@ class CoefficientChange:
 def known(
     coefficients: Coefficients, names: Sequence[str], covariance: Array, factors: Array, reference: float | None = None
 ) -> dict[str, KnownCoefficient]:
-    """How well each coefficient is known, counted from another reference temperature.
+    """Return the standard uncertainty of each coefficient, at another reference temperature where one is given.
 
     Parameters
     ----------
@@ -79,14 +79,13 @@ def known(
         Of the uncertain coefficients.
     covariance : ndarray, shape (k, k)
     factors : ndarray, shape (k,)
-        What each standard uncertainty is multiplied with for an interval of 95 %: Student's t tells the degrees of
-        freedom.
+        Of each standard uncertainty for an interval of 95 %: the degrees of freedom follow from Student's t.
     reference : float, optional
         °C; None for the coefficients' own.
 
     Returns
     -------
-    dict of str to Known
+    dict of str to KnownCoefficient
         By dotted name; those that are certain are not there.
     """
     from scipy.special import stdtridf
@@ -108,63 +107,8 @@ def known(
     return found
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Whether a sensor has changed.
-
-    Attributes
-    ----------
-    thresholds : mapping of str to float
-        How many standard uncertainties each change may be; empty where none has one to be compared with.
-    changed : tuple of str
-        The coefficients that changed by more.
-    incomplete : str
-        Why the uncertainties are too small to call anything changed; empty where they are whole.
-    """
-
-    thresholds: Mapping[str, float]
-    changed: tuple[str, ...]
-    incomplete: str = ""
-
-    @property
-    def threshold(self) -> float | None:
-        """The lowest of the thresholds; those of coefficients that rest on few residuals are higher."""
-        return min(self.thresholds.values(), default=None)
-
-    @property
-    def word(self) -> str:
-        """``changed``, ``unchanged`` or ``unknown``."""
-        if not self.thresholds or (self.changed and self.incomplete):
-            return "unknown"
-        return "changed" if self.changed else "unchanged"
-
-    def __str__(self) -> str:
-        if not self.thresholds:
-            return "no verdict: the files state no uncertainties to compare with"
-        if not self.changed:
-            return "unchanged: no change is more than its threshold of standard uncertainties"
-        more = f"{', '.join(self.changed)} by more than the threshold of standard uncertainties"
-        return f"no verdict: {more}, but {self.incomplete}" if self.incomplete else f"changed: {more}"
-
-
-def judge(found: Sequence[CoefficientChange], incomplete: str = "") -> Verdict:
-    """Whether any of some changes is too large for chance, allowing for their number (Šidák).
-
-    Parameters
-    ----------
-    found : sequence of CoefficientChange
-    incomplete : str
-        Why the uncertainties are too small; empty where they are whole.
-    """
-    judged = [change for change in found if change.ratio is not None]
-    confidence = COVERAGE ** (1.0 / max(len(judged), 1))
-    thresholds = {change.name: change.threshold(confidence) for change in judged}
-    changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
-    return Verdict(thresholds, changed, incomplete)
-
-
 def referred(coefficients: Coefficients, reference: float) -> Coefficients:
-    """The same coefficients counted from another reference temperature.
+    """Return the same coefficients at another reference temperature.
 
     Parameters
     ----------
@@ -204,7 +148,7 @@ def changes(
     known_before: Mapping[str, KnownCoefficient],
     known_after: Mapping[str, KnownCoefficient],
 ) -> list[CoefficientChange]:
-    """Every coefficient that both have, the earlier ones referred to the later one's reference temperature.
+    """Return the change of each coefficient that both have, at the later one's reference temperature.
 
     Parameters
     ----------
@@ -223,7 +167,7 @@ def changes(
 
 
 def _apart(before: KnownCoefficient | None, after: KnownCoefficient | None) -> tuple[float | None, float]:
-    """Standard uncertainty of a difference and its degrees of freedom (GUM, eq. G.2b)."""
+    """Return the standard uncertainty of a difference and its degrees of freedom (GUM, eq. G.2b)."""
     if before is None or after is None:
         return None, inf
     total = before.u**2 + after.u**2
@@ -232,7 +176,7 @@ def _apart(before: KnownCoefficient | None, after: KnownCoefficient | None) -> t
 
 
 def values(coefficients: Coefficients) -> dict[str, float]:
-    """Every coefficient by its dotted name."""
+    """Return every coefficient by its dotted name."""
     named = {f"offset.{c}": float(v) for c, v in zip(coefficients.channels, coefficients.offset, strict=True)}
     for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
         named |= {f"sensitivity.{channel}.{axis}": float(v) for axis, v in zip(coefficients.axes, row, strict=True)}
@@ -247,7 +191,7 @@ def values(coefficients: Coefficients) -> dict[str, float]:
 
 
 def _shifted(table: Array, shift: float) -> Array:
-    """Coefficients of p(dT + shift) - p(shift), row by row, without the constant term."""
+    """Return the coefficients of p(dT + shift) - p(shift), row by row, without the constant term."""
     rows = []
     for row in table:
         moved = np.polynomial.Polynomial([0.0, *row])(np.polynomial.Polynomial([shift, 1.0]))
