@@ -23,6 +23,9 @@ LEFT_OUT = 0.05
 TEMPERATURE_JUMP = 5.0
 """A temperature this far from the median of a position's is a failed conversion, °C."""
 
+POWER_ON = 85.0
+"""The temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)."""
+
 AGREEMENT = 20.0
 """The largest distance of a position's temperature from the one asked for, or from a position before, °C."""
 
@@ -87,16 +90,21 @@ def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
 
 
 def require_agreement(result: PositionResult, accepted: Sequence[PositionResult], *, asked: float | None) -> None:
-    """Refuse a temperature that fits neither the one asked for nor those of the positions before.
+    """Refuse a temperature that is none, or fits neither the one asked for nor those of the positions before.
 
     Raises
     ------
     Unsettled
-        With both temperatures.
+        With the temperatures.
     """
     source = "was typed" if result.typed else "is what the thermometer reads"
     for serial, measurement in result.measurements.items():
         temperature = measurement.temperature
+        if temperature == POWER_ON and asked is None and not result.typed:
+            raise Unsettled(
+                f"the thermometer reads {temperature:g} °C in every sample, as a DS18B20 does that converts nothing: "
+                "see to its supply, or take it out of the bench file"
+            )
         alike = [one.measurements[serial].temperature for one in accepted if one.asked == asked]
         others = [(asked, "was asked for"), *((one, "was measured in a position before") for one in alike)]
         for other, whose in others:

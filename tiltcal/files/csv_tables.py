@@ -13,7 +13,7 @@ from tiltcal.errors import InputError
 from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.node import Node, Scalar, document_of
 
-_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]+)?)([eE][-+]?[0-9]+)?")
 
 
 Table = str | Path | Sequence[Mapping[str, Any]]

@@ -15,7 +15,10 @@ from scipy.stats import chi2
 from tiltcal import Calibration, measure, plan
 from tiltcal.bench import sensor_set
 from tiltcal.bench.operators.rig import understood
+from tiltcal.bench.positions import PositionResult
+from tiltcal.bench.sample_checks import require_agreement
 from tiltcal.bench.session import Session
+from tiltcal.bench.settle import Unsettled
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.statistics import summarise
@@ -191,6 +194,23 @@ def test_a_temperature_that_is_answered_is_judged_too(temperature: float, why: s
 def test_an_answer_of_minus_127_is_no_answer() -> None:
     with pytest.raises(InputError, match="not between"):
         understood({"answer": "ready", "temperature": -127})
+
+
+def test_a_thermometer_at_its_power_on_value_is_refused_where_no_temperature_is_asked_for() -> None:
+    """A DS18B20's data sheet: 85 °C stands in its register until the first conversion."""
+    position = find_procedure("plane").positions[0]
+    summaries = {"x": summarise([1.0, 2.0]), "y": summarise([1.0, 2.0])}
+    at = {
+        celsius: PositionResult(
+            position, {"S-1": Measurement(position.name, position.gravity, position.tilt, celsius, summaries)}
+        )
+        for celsius in (85.0, 84.94)
+    }
+    with pytest.raises(Unsettled, match=r"reads 85 °C in every sample, as a DS18B20 does that converts nothing"):
+        require_agreement(at[85.0], [], asked=None)
+    require_agreement(at[85.0], [], asked=85.0)
+    require_agreement(replace(at[85.0], typed=True), [], asked=None)
+    require_agreement(at[84.94], [], asked=None)
 
 
 def test_a_bench_thermometer_is_judged_as_the_sensors_own() -> None:

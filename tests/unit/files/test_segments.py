@@ -50,6 +50,7 @@ def test_real_session() -> None:
         ("position,start,end\na,1.5,2\n", 2, "start", "whole number"),
         ("position,start,end\na,one,2\n", 2, "start", "found the text 'one'"),
         ("position,start,end\n\na,,2\n", 3, None, "'start' is missing"),
+        ("position,start,end\na,1,2.\n", 2, "end", "found the text '2.'"),
         ("position,start,end\na,-1,2\n", 2, "start", "at least 0"),
         ("position,start,end\na,2,2\n", 2, "end", "not after"),
         ("position,start,end\na,5,9\nb,0,6\n", 2, None, "rows 5 to 5 belong to 'a' and, by line 3, to 'b'"),
