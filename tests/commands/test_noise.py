@@ -243,9 +243,10 @@ class TestWhatIsWrongWithALog:
 class TestLive:
     ONE = ("--sensor", "sca100t-d02", "--address", "sim:seed=3")
 
-    def test_recorded_and_done_again(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("name", ["still.csv", "still.parquet"])
+    def test_recorded_and_done_again(self, tmp_path: Path, name: str) -> None:
         """What is kept says the same as what was recorded; the times are written to the millisecond."""
-        log = tmp_path / "still.csv"
+        log = tmp_path / name
         live = as_json(*self.ONE, "--samples", "3000", "-o", log)
         again = as_json(log, "--sensor", "sca100t-d02")
         assert live == again

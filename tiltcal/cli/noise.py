@@ -33,7 +33,13 @@ Examples:
     metavar="HZ",
     help="Samples per second: of the recording [the rate of the sensor], or of a LOG [from its column time].",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="LOG", help="Keep the recording, as CSV.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="LOG",
+    help="Keep the recording: CSV, or Parquet by its name.",
+)
 @click.option(
     "--columns",
     default="",
@@ -171,8 +177,6 @@ def _kept(output: Path | None) -> Iterator[Path]:
     from tempfile import TemporaryDirectory
 
     if output is not None:
-        if output.suffix == ".parquet":
-            raise UsageError(f"{output}: noise records CSV; name it .csv")
         yield output
         return
     with TemporaryDirectory(prefix="tiltcal-") as folder:

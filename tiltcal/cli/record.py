@@ -49,23 +49,6 @@ def command(
     if (bench is None) == (sensor is None) or (sensor is None) != (address is None):
         raise UsageError("record needs either --bench FILE, or --sensor MODEL and --address ADDRESS")
     named = read_bench(bench) if bench is not None else single(str(sensor), "", str(address))
-    if output.exists():
-        raise UsageError(f"{output} exists; a recording never replaces one: name another file")
-    log = output.with_name(output.name + ".csv") if output.suffix == ".parquet" else output
-    captured = capture(named, rate, rows, seconds, log)
-    if log != output:
-        _to_parquet(log, output)
+    captured = capture(named, rate, rows, seconds, output)
     click.echo(f"{captured.tally.rows} rows in {output}{captured.missing}", err=True)
     return INTERRUPTED if captured.interrupted else 0
-
-
-def _to_parquet(log: Path, output: Path) -> None:
-    """Convert the recorded CSV to Parquet, block by block, then remove the CSV."""
-    from tiltcal.files.whole import whole_file
-    from tiltcal.logs.formats import create_log, open_log
-
-    with open_log(log) as rows, whole_file(output) as sink:
-        writer = create_log(output, sink, rows)
-        blocks = rows.rows(range(len(rows.names)), rows.names.index("time"), frames=True)
-        writer.write((block, {}) for block in blocks)
-    log.unlink()

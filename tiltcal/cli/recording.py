@@ -44,8 +44,10 @@ class RecordedRows:
         return _told_missing(self.tally)
 
 
-def capture(named: BenchFile, rate: float | None, rows: int | None, seconds: float | None, log: Path) -> RecordedRows:
-    """Log the sensors of a bench to a CSV file, until the limit or Ctrl-C.
+def capture(
+    named: BenchFile, rate: float | None, rows: int | None, seconds: float | None, output: Path
+) -> RecordedRows:
+    """Log the sensors of a bench, until the limit or Ctrl-C.
 
     Parameters
     ----------
@@ -57,16 +59,19 @@ def capture(named: BenchFile, rate: float | None, rows: int | None, seconds: flo
         How many.
     seconds : float or None
         How long. With neither it goes on until Ctrl-C, which then is no interruption.
-    log : Path
-        Made anew.
+    output : Path
+        Made anew: CSV; or Parquet by its suffix, which is recorded as CSV beside it and converted at the end.
 
     Raises
     ------
     UsageError
-        ``log`` exists, or there is no end on the virtual bench.
+        ``output`` exists, or there is no end on the virtual bench.
     HardwareError
         A sensor does not answer.
     """
+    if output.exists():
+        raise UsageError(f"{output} exists; a recording never replaces one: name another file")
+    log = output.with_name(output.name + ".csv") if output.suffix == ".parquet" else output
     sensors, thermometer = devices_of(named)
     devices = sensors if thermometer is None else (*sensors, thermometer)
     virtual = all(parse_address(one.address).simulated for one in devices)
@@ -99,6 +104,8 @@ def capture(named: BenchFile, rate: float | None, rows: int | None, seconds: flo
             interrupted = wanted is not None
         finally:
             rows_log.close()
+    if log != output:
+        _to_parquet(log, output)
     return RecordedRows(tally, interrupted)
 
 
@@ -126,3 +133,15 @@ def _progress() -> Iterator[Callable[[RecordingTally], None]]:
         yield tell
     finally:
         sys.stderr.write("\r\x1b[2K")
+
+
+def _to_parquet(log: Path, output: Path) -> None:
+    """Convert the recorded CSV to Parquet, block by block, then remove the CSV."""
+    from tiltcal.files.whole import whole_file
+    from tiltcal.logs.formats import create_log, open_log
+
+    with open_log(log) as rows, whole_file(output) as sink:
+        writer = create_log(output, sink, rows)
+        blocks = rows.rows(range(len(rows.names)), rows.names.index("time"), frames=True)
+        writer.write((block, {}) for block in blocks)
+    log.unlink()
