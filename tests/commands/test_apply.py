@@ -91,6 +91,14 @@ class TestOutput:
         assert [float(row["g_y"]) for row in found] == [0.0, -0.5]
         assert [row["flag"] for row in found] == ["1", "1"]
 
+    def test_a_stated_mounting_replaces_that_of_the_file(self) -> None:
+        """Upside down by a roll of 180° y changes its sign and x keeps it; the file says what it loses."""
+        Path("mounted.yaml").write_text(PLAIN + "  mounting: {yaw: 90.0}\n")
+        result = apply("mounted.yaml", "log.csv", "--mounting", "roll=180")
+        assert "replaces the mounting of the calibration, roll=0,pitch=0,yaw=90" in result.stderr
+        assert [float(row["tilt_x"]) for row in rows(result.stdout)] == pytest.approx([30.0, 0.0], abs=1e-9)
+        assert [float(row["tilt_y"]) for row in rows(result.stdout)] == pytest.approx([0.0, 30.0], abs=1e-9)
+
     def test_standard_input_gives_what_the_file_gives(self) -> None:
         assert apply("cal.yaml", "-", stdin=LOG.encode()).stdout == apply("cal.yaml", "log.csv").stdout
 

@@ -140,6 +140,7 @@ class Calibration:
         uncertainty: bool = False,
         first_order: bool = False,
         reading_noise: float | None = None,
+        mounting: Mapping[str, float] | str = "",
         unit: str | None = None,
     ) -> Any:
         """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
@@ -156,6 +157,8 @@ class Calibration:
             Use Cross-axis Compensation, eq. 6, in place of the whole matrix.
         reading_noise : float, optional
             Standard uncertainty of a reading of the frame, in its unit, in place of that of a sample at the bench.
+        mounting : mapping of str to float, or str
+            How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of its own mounting.
         unit : str, optional
             Of the readings; an xarray Dataset states it itself. One that is not the calibration's is refused.
 
@@ -180,8 +183,27 @@ class Calibration:
             uncertainty=uncertainty,
             first_order=first_order,
             reading_noise=reading_noise,
+            mounting=mounting,
             unit=unit,
         )
+
+    def with_mounting(self, angles: Mapping[str, float] | str) -> Calibration:
+        """Return this calibration for a sensor that sits in a known way; a mounting that it has is replaced.
+
+        Parameters
+        ----------
+        angles : mapping of str to float, or str
+            Roll, pitch and yaw, degrees, such as ``{"roll": 180}`` or ``"roll=180"``; they count as exact, and those
+            that are not named as 0.
+
+        Raises
+        ------
+        UsageError
+            An angle that there is not, or out of range.
+        """
+        from tiltcal.calibration.known_mounting import stated_mounting, with_mounting
+
+        return Calibration(with_mounting(self.record, stated_mounting(angles)))
 
     def save(self, path: str | Path) -> None:
         """Write the calibration file, whole or not at all.

@@ -23,6 +23,7 @@ Examples:
   tiltcal apply S-0042.yaml night.parquet -o night-tilt.parquet
   tiltcal apply S-0042.yaml night.csv --columns x=VoutX,y=VoutY,temperature=T -o night-tilt.csv
   tiltcal apply S-0042.yaml may-*.parquet -o tilt
+  tiltcal apply S-0042.yaml night.csv --mounting roll=180 -o hanging.csv
   zcat night.csv.gz | tiltcal apply S-0042.yaml - | gzip > night-tilt.csv.gz
 """
 
@@ -60,6 +61,13 @@ Examples:
     "sample at the bench; 0 gives the uncertainty of the calibration alone.",
 )
 @click.option(
+    "--mounting",
+    default="",
+    metavar="roll=DEG,…",
+    help="How the sensor sits, such as roll=180 for upside down (pitch=, yaw=): roll first, then pitch, then yaw. It "
+    "replaces the mounting of CALIBRATION and counts as exact.",
+)
+@click.option(
     "--scheduler",
     metavar="ADDRESS",
     help="Process each log on a worker of this dask scheduler, such as tcp://10.0.0.1:8786; the workers must see the "
@@ -80,6 +88,7 @@ def command(
     first_order: bool,
     uncertainty: bool,
     reading_noise: float | None,
+    mounting: str,
     scheduler: str | None,
     as_json: bool,
 ) -> int:
@@ -107,7 +116,7 @@ def command(
 
     if reading_noise is not None and not uncertainty:
         raise UsageError("--reading-noise needs --uncertainty")
-    options = ApplyOptions(first_order, uncertainty, reading_noise)
+    options = ApplyOptions(first_order, uncertainty, reading_noise, mounting)
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
         tasks = tasks_of(calibration, options, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
         prepare_file(calibration, options, _say)  # an error of the calibration is raised once

@@ -30,6 +30,7 @@ def apply_log(
     uncertainty: bool = False,
     first_order: bool = False,
     reading_noise: float | None = None,
+    mounting: Mapping[str, float] | str = "",
     skip_bad_rows: bool = False,
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
@@ -52,6 +53,8 @@ def apply_log(
         Use Cross-axis Compensation eq. 6 in place of the whole matrix.
     reading_noise : float, optional
         Standard uncertainty of a reading of the log, in its unit, in place of that of a sample at the bench.
+    mounting : mapping of str to float, or str
+        How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of its own mounting.
     skip_bad_rows : bool
         Keep rows that cannot be parsed, with flag 9, instead of raising.
     say : callable
@@ -72,7 +75,7 @@ def apply_log(
         The calibration or the log is wrong, or a column is not there; the message names file and line.
     """
     require_way(log, output)
-    options = ApplyOptions(first_order, uncertainty, reading_noise)
+    options = ApplyOptions(first_order, uncertainty, reading_noise, mounting)
     prepared = (
         prepare_file(calibration, options, say)
         if isinstance(calibration, str | Path)

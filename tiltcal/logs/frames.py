@@ -32,6 +32,7 @@ def apply_frame(
     uncertainty: bool = False,
     first_order: bool = False,
     reading_noise: float | None = None,
+    mounting: Mapping[str, float] | str = "",
     unit: str | None = None,
 ) -> Any:
     """Apply a calibration to a frame.
@@ -49,6 +50,8 @@ def apply_frame(
         Use Cross-axis Compensation eq. 6 in place of the whole matrix.
     reading_noise : float, optional
         Standard uncertainty of a reading of the frame, in its unit, in place of that of a sample at the bench.
+    mounting : mapping of str to float, or str
+        How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of its own mounting.
     unit : str, optional
         Of the readings; an xarray Dataset states it itself.
 
@@ -64,7 +67,7 @@ def apply_frame(
     InputError
         A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
     """
-    prepared = prepare(calibration, ApplyOptions(first_order, uncertainty, reading_noise))
+    prepared = prepare(calibration, ApplyOptions(first_order, uncertainty, reading_noise, mounting))
     reader = FrameReader(frame, unit=unit)
     log = CompensatedLog.of(reader, prepared, columns)
     ((_block, table),) = log.blocks()

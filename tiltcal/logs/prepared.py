@@ -59,11 +59,14 @@ class ApplyOptions:
         Add the uncertainty of every angle.
     reading_noise : float or None
         Standard uncertainty of a reading of the log, in its unit; None for that of a sample at the bench.
+    mounting : mapping of str to float or str
+        Roll, pitch and yaw in place of the calibration's, degrees; empty for its own.
     """
 
     first_order: bool = False
     uncertainty: bool = False
     reading_noise: float | None = None
+    mounting: Mapping[str, float] | str = ""
 
 
 @dataclass(frozen=True)
@@ -141,6 +144,8 @@ def prepare(
     stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}
     if not isinstance(calibration, Calibration):
         return _of_pairs(calibration, options, stated, str(file or "the calibration"))
+    if options.mounting:
+        calibration = _mounted(calibration, options.mounting, say)
     coefficients, sensor = calibration.coefficients, calibration.sensor
     stated["serial"] = sensor.serial
     try:
@@ -160,11 +165,25 @@ def prepare(
 def _of_pairs(
     calibration: PairCalibration, options: ApplyOptions, origin: Mapping[str, str], file: str
 ) -> PreparedCalibration:
-    for name, given in (("--first-order", options.first_order), ("--uncertainty", options.uncertainty)):
+    for name, given in (
+        ("--first-order", options.first_order),
+        ("--uncertainty", options.uncertainty),
+        ("--mounting", options.mounting),
+    ):
         if given:
             raise UsageError(f"{name} is for tilt calibrations; {file} is of pairs, which have no tilt")
     matched = calibration.compensation()
     return PreparedCalibration(matched, matched.channels, None, (), (), origin)
+
+
+def _mounted(calibration: Calibration, angles: Mapping[str, float] | str, say: Callable[[str], None]) -> Calibration:
+    """Return the calibration in a known mounting; report one that is replaced."""
+    from tiltcal.calibration.known_mounting import mounting_in_words
+
+    own = calibration.coefficients.mounting
+    if own is not None:
+        say(f"note: --mounting replaces the mounting of the calibration, {mounting_in_words(own)}")
+    return calibration.with_mounting(angles)
 
 
 def _uncertain(

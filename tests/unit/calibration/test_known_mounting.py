@@ -1,0 +1,64 @@
+"""A mounting that the user states: what the compensation makes of it, and what stays of the file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support import FIXTURES
+
+import tiltcal
+
+MOUNTED = FIXTURES / "mounting.yaml"
+
+
+def readings(calibration: tiltcal.Calibration, gravity: list[float]) -> dict[str, list[float]]:
+    """What the sensor reads in a direction of gravity in its own frame."""
+    values = calibration.coefficients.predict(np.array([gravity]))[0]
+    return dict(zip(calibration.coefficients.channels, ([float(one)] for one in values), strict=True))
+
+
+def test_the_angles_turn_the_sensors_frame_as_the_document_has_it() -> None:
+    """Rz(-yaw) Ry(-pitch) Rx(-roll), by scipy's rotations."""
+    own = tiltcal.read(FIXTURES / "six-face.yaml")
+    angles = {"roll": 25.0, "pitch": -10.0, "yaw": 130.0}
+    turn = Rotation.from_euler("xyz", [-25.0, 10.0, -130.0], degrees=True)
+    gravity = [0.48, -0.36, 0.8]
+    found = own.apply(readings(own, gravity), mounting=angles)
+    np.testing.assert_allclose([found[f"g_{axis}"][0] for axis in "xy"], turn.apply(gravity)[:2], atol=1e-9)
+
+
+def test_a_mounting_of_the_file_is_replaced_and_no_longer_uncertain() -> None:
+    mounted = tiltcal.read(MOUNTED)
+    turned = mounted.with_mounting("roll=180")
+    assert np.degrees(turned.coefficients.mounting.roll) == pytest.approx(180.0)
+    assert turned.coefficients.mounting.pitch == 0.0
+    assert not [name for name in (*turned.uncertainty, *turned.uncertainty.covariance.parameters) if "mounting" in name]
+    own = mounted.uncertainty.covariance
+    left = turned.uncertainty.covariance
+    kept = [own.parameters.index(name) for name in left.parameters]
+    np.testing.assert_array_equal(np.array(own.matrix)[np.ix_(kept, kept)], left.matrix)
+    assert turned.fit.mounting is None
+    assert len(turned.positions) < len(mounted.positions)
+
+
+def test_the_file_of_a_mounted_sensor_is_read_again(tmp_path: object) -> None:
+    turned = tiltcal.read(MOUNTED).with_mounting({"yaw": -90.0})
+    path = f"{tmp_path}/turned.yaml"
+    turned.save(path)
+    assert tiltcal.read(path) == turned
+
+
+@pytest.mark.parametrize(
+    ("angles", "why"),
+    [
+        ({"heading": 3.0}, "there is no angle 'heading'"),
+        ("pitch=91", "pitch is between -90 and 90"),
+        ("roll", "'roll' is no angle in degrees"),
+        ("roll=1,roll=2", "roll is named twice"),
+        ({"yaw": float("nan")}, "yaw is between -180 and 180"),
+    ],
+)
+def test_angles_that_are_none_are_refused(angles: dict[str, float] | str, why: str) -> None:
+    with pytest.raises(tiltcal.UsageError, match=why):
+        tiltcal.read(MOUNTED).with_mounting(angles)

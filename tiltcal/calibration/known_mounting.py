@@ -1,0 +1,88 @@
+"""A mounting that the user states, in place of what a calibration has: ``--mounting`` of ``apply`` and ``combine``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import isfinite, radians
+
+import numpy as np
+
+from tiltcal.core.angle_uncertainty import TURN
+from tiltcal.core.model import Mounting
+from tiltcal.errors import UsageError
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.coefficients import ANGLES, in_degrees
+from tiltcal.files.uncertainty import Covariance
+
+REACH = {"roll": 180.0, "pitch": 90.0, "yaw": 180.0}
+"""The largest size of each angle, degrees."""
+
+
+def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
+    """Return the mounting of angles in degrees, or of the text of ``--mounting``; what is not named is 0.
+
+    Raises
+    ------
+    UsageError
+        An angle that there is not, is no number, or is out of range.
+    """
+    named = _pairs(angles) if isinstance(angles, str) else dict(angles)
+    for name, angle in named.items():
+        if name not in ANGLES:
+            raise UsageError(f"--mounting: there is no angle {name!r}; the angles are {', '.join(ANGLES)}, in degrees")
+        if not isfinite(angle) or abs(angle) > REACH[name]:
+            raise UsageError(
+                f"--mounting: {name} is between -{REACH[name]:g} and {REACH[name]:g} degrees, not {angle:g}"
+            )
+    return Mounting(**{name: radians(angle) for name, angle in named.items()})
+
+
+def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> CalibrationRecord:
+    """Return a calibration with a mounting that is known, and exact; one that it has is replaced."""
+    run, covariance = calibration.procedure.mounting, calibration.uncertainty.covariance
+    positions = calibration.positions
+    return replace(
+        calibration,
+        coefficients=replace(calibration.coefficients, mounting=mounting),
+        uncertainty=replace(
+            calibration.uncertainty,
+            standard={n: u for n, u in calibration.uncertainty.items() if not n.startswith("mounting.")},
+            coverage_factor={
+                n: k for n, k in calibration.uncertainty.coverage_factor.items() if not n.startswith(TURN)
+            },
+            covariance=None if covariance is None else without_turn(covariance),
+        ),
+        derived=replace(calibration.derived, gimbal_lock=False),
+        fit=replace(calibration.fit, mounting=None),
+        procedure=replace(calibration.procedure, mounting=None),
+        positions=positions if run is None else positions[: len(positions) - len(run.positions)],
+    )
+
+
+def mounting_in_words(mounting: Mounting) -> str:
+    """Return the angles as ``--mounting`` takes them."""
+    return ",".join(f"{name}={in_degrees(getattr(mounting, name)):g}" for name in ANGLES)
+
+
+def without_turn(covariance: Covariance) -> Covariance:
+    """Return the covariance of all but the mounting's turn."""
+    kept = [k for k, name in enumerate(covariance.parameters) if not name.startswith(TURN)]
+    matrix = np.array(covariance.matrix).reshape(2 * (len(covariance.parameters),))[np.ix_(kept, kept)]
+    return Covariance(
+        parameters=tuple(covariance.parameters[k] for k in kept), matrix=tuple(map(tuple, matrix.tolist()))
+    )
+
+
+def _pairs(text: str) -> dict[str, float]:
+    """Return the numbers of ``roll=180,pitch=0``."""
+    named: dict[str, float] = {}
+    for pair in filter(None, (part.strip() for part in text.split(","))):
+        name, _, angle = (part.strip() for part in pair.partition("="))
+        if name in named:
+            raise UsageError(f"--mounting: {name} is named twice")
+        try:
+            named[name] = float(angle)
+        except ValueError:
+            raise UsageError(f"--mounting: {pair!r} is no angle in degrees; write name=degrees: roll=180") from None
+    return named
