@@ -25,7 +25,7 @@ from support.coverage_study import Regime, Tally, regimes, simulate
 
 
 def line(regime: Regime, tally: Tally) -> str:
-    """One regime in words."""
+    """Return one regime in words."""
     told = "stated    " if regime.stated else "not stated"
     cells = "  ".join(
         f"{name} {share:5.1f}±{error:.1f}" for name in tally.inside for share, error in [tally.percent(name)]

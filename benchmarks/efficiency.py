@@ -37,7 +37,7 @@ HEAD = (
 
 
 def line(regime: Regime, result: Result) -> str:
-    """One regime in numbers."""
+    """Return one regime in numbers."""
     cells = []
     for method in METHODS:
         for name in CLASSES:
@@ -51,7 +51,7 @@ def line(regime: Regime, result: Result) -> str:
 
 
 def below(results: Mapping[Regime, Result]) -> list[str]:
-    """Where the estimator is below 0.95 by more than twice the Monte Carlo error, and the bound is attainable."""
+    """Return where the estimator is below 0.95 by over twice the Monte Carlo error, and the bound is attainable."""
     return [
         f"{regime}: {name} {result.ratio['joint'][name]:.3f}"
         for regime, result in results.items()

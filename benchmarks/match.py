@@ -36,7 +36,7 @@ _BLOCK = 500_000
 
 
 def write_log(path: Path, rows: int, rate: float) -> None:
-    """A record of the laboratory's accelerometers."""
+    """Write a record of the laboratory's accelerometers."""
     import polars as pl
 
     draw = np.random.default_rng(0)
@@ -61,7 +61,7 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def only_read(path: Path) -> None:
-    """Every number of the columns, and nothing done with it."""
+    """Read every number of the columns, and do nothing with it."""
     with open_log(path) as log:
         for _ in log.rows(range(len(log.names))):
             pass
@@ -74,7 +74,7 @@ def offline(path: Path) -> None:
 
 
 def online_seconds(path: Path) -> float:
-    """Of the estimators alone: a live stream brings its numbers itself."""
+    """Time the estimators alone: a live stream brings its numbers itself."""
     online, spent = Online(PAIR, CHANNELS), 0.0
 
     def push(stretch: PairBlock) -> None:

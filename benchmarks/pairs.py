@@ -71,7 +71,7 @@ def phasors() -> np.ndarray[tuple[int], np.dtype[np.complex128]]:
 
 
 def truth() -> Array:
-    """p and q that leave no component."""
+    """Return p and q that leave no component."""
     first, second, orthogonal = phasors()
     system = np.array([[first.real, orthogonal.real], [first.imag, orthogonal.imag]])
     rest, q = np.linalg.solve(system, [-second.real, -second.imag])
@@ -101,7 +101,7 @@ def _noise(draw: np.random.Generator, rows: int, corner: float) -> Array:
 
 
 def estimate(case: Case, seed: int) -> tuple[float, float, float, float]:
-    """p, q and their uncertainties."""
+    """Return p, q and their uncertainties."""
     theta, readings = record(case, seed)
     if case.online:
         online = Online(PAIR, PAIR.channels)
@@ -115,7 +115,7 @@ def estimate(case: Case, seed: int) -> tuple[float, float, float, float]:
 
 
 def bound(case: Case) -> float:
-    """The least standard deviation of p and of q: of three sines in white noise, from their phasors alone."""
+    """Return the least standard deviation of p and of q: of three sines in white noise, from their phasors alone."""
     first, _, orthogonal = phasors()
     rows = case.turns / SPIN * case.rate
     rest, q = 1.0 - truth()[0], truth()[1]
@@ -137,7 +137,7 @@ def judged(case: Case, records: int) -> dict[str, list[float]]:
 
 
 def good(result: dict[str, list[float]], records: int) -> bool:
-    """Whether coverage and efficiency are what they must be."""
+    """Return whether coverage and efficiency are what they must be."""
     chance = 2.0 * sqrt(0.05 * 0.95 / records)
     low, high = COVERAGE[0] - chance, COVERAGE[1] + chance
     return all(low < share < high for share in result["coverage"]) and all(

@@ -139,7 +139,7 @@ def _wrong_output(known: Undisturbed, folder: Path, *, killed: bool) -> str:
 
 
 def _same(name: str, content: bytes, wanted: bytes | None) -> bool:
-    """Whether two outputs are the same; the history of a NetCDF file holds the time at which it was written."""
+    """Return whether two outputs are the same; the history of a NetCDF file holds the time at which it was written."""
     if wanted is None or not name.endswith(".nc"):
         return content == wanted
     import xarray as xr

@@ -154,7 +154,7 @@ class CountingUp:
         self._held = dict(self._after_reset)
 
     def _measured(self) -> dict[int, int]:
-        """The registers that the part itself writes."""
+        """Return the registers that the part itself writes."""
         raise NotImplementedError
 
     def _new_sample(self, rate: float) -> bool:

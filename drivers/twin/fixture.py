@@ -23,7 +23,7 @@ class HeldPose(Protocol):
         ...
 
     def temperature(self) -> float:
-        """Of the sensor, °C."""
+        """Return the temperature of the sensor, °C."""
         ...
 
 

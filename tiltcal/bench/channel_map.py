@@ -120,7 +120,7 @@ class _Channels:
         return ", ".join(self._by_column) or "no readings"
 
     def find(self, name: str) -> ChannelRef | None:
-        """The reading of a name; None where there is none.
+        """Return the reading of a name; None where there is none.
 
         Raises
         ------

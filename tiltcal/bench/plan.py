@@ -44,7 +44,7 @@ class PlannedRotation:
     left_out: tuple[str, ...]
 
     def as_data(self) -> dict[str, Any]:
-        """The plan as plain data."""
+        """Return the plan as plain data."""
         pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in self.pairs]
         return {"pairs": pairs, "turns": self.turns, "left_out": list(self.left_out), "why": _NOT_PREDICTED}
 

@@ -218,7 +218,7 @@ class RotationRunner:
         return ALL_TURNS if made >= self._rotation.turns else ""
 
     def _matched(self, collected: RotationSamples, ended: str) -> RotationResult:
-        """The pairs, matched by all that was collected; those that cannot be are left out with the reason.
+        """Return the pairs, matched by all that was collected; those that cannot be are left out with the reason.
 
         Raises
         ------
@@ -276,7 +276,7 @@ class RotationRunner:
 
 
 def _unused(link_statistics: Mapping[str, int]) -> int:
-    """All but the first, which is what was used."""
+    """Return all but the first, which was used."""
     return sum(list(link_statistics.values())[1:])
 
 

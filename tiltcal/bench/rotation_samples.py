@@ -190,7 +190,7 @@ class RotationSamples:
         return lost
 
     def online(self) -> dict[str, PairCoefficients]:
-        """p and q by now, by the name of the pair; pairs of which nothing is known are not there."""
+        """Return p and q so far, by the name of the pair; pairs without an estimate are left out."""
         found = {pair.name: PairCoefficients(one.p, one.q, one.u_p, one.u_q) for pair, one in self._online.items()}
         return {name: one for name, one in found.items() if isfinite(one.u_p) and isfinite(one.u_q)}
 
@@ -213,7 +213,7 @@ class RotationSamples:
             return False
 
     def whole(self) -> SampleSpan:
-        """All that counts, as one.
+        """Return all stretches that count, as one.
 
         Raises
         ------

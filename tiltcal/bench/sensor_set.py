@@ -126,7 +126,7 @@ class SensorSet:
         return {one.serial: reading for one, reading in zip(self.sensors, sample, strict=True)}
 
     def read_available(self) -> tuple[list[Reading | None], list[str]]:
-        """One sample of every sensor that answers, None for the others, and why they did not."""
+        """Return one sample of every sensor that answers, None for the others, and why they did not."""
         readings: list[Reading | None] = []
         reasons = []
         for one in self.sensors:
@@ -162,7 +162,7 @@ class SensorSet:
                 self._thermometer.discard()
 
     def succeeded(self) -> None:
-        """All went well: failures from here on count anew."""
+        """Note a success: failures from here on count anew."""
         self._failures.clear()
 
     def failed(self, error: SensorError, *, needed: bool = False) -> bool:

@@ -161,7 +161,7 @@ class SessionPlan:
 
     @classmethod
     def from_journal(cls, journal: Journal) -> SessionPlan:
-        """The plan of a captured session.
+        """Read the plan of a captured session from its journal.
 
         Raises
         ------
@@ -262,13 +262,13 @@ def plan_session(
 
 
 def devices_of(bench: BenchFile) -> tuple[tuple[DeviceSetup, ...], DeviceSetup | None]:
-    """The devices of a bench where no calibration is made: its sensors, and its thermometer."""
+    """Return the devices of a bench where no calibration is made: its sensors, and its thermometer."""
     sensors = tuple(DeviceSetup(s.model, s.serial, s.address, orientation=s.orientation) for s in bench.sensors)
     return sensors, None if bench.thermometer is None else _thermometer(bench.thermometer)
 
 
 def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:
-    """A bench of one sensor, which needs no file."""
+    """Return a bench of one sensor, which needs no file."""
     require_printable(serial, None, None, "the serial number")
     return BenchFile((BenchSensor(serial, model, address),), jig=jig)
 

@@ -93,7 +93,7 @@ class Window:
         return max(OVERNIGHT if self.soaking else PATIENCE, 10 * self.seconds)
 
     def near(self, sample: Sample) -> bool:
-        """Whether the thermometers are near the temperature that was asked for, where that matters."""
+        """Return whether the thermometers are near the temperature that was asked for, where that matters."""
         return self.target is None or all(
             abs(reading.temperature - self.target) <= NEAR for reading in sample if reading.temperature is not None
         )

@@ -62,7 +62,7 @@ class VerifiedPosition:
         return inf if any(isnan(error) for error in errors) else max(errors)
 
     def verdict(self, limit: float) -> str:
-        """``passed``, ``failed`` or ``not decided`` by a limit in degrees."""
+        """Return ``passed``, ``failed`` or ``not decided`` by a limit in degrees."""
         if self.error + self.expanded <= limit:
             return PASSED
         return FAILED if self.error - self.expanded > limit else UNDECIDED
@@ -99,7 +99,7 @@ class Verification:
         return max(self.positions, key=lambda position: position.error)
 
     def as_data(self) -> dict[str, Any]:
-        """The verification as plain data; an error that has no number is None."""
+        """Return the verification as plain data; an error that has no number is None."""
         return {
             "sensor": self.sensor.serial,
             "limit": self.limit,
@@ -196,7 +196,7 @@ def _between(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 def _finite(value: float) -> float | None:
-    """What JSON can hold."""
+    """Return a number as JSON can hold it: None for one that is not finite."""
     return value if isfinite(value) else None
 
 

@@ -48,7 +48,7 @@ class VirtualBench:
         )
 
     def twin(self, device: DeviceSetup) -> Link:
-        """The virtual sensor behind a ``sim:`` address."""
+        """Return the virtual sensor behind a ``sim:`` address."""
         truth = truth_of(parse_address(device.address), device.model)
         return device.model.twin(truth, self.fixture.turned(_to_sensor(device, truth)), self._clock)
 

@@ -119,7 +119,7 @@ def base_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str
 
 
 def _with_thermometer(bench: BenchUncertainty, sensors: Sequence[MeasuredSensor]) -> BenchUncertainty:
-    """The same, with the step of the sensors' own thermometers where no uncertainty of theirs is stated."""
+    """Return the same bench, with the step of the sensors' thermometers where no uncertainty of theirs is stated."""
     if bench.thermometer is not None:
         return bench
     return replace(bench, thermometer=max((one.thermometer or 0.0 for one in sensors), default=0.0) or None)
@@ -132,7 +132,7 @@ def _fitted(
     base: CalibrationRecord | None,
     settings: Mapping[str, Any] | None,
 ) -> list[CalibrationRecord]:
-    """The joint estimate, in free positions or set ones, with an order of the drift that the data warrant."""
+    """Return the joint estimate, in free positions or set ones, with an order of the drift that the data warrant."""
     if procedure.determines.free:
         sensors = directed(sensors)
         found = fit_jointly(sensors, procedure, bench, settings=settings)

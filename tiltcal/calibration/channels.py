@@ -108,7 +108,7 @@ def _remarks(coefficients: Coefficients) -> Iterator[str]:
 
 
 def _axis_of(row: Sequence[float], axes: Sequence[str], own: str) -> str:
-    """The axis that a channel answers to: its own, unless another is clearly stronger."""
+    """Return the axis that a channel answers to: its own, unless another is clearly stronger."""
     strength = dict(zip(axes, np.abs(row).tolist(), strict=True))
     strongest = max(strength, key=lambda axis: strength[axis])
     return strongest if strength[strongest] > CLEARLY * strength[own] else own

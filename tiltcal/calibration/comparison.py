@@ -35,7 +35,7 @@ class Comparison:
     verdict: Verdict
 
     def as_data(self) -> dict[str, Any]:
-        """The comparison as plain data."""
+        """Return the comparison as plain data."""
         verdict = self.verdict
         return {
             "sensor": self.sensor.serial,

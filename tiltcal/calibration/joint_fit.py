@@ -113,7 +113,7 @@ def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: 
 def observed_sensor(
     sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty, base: CalibrationRecord | None = None
 ) -> SensorObservations:
-    """A sensor as the estimator takes it.
+    """Return a sensor as the estimator takes it.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def design_of(
     nominal: Nominal | None = None,
     base: CalibrationRecord | None = None,
 ) -> Design:
-    """What a procedure determines of a sensor, and how well the bench sets what it sets.
+    """Return what a procedure determines of a sensor, and how well the bench sets what it sets.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def design_of(
 
 
 def _with_nominal(design: Design, procedure: Procedure, nominal: Nominal | None) -> Design:
-    """The model's sensitivity stands in."""
+    """Put the model's sensitivity in place of one that is not determined."""
     if nominal is None:
         raise EstimateError(no_sensitivity(procedure))
     own, cross = Prior(nominal.sensitivity, nominal.spread), Prior(0.0)
@@ -176,7 +176,7 @@ def _with_nominal(design: Design, procedure: Procedure, nominal: Nominal | None)
 
 
 def _with_base(design: Design, base: CalibrationRecord) -> Design:
-    """The sensitivity and the non-linearity of the sensor's own calibration stand in, as uncertain as it states them.
+    """Put sensitivity and non-linearity of the sensor's own calibration in place, with their stated uncertainty.
 
     Their correlations are left out: a procedure that determines no sensitivity moves them little.
     """
@@ -191,7 +191,7 @@ def _with_base(design: Design, base: CalibrationRecord) -> Design:
 
 
 def no_sensitivity(procedure: Procedure) -> str:
-    """Why a procedure that determines no sensitivity cannot be evaluated, and what to do."""
+    """Return why a procedure that determines no sensitivity cannot be evaluated, and what to do."""
     return (
         f"{procedure.name} determines no sensitivity: name a --sensor model whose nominal one may stand in, or with "
         "--base the sensor's own calibration"
@@ -199,7 +199,7 @@ def no_sensitivity(procedure: Procedure) -> str:
 
 
 def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]) -> list[Observation]:
-    """The positions for the estimator, each one's noise made better known by that of the others."""
+    """Return the positions for the estimator, each one's noise made better known by that of the others."""
     correlated = correlated_noise(_summaries(measurements, channels))
     noise = [noise_of_means([one.summaries[channel] for one in measurements], correlated) for channel in channels]
     observations = []
@@ -229,7 +229,7 @@ def _summaries(measurements: Sequence[Measurement], channels: Sequence[str]) -> 
 
 
 def _stands(measurement: Measurement) -> tuple[object, ...]:
-    """How the fixture was set; what is set like the position before was not touched."""
+    """Return how the fixture was set; what is set like the position before was not touched."""
     return measurement.gravity, measurement.heading
 
 
@@ -238,7 +238,7 @@ def _largest_noise(measurements: Sequence[Measurement], channels: Sequence[str])
 
 
 def _reading(measurements: Sequence[Measurement], design: Design) -> dict[str, float]:
-    """What a single reading is uncertain by: the samples' scatter within the positions, and what rounding leaves."""
+    """Return the uncertainty of a single reading: the scatter within the positions, and that of rounding."""
     known: dict[str, float] = {}
     for channel in design.channels:
         summaries = [measurement.summaries[channel] for measurement in measurements]
@@ -283,7 +283,7 @@ def _procedure(
 
 
 def _set(measurement: Measurement) -> PositionSet:
-    """What was actually set in a position."""
+    """Return what was actually set in a position."""
     turned = PositionSet(heading=measurement.heading, stage=measurement.stage)
     if measurement.tilt is not None:
         return replace(turned, tilt={axis: float(angle) for axis, angle in measurement.tilt.items()})

@@ -7,7 +7,7 @@ _SHAPES = {"2": "square", "3": "cube"}
 
 
 def words(name: str) -> str:
-    """A coefficient in words, such as ``Sensitivity of x to y`` for ``sensitivity.x.y``."""
+    """Return a coefficient in words, such as ``Sensitivity of x to y`` for ``sensitivity.x.y``."""
     match name.split("."):
         case ["offset", channel]:
             return f"Offset of {channel}"
@@ -27,7 +27,7 @@ def words(name: str) -> str:
 
 
 def symbol(name: str) -> tuple[str, str]:
-    """A coefficient's letter and its index, such as ``S`` and ``xy``."""
+    """Return a coefficient's letter and its index, such as ``S`` and ``xy``."""
     match name.split("."):
         case ["offset", channel]:
             return "u", f"0{channel}"
@@ -45,7 +45,7 @@ def symbol(name: str) -> tuple[str, str]:
 
 
 def unit_of(name: str, unit: str) -> str:
-    """The unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number."""
+    """Return the unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number."""
     match name.split("."):
         case ["offset", _]:
             return unit

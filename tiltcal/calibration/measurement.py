@@ -122,7 +122,7 @@ class Nominal:
 
     @classmethod
     def of(cls, model: Model) -> Nominal:
-        """The facts of a model as its data sheet states them."""
+        """Return the facts of a model as its data sheet states them."""
         return cls(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails, model.population)
 
 

@@ -32,7 +32,7 @@ def mount(
     jig: float | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> CalibrationRecord:
-    """A calibration with the mounting that the positions show; all else is the base's.
+    """Return a calibration with the mounting that the positions show; all else is the base's.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class _Joint:
 def _best(
     coefficients: Coefficients, measurements: Sequence[Measurement], known: Array, jig: float | None
 ) -> tuple[MountingEstimate, Array]:
-    """The mounting, and the side of z: a sensor of two axes may hang upside down, and the better one is taken."""
+    """Return the mounting and the side of z: a sensor of two axes may hang upside down; the better one is taken."""
     read = _directions(coefficients, measurements)
     sides = [np.ones(3)] if len(coefficients.channels) == 3 else [np.ones(3), np.array([1.0, 1.0, -1.0])]
     found = [(_solved(read * side, known, jig), side) for side in sides]
@@ -100,7 +100,7 @@ def _solved(read: Array, known: Array, jig: float | None) -> MountingEstimate:
 def _joined(
     base: CalibrationRecord, found: MountingEstimate, solve: Callable[[Coefficients], MountingEstimate]
 ) -> _Joint:
-    """What the base is uncertain by goes into the mounting that was found with it, and the two err together."""
+    """Propagate the uncertainty of the base into the mounting that was found with it, with their covariance."""
     coefficients = replace(base.coefficients, mounting=None)
     names, covariance, factors = _own(base.uncertainty, coefficients)
     vector, u = vector_of(coefficients, names), np.sqrt(np.diag(covariance))
@@ -137,7 +137,7 @@ def _own(uncertainty: Uncertainty, coefficients: Coefficients) -> tuple[tuple[st
 
 
 def _uncertainty(before: Uncertainty, joint: _Joint, u: Mapping[str, float]) -> Uncertainty:
-    """The base's uncertainty with the mounting's in it, degrees."""
+    """Return the base's uncertainty with the mounting's in it, degrees."""
     scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in joint.names])
     own = {name: value for name, value in before.items() if not name.startswith("mounting.")}
     return Uncertainty(
@@ -163,7 +163,7 @@ def _directions(coefficients: Coefficients, measurements: Sequence[Measurement])
 
 
 def _rounded(found: MountingEstimate, joint: _Joint) -> tuple[Mounting, dict[str, float]]:
-    """The angles with the digits that their uncertainty warrants, radians; and that, degrees."""
+    """Return the angles with the digits that their uncertainty warrants, radians; and that, degrees."""
     if found.u is None:
         return found.mounting, {}
     known = angle_uncertainty(mounting_matrix(found.mounting), joint.covariance[-3:, -3:])

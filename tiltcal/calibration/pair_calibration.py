@@ -129,7 +129,7 @@ def _pair_rows(matching: Matching) -> Iterator[str]:
 
 
 def pair_summary(matching: Matching) -> str:
-    """The table, p and q with their uncertainties, and how far the common acceleration is suppressed."""
+    """Return the table, p and q with their uncertainties, and how far the common acceleration is suppressed."""
     return "\n".join(
         [
             f"{matching.pair.first} and {matching.pair.second}, orthogonal {matching.pair.orthogonal}",
@@ -141,7 +141,7 @@ def pair_summary(matching: Matching) -> str:
 
 
 def suppressed(matching: Matching, write: Callable[[float], str] = "{:.3g}".format) -> str:
-    """How far the common acceleration is suppressed, in words; ``write`` writes the two factors."""
+    """Return the suppression of the common acceleration in words; ``write`` formats the two factors."""
     suppression = matching.suppression
     left = matching.components["after_pq"][SUM]
     floor = left.amplitude <= left.u_amplitude

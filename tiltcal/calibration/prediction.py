@@ -52,7 +52,7 @@ class PredictedUncertainty:
         return self.prediction.uncertainty()
 
     def as_data(self) -> dict[str, Any]:
-        """The prediction as plain data."""
+        """Return the prediction as plain data."""
         return {
             "noise": self.noise,
             "jig": None if self.design.free else self.design.jig,
@@ -105,7 +105,7 @@ class PredictedMounting:
         return {f"mounting.{angle}": u for angle, u in self.angles.items()}
 
     def as_data(self) -> dict[str, Any]:
-        """The prediction as plain data."""
+        """Return the prediction as plain data."""
         return {"jig": self.jig, "uncertainty": self.uncertainty}
 
     def __str__(self) -> str:
@@ -209,7 +209,7 @@ def _jig_in_words(jig: float | None) -> str:
 
 
 def _usual_noise(model: Model) -> float:
-    """The noise of a sample of the model's virtual part, at least that of rounding, unit."""
+    """Return the noise of a sample of the model's virtual part, at least that of rounding, unit."""
     known = max(model.default_truth(0).noise.values(), default=0.0) if model.default_truth else 0.0
     return hypot(known, model.resolution / sqrt(12))
 

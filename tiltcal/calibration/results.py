@@ -42,7 +42,7 @@ NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
 
 
 def rounded(found: Estimate) -> Coefficients:
-    """The coefficients with the digits that their uncertainties warrant."""
+    """Return the coefficients with the digits that their uncertainties warrant."""
     coefficients, u = found.coefficients, found.uncertainty()
     thermal = coefficients.thermal
     if thermal is not None:
@@ -126,7 +126,7 @@ def derived_record(found: Estimate, design: Design, assumed: str) -> DerivedReco
 def _derived(
     found: Estimate, quantity: Callable[[Coefficients], dict[str, float]]
 ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """A derived quantity, its standard uncertainty, and its coverage factor by channel, rounded.
+    """Return a derived quantity, its standard uncertainty, and its coverage factor by channel, rounded.
 
     Uncertainties that are wider by what each factor exceeds that of a normal distribution are propagated as the
     standard ones are.
@@ -200,7 +200,7 @@ def _rounded_rows(table: Array, channels: Sequence[str], name: str, u: Mapping[s
 
 
 def _intrinsic_record(found: Estimate, design: Design) -> IntrinsicRecord:
-    """The nine intrinsic parameters and, where positions were set, the rotation that is left."""
+    """Return the nine intrinsic parameters and, where positions were set, the rotation that is left."""
     own = intrinsic(found.coefficients, found.names, found.covariance, mounted=not design.free)
     parts = {"offset": own.offset, "sensitivity": own.sensitivity, "angle_degrees": own.angle}
     if own.mounting:
@@ -223,7 +223,7 @@ def _told(quantities: Mapping[str, IntrinsicQuantity]) -> tuple[dict[str, float]
 
 
 def _budget(found: Estimate) -> dict[str, dict[str, float]]:
-    """Which share of each variance comes from what, without the shares that round to nothing."""
+    """Return which share of each variance comes from what, without the shares that round to nothing."""
     shares = found.budget.shares
     return {
         name: {
@@ -245,7 +245,7 @@ def _source_of_uncertainty(found: Estimate, design: Design) -> str:
 
 
 def _worst(residuals: Mapping[str, Mapping[str, float]]) -> WorstResidual:
-    """The largest residual; the rounded ones are compared, so that a tie falls alike on every processor."""
+    """Return the largest residual; the rounded ones are compared, so that a tie falls alike on every processor."""
     position, channel = max(
         ((position, channel) for position, row in residuals.items() for channel in row),
         key=lambda place: abs(residuals[place[0]][place[1]]),

@@ -20,18 +20,18 @@ SHOWN = 3
 
 
 def summary(calibration: CalibrationRecord) -> str:
-    """The coefficients with their standard uncertainties, and how well the positions fit."""
+    """Return the coefficients with their standard uncertainties, and how well the positions fit."""
     return "\n".join(_lines(calibration))
 
 
 def mounting_summary(calibration: CalibrationRecord) -> str:
-    """How a sensor sits in its application, with standard uncertainties where they are known."""
+    """Return how a sensor sits in its application, with standard uncertainties where they are known."""
     sensor = calibration.sensor
     return "\n".join([f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)", *mounting_lines(calibration)])
 
 
 def mounting_lines(calibration: CalibrationRecord) -> Iterator[str]:
-    """The angles of the mounting, degrees; none where the sensor's frame is the application's."""
+    """Yield the angles of the mounting, degrees; none where the sensor's frame is the application's."""
     mounting = calibration.coefficients.mounting
     for angle in ANGLES if mounting is not None else ():
         value, u = degrees(getattr(mounting, angle)), calibration.uncertainty.get(f"mounting.{angle}")
@@ -59,7 +59,7 @@ def _lines(calibration: CalibrationRecord) -> Iterator[str]:
 
 
 def _fit_lines(calibration: CalibrationRecord) -> Iterator[str]:
-    """How well the positions agree."""
+    """Yield how well the positions agree."""
     fit, sensor, worst = calibration.fit, calibration.sensor, calibration.fit.worst
     if worst is not None:
         own = float(np.max(np.abs(calibration.coefficients.sensitivity)))

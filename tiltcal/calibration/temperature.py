@@ -91,7 +91,7 @@ def choose_order(
 
 
 def with_order(procedure: Procedure, order: int) -> Procedure:
-    """The procedure with one order of the drift."""
+    """Return the procedure with one order of the drift."""
     return replace(procedure, determines=replace(procedure.determines, drift=order, cross_validated=False))
 
 
@@ -135,7 +135,7 @@ def _uncertainties(sensor: MeasuredSensor, channels: Sequence[str]) -> Array:
 
 
 def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Hysteresis]:
-    """The largest difference of residuals at one temperature that was met twice, per channel, unit."""
+    """Return the largest difference of residuals at one temperature that was met twice, per channel, unit."""
     residuals = calibration.fit.residuals
     met_twice = [
         (one.position, other.position)

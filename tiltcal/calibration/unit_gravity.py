@@ -66,7 +66,7 @@ def directed(sensors: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
 
 
 def directions(positions: Sequence[Mapping[str, SampleSummary]]) -> Array:
-    """A first guess at where gravity pointed in each position.
+    """Return a first estimate of the direction of gravity in each position.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
 
 
 def _worst(calibration: CalibrationRecord) -> tuple[str, float]:
-    """The coefficient with the largest expanded uncertainty (95 %), and that in mg of the mean sensitivity."""
+    """Return the coefficient with the largest expanded uncertainty (95 %), and that in mg of the mean sensitivity."""
     coefficients, uncertainty = calibration.coefficients, calibration.uncertainty
     scale = float(np.mean(np.linalg.norm(coefficients.sensitivity, axis=1)))
     normal = float(coverage_factor(np.array([inf]))[0])
@@ -148,7 +148,7 @@ def _worst(calibration: CalibrationRecord) -> tuple[str, float]:
 
 
 def _no_sensor(coefficients: Coefficients) -> str | None:
-    """Why the coefficients are those of no sensor: its axes are nearly square, its sensitivities nearly equal."""
+    """Return why no sensor has these coefficients: axes are nearly square, and sensitivities nearly equal."""
     length = np.linalg.norm(coefficients.sensitivity, axis=1)
     if np.max(length) > UNEQUAL * np.min(length):
         return f"its sensitivities come out {np.max(length) / np.min(length):.1f} times apart"
@@ -161,7 +161,7 @@ def _no_sensor(coefficients: Coefficients) -> str | None:
 
 
 def _advice(attitudes: Array) -> str:
-    """The directions that are missing, as a person holds the sensor."""
+    """Return the directions that are missing, as a person holds the sensor."""
     missing = [
         f"{sign}{axis}"
         for axis, column in zip(AXES, attitudes.T, strict=True)
@@ -174,7 +174,7 @@ def _advice(attitudes: Array) -> str:
 
 
 def _turned(sensor: MeasuredSensor, directions: Array) -> list[Measurement]:
-    """A sensor's positions in directions of the fixture's frame."""
+    """Return a sensor's positions in directions of the fixture's frame."""
     own = directions @ np.array(sensor.orientation).T
     return [
         replace(one, gravity=(x, y, z), tilt=None)

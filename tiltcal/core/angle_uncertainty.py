@@ -138,7 +138,7 @@ class CompensationWithUncertainty:
         return (*self._compensation.columns, *(f"u_{angle}" for angle in self._angles), *self.expanded)
 
     def table(self, found: AngleUncertainty) -> dict[str, NDArray[np.float64] | Bytes]:
-        """The columns of a result under the names that :attr:`columns` lists."""
+        """Return the columns of a result under the names that :attr:`columns` lists."""
         added = (*found.standard.T, *found.expanded.T)
         own = self._compensation.table(found.compensated)
         return own | dict(zip(self.columns[len(own) :], added, strict=True))
@@ -374,7 +374,7 @@ def _pair_lift(lift: Array) -> Array:
 
 
 def _slope_of_root(root: Array, half: Array) -> Array:
-    """What the error of half a square is divided by for that of its root; all of its interval near zero."""
+    """Return what the error of half a square is divided by for that of its root; all of its interval near zero."""
     size, square = np.abs(root), root * root
     low, high = np.sqrt(np.maximum(square - 2.0 * half, 0.0)), np.sqrt(square + 2.0 * half)
     slope = half / np.where(low > 0.0, size - low, high)
@@ -382,7 +382,7 @@ def _slope_of_root(root: Array, half: Array) -> Array:
 
 
 def _length(one: Array, other: Array) -> Array:
-    """What hypot gives, in half its time: nothing here comes near an overflow."""
+    """Compute the hypotenuse in half the time of ``hypot``: nothing here comes near an overflow."""
     return np.asarray(np.sqrt(one * one + other * other))
 
 

@@ -63,7 +63,7 @@ class Budget:
         return Budget(self.covariance + np.diag(added), {**self.variance, source: added}, self.dof * grown**2)
 
     def part(self, chosen: Sequence[int]) -> Budget:
-        """The budget of some of the quantities."""
+        """Return the budget of some of the quantities."""
         rows = np.asarray(chosen, dtype=np.intp)
         return Budget(
             self.covariance[np.ix_(rows, rows)],
@@ -162,7 +162,7 @@ class CoverageFactors:
         """One over the degrees of freedom, by the square of the normal factor over Student's."""
 
     def factor(self, estimated: Array, widened: Array, known: Array) -> Array:
-        """What the standard uncertainty is multiplied with for an interval of 95 %.
+        """Return what the standard uncertainty is multiplied with for an interval of 95 %.
 
         Parameters
         ----------
@@ -195,7 +195,7 @@ class CoverageFactors:
 
 
 def _looked_up(table: Array, argument: Array) -> Array:
-    """The table's values at arguments from 0 to 1, and the first one where there is no number."""
+    """Return the table's values at arguments from 0 to 1, and the first one where there is no number."""
     with np.errstate(invalid="ignore"):
         place = (argument * len(table)).astype(np.int32)
     return np.take(table, place, mode="clip")

@@ -299,7 +299,7 @@ def tempco_from_two_temperatures(
 
 
 def referenced_reading(reading: float, temperature: float, tempco: float, reference: float = 0.0) -> float:
-    """What a reading would be at the reference temperature.
+    """Return what a reading would be at the reference temperature.
 
     Parameters
     ----------

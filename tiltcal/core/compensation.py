@@ -228,7 +228,7 @@ class Compensation:
         return (*(f"g_{axis}" for axis in self.axes), *self.angles, "flag", "reason")
 
     def table(self, compensated: Compensated) -> dict[str, NDArray[np.float64] | Bytes]:
-        """The columns of a result under the names that :attr:`columns` lists."""
+        """Return the columns of a result under the names that :attr:`columns` lists."""
         angles = (compensated.pitch, compensated.roll, compensated.inclination)
         return dict(
             zip(
@@ -293,7 +293,7 @@ class Compensation:
             yield chunk
 
     def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
-        """One chunk, ``u`` having a row per channel, into ``out``."""
+        """Compute one chunk into ``out``; ``u`` has a row for each channel."""
         out.flag.fill(PASS)
         out.reason.fill(0)
         dt = self._temperature_difference(temperature, out)
@@ -315,7 +315,7 @@ class Compensation:
         return KernelChunk(rows, dt, signal, own, hidden, out)
 
     def _temperature_difference(self, temperature: Array | None, out: Compensated) -> Array | None:
-        """How much warmer than at the reference temperature, °C, where that counts; marks the rows that do not say."""
+        """Return the excess over the reference temperature, °C, where it counts; mark the rows without one."""
         known = None
         if temperature is not None:
             known = np.isfinite(temperature)
@@ -334,7 +334,7 @@ class Compensation:
         return dt
 
     def _signal(self, u: Array, dt: Array | None) -> Array:
-        """The readings without offset, drift and gain: S g, still bent; unit."""
+        """Return the readings without offset, drift and gain: S g with its non-linearity; unit."""
         signal: Array = u - self._offset[:, None]
         if self._thermal is None or dt is None:
             return signal
@@ -447,7 +447,7 @@ def _inverse(sensitivity: Array) -> Array:
 
 
 def _first_order_inverse(sensitivity: Array) -> Array:
-    """The linear map that eq. 6 applies, for X and, with the letters exchanged, for Y."""
+    """Return the linear map that eq. 6 applies, for X and, with the letters exchanged, for Y."""
     (xx, xy), (yx, yy) = sensitivity
     if xx == 0.0 or yy == 0.0:
         raise EstimateError(
@@ -462,7 +462,7 @@ def _bounds(named: dict[str, tuple[float, float]], names: tuple[str, ...]) -> di
 
 
 def _sine_of_limit(angle: float, side: int) -> float:
-    """The sine a tilt must pass to be outside a limit by more than the slack; none lies outside ±90°."""
+    """Return the sine beyond which a tilt is outside a limit by more than the slack; none lies outside ±90°."""
     widened = angle + side * _TILT_SLACK
     if abs(widened) >= pi / 2:
         return float(np.copysign(np.inf, widened))
@@ -470,7 +470,7 @@ def _sine_of_limit(angle: float, side: int) -> float:
 
 
 def _overlap(first: tuple[float, float] | None, second: tuple[float, float] | None) -> tuple[float, float] | None:
-    """The temperatures inside both ranges, °C."""
+    """Return the temperatures inside both ranges, °C."""
     ranges = [given for given in (first, second) if given is not None]
     if not ranges:
         return None

@@ -45,7 +45,7 @@ def gravity_from_tilt(tilt: Mapping[str, float]) -> Vector:
 
 
 def normalised(gravity: Sequence[float]) -> Vector:
-    """A direction of gravity as a unit vector.
+    """Return a direction of gravity as a unit vector.
 
     Raises
     ------

@@ -141,7 +141,7 @@ def _mounting(
 
 
 def separated(matrix: Array) -> tuple[Array, Array]:
-    """The RQ decomposition of a sensitivity matrix.
+    """Return the RQ decomposition of a sensitivity matrix.
 
     Parameters
     ----------

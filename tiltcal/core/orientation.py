@@ -35,7 +35,7 @@ class Orientation:
         return first, second, third
 
     def seen(self, vector: Vector) -> Vector:
-        """A vector of the fixture's frame in the sensor's.
+        """Return a vector of the fixture's frame in the sensor's.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ STRAIGHT = Orientation()
 
 
 def orientation(names: Sequence[str]) -> Orientation:
-    """The orientation that two or three signed axis names say.
+    """Return the orientation that two or three signed axis names state.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ class ExpectedReadings:
         reading: Array,
         temperature: float | None = None,
     ) -> str | None:
-        """Why a reading cannot be that of ``position``, or None where it can.
+        """Return why a reading cannot be that of ``position``, or None where it can.
 
         Parameters
         ----------
@@ -142,7 +142,7 @@ class ExpectedReadings:
         return None
 
     def repeated(self, readings: Mapping[str, Array], reading: Array) -> str | None:
-        """Why a reading is no attitude of its own, or None where it is one.
+        """Return why a reading is no attitude of its own, or None where it is one.
 
         The offset that the part really has moves all attitudes alike: how far they are apart is seen without it.
 

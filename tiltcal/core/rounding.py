@@ -50,7 +50,7 @@ def significant(value: float, digits: int) -> float:
 
 
 def bracketed(value: float, uncertainty: float, digits: int = 1) -> str:
-    """A value with its standard uncertainty in brackets, in units of its last digit: ``3.3830(3)``.
+    """Return a value with its standard uncertainty in brackets, in units of its last digit: ``3.3830(3)``.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class MountingEstimate:
 
 
 def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> MountingEstimate:
-    """The rotation that takes directions in the sensor's frame to those in the application's.
+    """Return the rotation that takes directions in the sensor's frame to those in the application's.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
 
 
 def rotation_vector(matrix: Array) -> Array:
-    """The turn that a rotation matrix makes, radians, shape (3,)."""
+    """Return the turn that a rotation matrix makes, radians, shape (3,)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrix).as_rotvec())

@@ -170,7 +170,7 @@ def _matrix(
 
 
 def _square_columns(node: Node, channels: Sequence[str], axes: Sequence[str]) -> list[int]:
-    """The columns that are inverted: all, x and y where z comes from unit gravity, or that of a single channel."""
+    """Return the columns that are inverted: all, x and y where unit gravity gives z, or that of a single channel."""
     if len(axes) == len(channels):
         return list(range(len(axes)))
     if len(channels) == 2 and len(axes) == 3:

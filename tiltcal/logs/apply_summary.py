@@ -74,7 +74,7 @@ class ApplySummary:
 
     @classmethod
     def watching(cls, columns: Sequence[str]) -> ApplySummary:
-        """One that keeps the median and the largest value of some columns of the result."""
+        """Return a summary that keeps the median and the largest value of some columns of the result."""
         return cls(widths={name: ColumnWidths() for name in columns})
 
     def add(self, flag: NDArray[np.uint8], reason: NDArray[np.uint8], bad_rows: int, table: Table) -> None:
@@ -86,7 +86,7 @@ class ApplySummary:
         count_flags(self.flags, self.reasons, flag, reason)
 
     def as_data(self) -> dict[str, object]:
-        """The counts as plain data, every flag and reason that occurred."""
+        """Return the counts as plain data, every flag and reason that occurred."""
         widths = {name: {"median": one.median, "largest": one.largest} for name, one in self.widths.items()}
         return {
             "rows": self.rows,
@@ -97,7 +97,7 @@ class ApplySummary:
         }
 
     def as_text(self) -> str:
-        """The counts in words, one line for each."""
+        """Return the counts in words, one line for each."""
         lines = [_counted(self.rows, "row")]
         lines += [f"  flag {flag} {name}: {self.flags[flag]}" for flag, name in FLAGS.items() if self.flags[flag]]
         lines += [f"  reason {bit} {why}: {self.reasons[bit]}" for bit, why in REASONS.items() if self.reasons[bit]]

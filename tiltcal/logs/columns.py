@@ -29,7 +29,7 @@ def named_columns(columns: Mapping[str, str] | str, channels: Sequence[str]) -> 
 
 
 def parse_columns(text: str, channels: Sequence[str]) -> dict[str, str]:
-    """What ``--columns x=VoutX,y=VoutY,temperature=T`` says.
+    """Parse the text of ``--columns``, such as ``x=VoutX,y=VoutY,temperature=T``.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def locate_columns(
     line: int | None = 1,
     option: str = "--columns {role}=",
 ) -> dict[str, int]:
-    """Where the readings stand in a log.
+    """Find the columns of the readings in a log.
 
     A role that was not named has the column of its own name. Temperature may be absent where it was not named.
 
@@ -133,7 +133,7 @@ def _suggestion(wanted: str, present: Sequence[str]) -> str:
 
 
 def is_number(text: str) -> bool:
-    """Whether a field of a first line is a number, so that it names no column."""
+    """Return whether a field of a first line is a number, so that it names no column."""
     try:
         float(text)
     except ValueError:

@@ -257,7 +257,7 @@ class FitSource:
         return str(self.data) if isinstance(self.data, str | Path) else "the table"
 
     def _given(self, sensor: SensorIdentity) -> tuple[list[StaticInterval], Provenance]:
-        """What the sensor read in the segments or the table that were given, and where these come from."""
+        """Return what the sensor read in the segments or the table that were given, and where these come from."""
         if self.segments is None:
             holds = holds_of_table(read_positions(_path_or_rows(self.data, "the table"), sensor.channels))
             return holds, self._provenance()
@@ -281,7 +281,7 @@ class FitSource:
 
 
 def _is_table(data: Any, segments: Any) -> bool:
-    """Whether a frame is one of positions."""
+    """Return whether a frame is one of positions."""
     if segments is not None or isinstance(data, str | Path):
         return False
     return "position" in FrameReader(data).names
@@ -301,7 +301,7 @@ def _origin(source: Any, record: type[R]) -> R | None:
 def _identity(
     base: CalibrationRecord | None, model: Model | None, steps: Procedure, unit: str | None, serial: str
 ) -> SensorIdentity:
-    """Which sensor it is, and in what unit it reads."""
+    """Return the identity of the sensor, and the unit of its readings."""
     if base is not None:
         for what, said, known in (
             ("--unit", unit, base.sensor.unit),

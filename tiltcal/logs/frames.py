@@ -190,7 +190,7 @@ def _columns_of(frame: Any, name: str) -> _Columns:
 
 
 def _eager(frame: Any, name: str) -> Any:
-    """A polars, pandas or pyarrow frame as narwhals takes it."""
+    """Return a polars, pandas or pyarrow frame as narwhals takes it."""
     import narwhals.stable.v2 as nw
 
     try:
@@ -310,7 +310,7 @@ class _Dataset:
 
 
 def _floats(column: Any) -> Array:
-    """A narwhals column of doubles as an array; NaN where a value is missing."""
+    """Return a narwhals column of doubles as an array; NaN where a value is missing."""
     return np.array(column.fill_null(float("nan")).to_numpy(), dtype=float)
 
 

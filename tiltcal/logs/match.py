@@ -185,7 +185,7 @@ def _explained(log: LogReader) -> Iterator[None]:
 
 
 def _matched(found: Demodulated, pair: Pair, watch: PairObserver | None, loops: bool) -> Matching:
-    """A pair, matched by the whole record or by what the online estimators ended with."""
+    """Return a pair, matched by the whole record or by what the online estimators ended with."""
     if watch is None:
         return match_demodulated(found.demodulation, pair)
     return matching_with(found.demodulation, pair, watch.coefficients(pair, loops=loops))

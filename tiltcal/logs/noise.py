@@ -194,7 +194,7 @@ class NoiseFacts:
             )
 
     def scale(self, channels: Sequence[str]) -> NoiseScale:
-        """The scale of some channels."""
+        """Return the scale of some channels."""
         per_g = {channel: abs(self.sensitivity.get(channel, self.sensitivity.get("*", 0.0))) for channel in channels}
         return NoiseScale(self.unit or "unit", {c: s for c, s in per_g.items() if s}, self.source)
 

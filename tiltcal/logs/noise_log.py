@@ -35,7 +35,7 @@ class NoiseLog:
     hung: RowRange | None
 
     def seconds(self, rows: RowRange) -> tuple[float, float]:
-        """When rows begin and end, seconds from the beginning of the log."""
+        """Return the times at which rows begin and end, seconds from the beginning of the log."""
         return rows.start * self.pace.interval, rows.end * self.pace.interval
 
     @property
@@ -44,14 +44,14 @@ class NoiseLog:
         return (self.pace.rows + self.pace.lost) * self.pace.interval
 
     def as_text(self) -> str:
-        """What was looked at, in words."""
+        """Return the extent of the log in words."""
         return (
             f"{self.pace.rows} samples of {', '.join(self.channels)}, {self.pace.interval:.4g} s apart "
             f"({1.0 / self.pace.interval:.4g} Hz), {self.span:.6g} s"
         )
 
     def as_data(self) -> dict[str, Any]:
-        """What was looked at, and what is to be known of it, as plain data."""
+        """Return the extent of the log and its faults as plain data."""
         return {
             "samples": self.pace.rows,
             "interval": self.pace.interval,
@@ -65,7 +65,7 @@ class NoiseLog:
         }
 
     def remarks(self) -> list[str]:
-        """What should be known before the numbers are believed, in words."""
+        """Return what limits the numbers, in words."""
         said = []
         if self.moved:
             begin, end = self.seconds(self.moved[0])

@@ -59,7 +59,7 @@ class NoisePositions:
 def positions(
     noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: float | None
 ) -> NoisePositions:
-    """How many samples a position needs.
+    """Return how many samples a position needs.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def summary(noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseSca
 def as_data(
     noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: float | None = None
 ) -> dict[str, Any]:
-    """The same for a program, with the whole Allan deviation; parameters as of :func:`positions`."""
+    """Return the same as plain data, with the whole Allan deviation; parameters as of :func:`positions`."""
     found = positions(noises, interval, scale, target)
     worst = found.advice[found.channel]
     return {

@@ -64,5 +64,5 @@ def _small(column: Array, absent: int) -> np.ndarray[tuple[int], np.dtype[np.uin
 
 
 def _clock(overview: ColumnStatistics, rows: int, times: Array | None) -> Array:
-    """The times of some rows, or their numbers from 0 where the log has none."""
+    """Return the times of some rows, or their numbers from 0 where the log has none."""
     return overview.rows + np.arange(float(rows)) if times is None else times

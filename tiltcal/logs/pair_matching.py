@@ -118,7 +118,7 @@ class _Tally:
         self._end = 0.0
 
     def counted(self, stretches: Iterator[PairBlock]) -> Iterator[PairBlock]:
-        """The stretches, counted."""
+        """Yield the stretches, and count their rows."""
         for stretch in stretches:
             self.rows += len(stretch.theta)
             self.present += [*np.isfinite(stretch.readings).sum(axis=0), np.isfinite(stretch.theta).sum()]
@@ -142,7 +142,7 @@ class _Angles:
         self.spin: Spin | None = None
 
     def told(self, stretches: Iterator[PairBlock]) -> Iterator[PairBlock]:
-        """The stretches with their stage angle."""
+        """Yield the stretches with their stage angle."""
         if self._measured:
             yield from stretches
             return
@@ -160,7 +160,7 @@ class _Angles:
 
 
 def _stretches(log: LogReader, channels: Sequence[str], phase: str | None) -> Iterator[PairBlock]:
-    """The log's rows."""
+    """Yield the log's rows."""
     file, line = log.name, log.header_line
     where = locate_columns(log.names, channels, {}, file=file, line=line, option="--pair or --orthogonal ")
     if phase is not None:

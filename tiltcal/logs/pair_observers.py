@@ -47,11 +47,11 @@ class PairObserver:
             self._say(text)
 
     def course(self, pair: Pair) -> Sequence[OnlineHistory]:
-        """How the estimates of a pair went, turn by turn."""
+        """Return the estimates of a pair, turn by turn."""
         return self._online[pair].course
 
     def coefficients(self, pair: Pair, *, loops: bool) -> PairCoefficients:
-        """What a pair's estimator ended with.
+        """Return what a pair's estimator ended with.
 
         Parameters
         ----------

@@ -63,7 +63,7 @@ class PairBlock:
         return PairBlock(self.theta[where], self.readings[where], time, first)
 
     def followed_by(self, other: PairBlock) -> PairBlock:
-        """One stretch of this one and the next."""
+        """Return one stretch of this one and the next."""
         time = None if self.time is None or other.time is None else np.concatenate([self.time, other.time])
         return PairBlock(
             np.concatenate([self.theta, other.theta]),
@@ -98,7 +98,7 @@ class StuckValues:
         self._stuck = np.zeros(len(self._channels), dtype=bool)
 
     def cleaned(self, stretches: Iterable[PairBlock]) -> Iterator[PairBlock]:
-        """The stretches, with NaN where a value is stuck; rows may move to a later stretch, in order."""
+        """Yield the stretches, with NaN where a value is stuck; rows may move to a later stretch, in order."""
         for stretch in stretches:
             if len(stretch.theta):
                 yield from self._judged(stretch if self._held is None else self._held.followed_by(stretch))
@@ -129,7 +129,7 @@ class StuckValues:
         yield replace(stretch.rows(slice(ready)), readings=cleaned[:ready])
 
     def _turns(self, theta: Array) -> Array:
-        """How far the stage has turned since the row before; where the angle is missing, what it was."""
+        """Return the angle that the stage turned since the row before; where it is missing, the last one."""
         known = np.append(self._theta, theta)
         told = np.isfinite(known)
         if not told.any():

@@ -113,7 +113,7 @@ def find_still(
 
 
 def still_segments(choice: StaticDetection) -> list[Segment]:
-    """The still intervals as segments, named in their order; those of one attitude have one name."""
+    """Return the still intervals as segments, named in their order; those of one attitude have one name."""
     digits = len(str(len(choice.holds)))
     return [
         Segment(f"still-{number:0{digits}}", start, end, None, None)
@@ -123,7 +123,7 @@ def still_segments(choice: StaticDetection) -> list[Segment]:
 
 
 def told(chosen: StaticDetection, tried: Sequence[StaticDetection], unit: str) -> str:
-    """What was tried with the chosen window, and what was chosen, as a table.
+    """Return what was tried with the chosen window, and what was chosen, as a table.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def told(chosen: StaticDetection, tried: Sequence[StaticDetection], unit: str) -
 
 
 def still_holds(readings: Array, lost: Mask, window: int, threshold: float) -> list[list[Span]]:
-    """The still intervals of a log, those of one attitude together.
+    """Return the still intervals of a log, those of one attitude together.
 
     Parameters
     ----------

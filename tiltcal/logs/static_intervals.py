@@ -57,7 +57,7 @@ class RecordedReadings:
         return len(next(iter(self.columns.values())))
 
     def readings(self, channels: Sequence[str]) -> Array:
-        """The channels side by side, shape (rows, channels)."""
+        """Return the channels side by side, shape (rows, channels)."""
         return np.stack([self.columns[channel] for channel in channels], axis=1)
 
 
@@ -122,7 +122,7 @@ def read_record(log: object, channels: Sequence[str], named: Mapping[str, str], 
 
 
 def holds_of(record: RecordedReadings, segments: Sequence[Segment], *, file: str) -> list[StaticInterval]:
-    """What the sensor read in each segment.
+    """Return what the sensor read in each segment.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def holds_of(record: RecordedReadings, segments: Sequence[Segment], *, file: str
 
 
 def holds_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterval]:
-    """What a table of positions says of each."""
+    """Return what a table of positions states of each."""
     names = _distinct([position.name for position in positions])
     return [
         StaticInterval(
@@ -205,7 +205,7 @@ def oriented(holds: Sequence[StaticInterval], attitudes: Array) -> list[Measurem
 
 
 def _place(hold: StaticInterval, known: Mapping[str, Position], procedure: Procedure, file: str) -> Position:
-    """The position that a hold was in."""
+    """Return the position of a still interval."""
     if hold.gravity is not None:
         heading = known[hold.position].heading if hold.position in known else None
         return Position(hold.position, "", hold.gravity, heading=heading)
@@ -309,7 +309,7 @@ def _hold(record: RecordedReadings, step: float, parts: Sequence[Segment], name:
 
 
 def _rise(values: Array) -> float:
-    """From beginning to end along the straight line through all values, as far as their scatter leaves no doubt."""
+    """Return the rise along the straight line through all values, less what their scatter explains."""
     count = len(values)
     if count < FEWEST_FOR_A_RISE:
         return 0.0
@@ -347,7 +347,7 @@ def _tabled(position: TabledPosition) -> dict[str, SampleSummary]:
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
-    """The names, numbered from the second of a kind on."""
+    """Return the names, numbered from the second of a kind on."""
     seen: Counter[str] = Counter()
     distinct = []
     for name in names:

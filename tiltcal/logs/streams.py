@@ -236,7 +236,7 @@ class LiveStream:
         self._begun = b""
 
     def read(self, size: int = -1) -> bytes:
-        """What has arrived, up to the end of its last line; nothing at the end, where a line may lack its own."""
+        """Return what has arrived, up to the end of its last line; nothing at the end, where a line may be open."""
         while not self.interrupted:
             try:
                 self._waiting = True

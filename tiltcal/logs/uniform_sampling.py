@@ -126,7 +126,7 @@ class UniformLog:
             self.pace.interval = self._regular_span / self._regular
 
     def _spaced(self, readings: Array, times: Array) -> Iterator[Array]:
-        """The readings with missing rows where time leaps; a row without a time follows the one before it."""
+        """Yield the readings with missing rows where time leaps; a row without a time follows the one before it."""
         known = np.flatnonzero(np.isfinite(times))
         if not len(known) and self.pace.interval:
             self._last = np.nan

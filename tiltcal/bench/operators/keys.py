@@ -18,7 +18,7 @@ class Keys(Protocol):
     """A source of the operator's choices."""
 
     def choice(self, timeout: float | None) -> str | None:
-        """The next key (:data:`ENTER` for Enter), or None when ``timeout`` seconds pass without one.
+        """Return the next key (:data:`ENTER` for Enter), or None when ``timeout`` seconds pass without one.
 
         Raises
         ------
@@ -28,11 +28,11 @@ class Keys(Protocol):
         ...
 
     def pressed(self, choices: str) -> str | None:
-        """One of these keys where it has been pressed already, without waiting."""
+        """Return one of these keys if it has been pressed already, without waiting."""
         ...
 
     def line(self) -> str:
-        """A typed line without its newline."""
+        """Read a typed line, without its newline."""
         ...
 
 

@@ -33,7 +33,7 @@ class LineReader:
             self._descriptor = None
 
     def next(self) -> str:
-        """The next line with its end, waited for; empty at the end of the stream."""
+        """Wait for the next line and return it with its end; empty at the end of the stream."""
         if self._descriptor is None:
             return self._stream.readline()
         while not self._ready and not self._ended:
@@ -41,7 +41,7 @@ class LineReader:
         return self._ready.popleft() if self._ready else ""
 
     def waiting(self) -> list[str]:
-        """The lines that are there already; they stay."""
+        """Return the lines that have arrived; they stay."""
         while self._descriptor is not None and not self._ended and len(self._ready) < MOST:
             if not select.select([self._descriptor], [], [], 0.0)[0]:
                 break

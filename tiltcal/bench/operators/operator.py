@@ -84,7 +84,7 @@ class Operator(Protocol):
         ...
 
     def done(self, files: list[Path], journal: Path) -> None:
-        """All is written."""
+        """Handle the end of the session: all is written."""
         ...
 
 
@@ -92,7 +92,7 @@ class PositionOperator(Operator, Protocol):
     """The operator of a procedure of positions. Every question raises ``Stopped`` where the operator quits."""
 
     def begin(self, title: str, positions: int, models: Mapping[str, Model]) -> None:
-        """The session starts, or goes on; the models are by serial number."""
+        """Handle the start of a session, or its resumption; the models are by serial number."""
         ...
 
     def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
@@ -108,11 +108,11 @@ class PositionOperator(Operator, Protocol):
         ...
 
     def accepted(self, result: PositionResult) -> None:
-        """The position counts."""
+        """Handle a position that is accepted."""
         ...
 
     def refused(self, position: Position, why: str) -> None:
-        """The position does not count; it is asked for again.
+        """Handle a position that is refused; it is asked for again.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class PositionOperator(Operator, Protocol):
         ...
 
     def lost(self, serial: str, why: str) -> None:
-        """A sensor is given up; the others go on."""
+        """Handle a sensor that is given up; the others go on."""
         ...
 
 
@@ -162,7 +162,7 @@ class RotationOperator(Operator, Protocol):
     """The operator of a turning stage: asked once, told turn by turn, free to stop at any time."""
 
     def begin(self, title: str) -> None:
-        """The session starts, or goes on."""
+        """Handle the start of a session, or its resumption."""
         ...
 
     def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
@@ -198,11 +198,11 @@ class RotationOperator(Operator, Protocol):
         ...
 
     def refused(self, why: str) -> None:
-        """The stage does not turn, or it is too early to stop."""
+        """Handle a stage that does not turn, or a stop that comes too early."""
         ...
 
     def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
-        """The pairs are matched."""
+        """Handle the matched pairs."""
         ...
 
 

@@ -83,7 +83,7 @@ class Octaves:
             depth += 1
 
     def result(self) -> AllanVariance:
-        """What the samples so far say, for averages that fit :data:`FEWEST_STRETCHES` times into them."""
+        """Return the deviations so far, for averages that fit :data:`FEWEST_STRETCHES` times into the samples."""
         found = {
             width << level.depth: level.variance(place)
             for level in self._levels
@@ -176,7 +176,7 @@ def degrees_of_freedom(kind: Kind, samples: float, factor: float) -> float:
 
 
 def limits(variance: Array, dof: Array) -> tuple[Array, Array]:
-    """Where the true deviation lies with a probability of 95 %.
+    """Return the interval that holds the true deviation with a probability of 95 %.
 
     Parameters
     ----------

@@ -74,13 +74,13 @@ class AllanFit:
         return np.asarray(_columns(tau) @ squares)
 
     def parts(self, tau: Array) -> dict[str, Array]:
-        """The deviation that each term would make alone, shape of ``tau`` (seconds)."""
+        """Return the deviation that each term would make alone, shape of ``tau`` (seconds)."""
         columns = _columns(tau)
         return {name: np.sqrt(columns[:, TERMS.index(name)]) * value for name, value in self.value.items()}
 
 
 def terms_of(tau: Array, variance: Array, factor: NDArray[np.int64], samples: int) -> AllanFit:
-    """The fewest kinds of noise that make an Allan variance.
+    """Return the fewest kinds of noise that make an Allan variance.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class _Spectrum:
     samples: int
 
     def fitted(self, first: int) -> AllanFit:
-        """The best terms from an octave on."""
+        """Return the best terms from an octave on."""
         dof = self._dof(np.zeros(len(self.tau), dtype=np.intp))
         for _ in range(3):  # which kind dominates decides the weights, and they the fit
             chosen, squares = self._best(first, np.minimum(dof, _MOST_DOF))
@@ -169,7 +169,7 @@ class _Spectrum:
 
 
 def _columns(tau: Array) -> Array:
-    """What one of each term's squares makes at each averaging time, shape (k, terms)."""
+    """Return the variance of a unit of each term at each averaging time, shape (k, terms)."""
     return np.stack([1.0 / tau, np.full(len(tau), FLICKER**2), tau / 3.0, tau**2 / 2.0], axis=1)
 
 

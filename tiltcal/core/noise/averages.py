@@ -73,7 +73,7 @@ class Averager:
             self._merge(sums, counts)
 
     def result(self) -> Averages:
-        """What came out so far."""
+        """Return what came out so far."""
         enough = self._count > 1
         variance = self._squares / np.where(enough, self._count - 1, np.nan)
         spread = np.where(enough, self._high - self._low, np.nan)

@@ -146,7 +146,7 @@ class Characteriser:
         return found
 
     def constant(self, channel: int) -> float | None:
-        """The one value that a channel has had all along, or None."""
+        """Return the one value that a channel has had all along, or None."""
         values = self._steps[channel].values
         return float(values[0]) if values is not None and len(values) == 1 else None
 
@@ -160,7 +160,7 @@ class Characteriser:
         return self._unrest.hung()
 
     def channel(self, place: int, interval: float) -> ChannelNoise:
-        """What is known of one channel.
+        """Return what is known of one channel.
 
         Parameters
         ----------
@@ -201,7 +201,7 @@ class Characteriser:
         ]
 
     def _zero(self, samples: Array | None = None) -> Array:
-        """A value near all samples, so that their sums keep their digits."""
+        """Return a value near all samples, so that their sums keep their digits."""
         if self._reference is None or not np.isfinite(self._reference).all():
             known = np.full(len(self._count), np.nan) if self._reference is None else self._reference
             if samples is not None:

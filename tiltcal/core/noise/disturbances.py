@@ -84,7 +84,7 @@ class Disturbances:
         return [RowRange(start * self._size, end * self._size) for start, end in runs(np.any(found, axis=1))]
 
     def hung(self) -> RowRange | None:
-        """The longest run of rows that are identical in all channels, where chance does not make such a one."""
+        """Return the longest run of rows that are identical in all channels, if it is longer than chance makes one."""
         length = self._longest.end - self._longest.start
         others = max(self._repeats - length + 1, 1) / max(self._rows - length, 2)
         if others >= 0.9:

@@ -39,7 +39,7 @@ class Quantisation:
             self.values = None
 
     def result(self) -> float:
-        """The step; 0 where the reading is continuous, as far as can be told."""
+        """Return the step; 0 where the reading is continuous, as far as can be told."""
         values = self.values
         if values is None or len(values) < 2 or self._samples < _REPEATED * len(values):
             return 0.0

@@ -57,7 +57,7 @@ class SampleSize:
 
 
 def advise(noise: ChannelNoise, interval: float, target: float | None = None) -> SampleSize:
-    """The smallest number of samples whose mean is good enough, or beyond which more do not help.
+    """Return the smallest number of samples whose mean is good enough, or beyond which more do not help.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def _numbers(most: int) -> NDArray[np.int64]:
 
 
 def _useful(noise: ChannelNoise, samples: NDArray[np.int64], u: Array, interval: float) -> tuple[int | None, Limit]:
-    """Where twice the samples stop to help, and what stops it."""
+    """Return the number of samples from which twice as many stop to help, and the reason."""
     twice = np.interp(2.0 * samples, samples, u, right=np.nan)
     known = ~np.isnan(twice)
     # What falls again behind a hump, as after a vibration, must come below what there was before it.

@@ -25,9 +25,9 @@ class NoiseScale:
     source: str
 
     def degrees(self, channel: str, value: float) -> float | None:
-        """A small difference of readings as degrees of an axis near level; None where it is not known."""
+        """Return a small difference of readings as degrees of an axis near level; None where it is not known."""
         return degrees(value / self.per_g[channel]) if channel in self.per_g else None
 
     def from_degrees(self, channel: str, angle: float | None) -> float | None:
-        """The inverse of :meth:`degrees`."""
+        """Return the inverse of :meth:`degrees`."""
         return None if angle is None or channel not in self.per_g else radians(angle) * self.per_g[channel]

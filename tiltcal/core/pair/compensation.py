@@ -72,7 +72,7 @@ class PairCompensation:
         return (*names, "flag", "reason")
 
     def table(self, matched: Matched) -> dict[str, Array | Bytes]:
-        """The columns of a result, in order."""
+        """Return the columns of a result, in order."""
         return {**matched.values, "flag": matched.flag, "reason": matched.reason}
 
     def __call__(self, readings: Array, temperature: Array | None = None) -> Matched:

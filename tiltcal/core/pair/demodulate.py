@@ -141,7 +141,7 @@ class Demodulator:
             self._merge()
 
     def result(self) -> Demodulation:
-        """The regression over all rows so far.
+        """Return the regression over all rows so far.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class Demodulation:
 
 
 def regress(blocks: Array, channels: Sequence[str], harmonics: int) -> Demodulation:
-    """The regression from sums of products.
+    """Return the regression from sums of products.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def regress(blocks: Array, channels: Sequence[str], harmonics: int) -> Demodulat
 
 
 def _brought(its: Demodulation, mine: Demodulation, harmonics: int) -> Array:
-    """What takes the columns and readings of one record to the phase, the offsets and the drifts of another."""
+    """Return the map from the columns and readings of one record to phase, offsets and drifts of another."""
     signal, wanted = (found.coefficients[0] + 1j * found.coefficients[1] for found in (its, mine))
     # S sin (θ + φ) + C cos (θ + φ) has the components S + iC times exp iφ.
     off = float(np.angle(np.sum(signal * np.conj(wanted))))
@@ -278,7 +278,7 @@ def _brought(its: Demodulation, mine: Demodulation, harmonics: int) -> Array:
 
 
 def _whole_turns(scores: Array, weights: Array) -> tuple[Array, Array]:
-    """The first and the last block, which the record has begun or ended in the middle of, with their neighbours."""
+    """Return the first and the last block, which the record cuts, with their neighbours."""
     if len(scores) < 4:
         return scores, weights
     return tuple(  # type: ignore[return-value]
@@ -310,7 +310,7 @@ def _student(dof: int) -> float:
 
 
 def _surprising(ratio: float, dof: int, other: int) -> bool:
-    """Whether a ratio of variances is larger than chance would have it."""
+    """Return whether a ratio of variances is larger than chance explains."""
     from scipy.special import fdtrc
 
     return bool(fdtrc(dof, other, ratio) < _SURPRISE)

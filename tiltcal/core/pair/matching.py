@@ -117,7 +117,7 @@ def match(demodulation: Demodulation, pair: Pair) -> Matching:
 
 
 def matching_with(demodulation: Demodulation, pair: Pair, found: PairCoefficients) -> Matching:
-    """What some p and q, however they were found, do to a record."""
+    """Return the effect of some p and q on a record."""
     components = tabulate(demodulation, pair, found.p, found.q)
     return Matching(pair, found.p, found.q, found.u_p, found.u_q, components)
 
@@ -150,7 +150,7 @@ def solve(demodulation: Demodulation, pair: Pair) -> PairCoefficients:
 
 
 def tabulate(demodulation: Demodulation, pair: Pair, p: float, q: float) -> Mapping[str, Mapping[str, Component]]:
-    """The components of a pair before and after it is matched with some p and q (the source's Table 1)."""
+    """Return the components of a pair before and after it is matched with some p and q (the source's Table 1)."""
     table = {}
     for stage, (trim_p, trim_q) in zip(STAGES, ((0.0, 0.0), (p, 0.0), (p, q)), strict=True):
         weights = sum_weights(trim_p, trim_q)

@@ -55,7 +55,7 @@ class Pair:
 
 
 def matching_coefficients(scale: Array, misalignment: Array) -> tuple[float, float]:
-    """What p and q must be for known accelerometers (eq. 7).
+    """Return what p and q must be for known accelerometers (eq. 7).
 
     Parameters
     ----------
@@ -87,5 +87,5 @@ def matched_sum(first: Array, second: Array, orthogonal: Array, p: float, q: flo
 
 
 def sum_weights(p: float, q: float) -> Array:
-    """How much of each reading is in the matched sum: first, second, orthogonal, shape (3,)."""
+    """Return the weight of each reading in the matched sum: first, second, orthogonal, shape (3,)."""
     return np.array([1.0, 1.0 / (1.0 - p), q / (1.0 - p)])

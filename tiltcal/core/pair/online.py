@@ -88,7 +88,7 @@ class Controller:
         return correction
 
     def forget(self) -> None:
-        """The errors so far, after a gap."""
+        """Return the errors so far, after a gap."""
         self._errors.clear()
 
 

@@ -261,7 +261,7 @@ class SectorStream:
         self._hold(self._standing_from(sector), STANDS, found)
 
     def _standing_from(self, sector: _Open) -> int:
-        """The row with which that was clear."""
+        """Return the row with which that was clear."""
         return sector.start + floor(_STANDING * median(self._typical)) + 1
 
     def _hold(self, row: int, why: str, found: list[Sector | Notice]) -> None:
@@ -277,7 +277,7 @@ def moved(products: Array, rows: int) -> Array:
 
 
 def later(table: Array, rows: int) -> Array:
-    """The same for products of the demodulating columns with themselves and some signals, side by side."""
+    """Return the same for products of the demodulating columns with themselves and some signals, side by side."""
     shift = _shift(len(table), rows)
     table = shift @ table
     table[:, : len(shift)] = table[:, : len(shift)] @ shift.T

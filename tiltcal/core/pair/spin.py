@@ -84,7 +84,7 @@ def estimate_spin(time: Array, readings: Array) -> Spin:
 
 
 def followed_spin(before: Spin, time: Array, readings: Array) -> Spin:
-    """The spin of some rows, where that of the rows before is known: no stage keeps its speed to the turn for hours.
+    """Return the spin of some rows, given that of the rows before: no stage keeps its speed for hours.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _strongest(centred: Array, readings: Array) -> float:
 
 
 def _refined(centred: Array, readings: Array, turns: float) -> tuple[float, Array]:
-    """How many turns to add, and the coefficients of sine and cosine before it."""
+    """Return how many turns to add, and the coefficients of sine and cosine before it."""
     phase = 2.0 * pi * turns * centred
     sine, cosine = np.sin(phase), np.cos(phase)
     columns = np.stack([sine, cosine, np.ones_like(sine), centred], axis=1)

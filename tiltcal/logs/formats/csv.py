@@ -109,7 +109,7 @@ class CsvReader(LogReader):
             yield types.typed(block)
 
     def _parsed(self, columns: Sequence[int], time: int | None, texts: Sequence[int] = ()) -> Iterator[CsvBlock]:
-        """The rows, block after block, and with them the text of some other columns."""
+        """Yield the rows, block after block, and with them the text of some other columns."""
         empty = True
         for data, ended, unended in self._lines():
             rows = parse_rows(data, self.names, columns, time=time, texts=texts, unended=unended)
@@ -153,7 +153,7 @@ class CsvReader(LogReader):
         return data
 
     def _first_line(self) -> tuple[bytes, bytes]:
-        """The first line, and what was read behind it."""
+        """Return the first line, and what was read behind it."""
         data = b""
         while b"\n" not in data and (more := self._read()):
             data += more
@@ -194,7 +194,7 @@ class CsvReader(LogReader):
             self._stream, self._pending = WhitespaceSeparated(self._pending, stream), b""
 
     def _second_line(self, first: str) -> str:
-        """The line below a header that may be parted by blanks; it stays to be read."""
+        """Return the line below a header that may be parted by blanks; it stays to be read."""
         if "," in first or len(first.split()) < 2:
             return ""
         while b"\n" not in self._pending and (more := self._read()):
@@ -218,7 +218,7 @@ class CsvReader(LogReader):
 
 
 def _end_of_content(data: bytes) -> int:
-    """Where the last whole line ends that is not empty: empty ones behind it may be the end of the file."""
+    """Return the end of the last whole line that is not empty: empty ones behind it may be the end of the file."""
     content = len(data[: data.rfind(b"\n") + 1].rstrip(b"\r\n"))
     return data.find(b"\n", content) + 1 if content else 0
 
@@ -300,7 +300,7 @@ def _write_csv(sink: BinaryIO, frame: pl.DataFrame, *, include_header: bool = Fa
 
 
 def _words(column: pl.Series) -> pl.Series:
-    """A column as its cells are to be written, where the engine has no way, or a way of its own."""
+    """Return a column as its cells are to be written, where the engine has no way, or a way of its own."""
     import polars as pl
 
     kind = column.dtype

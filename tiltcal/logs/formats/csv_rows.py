@@ -137,7 +137,7 @@ def parse_rows(
 
 
 def _as_utf8(data: bytes) -> tuple[bytes, str]:
-    """The bytes as UTF-8; bytes that are none go through as Latin-1, which any bytes are, and back at the end."""
+    """Return the bytes as UTF-8; others are read as Latin-1, and written back as they were."""
     if data.isascii():
         return data, "utf-8"
     try:
@@ -185,7 +185,7 @@ def _field_counts(commas: Positions, ends: Positions, fields: int) -> Positions 
 
 
 def _repaired(data: bytes, faults: Mapping[int, str], fields: int) -> tuple[bytes, bytes]:
-    """The rows with bad ones refitted, and once more with bad ones blank, for the engine that parses the numbers."""
+    """Return the rows with bad ones refitted, and again with bad ones blank, for the engine that parses the numbers."""
     lines = data.decode().split("\n")
     numeric = lines.copy()
     for row in faults:
@@ -195,7 +195,7 @@ def _repaired(data: bytes, faults: Mapping[int, str], fields: int) -> tuple[byte
 
 
 def _plain_lines(data: bytes) -> pl.Series:
-    """The rows as one text column: the engine splits them faster than anything else when it sees no separator."""
+    """Return the rows as one text column, which the engine splits fastest: it sees no separator."""
     import polars as pl
 
     separator = next((mark for mark in _UNUSED if mark.encode() not in data), None)
@@ -251,7 +251,7 @@ def _plain_texts(data: bytes, names: Sequence[str], texts: Sequence[int]) -> dic
 
 
 def _has_open_points(data: bytes) -> bool:
-    """Whether a decimal point is followed by something else than a digit, which the engine would take for a number."""
+    """Return whether a decimal point lacks a digit behind it, which the engine would take for a number."""
     buffer = np.frombuffer(data, np.uint8)
     behind = buffer[np.flatnonzero(buffer == _POINT) + 1]
     return bool(((behind < _ZERO) | (behind > _NINE)).any())
@@ -348,7 +348,7 @@ def _parse_cells(
 
 
 def _with_bad_rows(words: Mapping[int, pl.Series], lines: pl.Series, faults: Mapping[int, str]) -> dict[int, pl.Series]:
-    """The text columns with the cells of bad rows as these were refitted."""
+    """Return the text columns with the cells of bad rows as these were refitted."""
     rows = sorted(faults)
     cells = [next(csv.reader([line])) if '"' in line else line.split(",") for line in lines.gather(rows)]
     return {
@@ -358,7 +358,7 @@ def _with_bad_rows(words: Mapping[int, pl.Series], lines: pl.Series, faults: Map
 
 
 def _refitted(row: Sequence[str], line: str, fields: int) -> str:
-    """The text of a bad row with as many fields as the header."""
+    """Return the text of a bad row with as many fields as the header."""
     if len(row) == fields and line:
         return line
     if '"' in line or fields == 1:

@@ -116,7 +116,7 @@ def _moments(seconds: Array) -> pl.Series:
 
 
 def _holds_numbers(cells: pl.Series, block: CsvBlock) -> bool:
-    """Whether the sound cells of a column are numbers that come back as they were written."""
+    """Return whether the sound cells of a column are numbers that come back as they were written."""
     values, wrong = numbers(cells)
     if wrong is not None:
         wrong[list(block.faults)] = False

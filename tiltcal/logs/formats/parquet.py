@@ -124,7 +124,7 @@ class ParquetWriter(LogWriter):
 
 
 def _widened(block: LogBlock, table: Table) -> pl.DataFrame:
-    """All columns of a block, and those that belong behind them."""
+    """Return all columns of a block, and those that belong behind them."""
     import polars as pl
 
     if block.frame is None:

@@ -23,7 +23,7 @@ _GAPS = re.compile(rb"[ \t]+")
 
 
 def numbered_columns(first_line: str) -> tuple[str, ...] | None:
-    """The columns' numbers, where a first line is a row of numbers; None where it names the columns.
+    """Return the columns' numbers, where a first line is a row of numbers; None where it names the columns.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def numbered_columns(first_line: str) -> tuple[str, ...] | None:
 
 
 def blank_separated_names(first_line: str, second_line: str) -> tuple[str, ...] | None:
-    """The columns that a first line names whose fields are parted by blanks; None where they are not.
+    """Return the columns that a first line names whose fields are parted by blanks; None where they are not.
 
     Parameters
     ----------
