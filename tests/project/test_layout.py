@@ -13,7 +13,7 @@ UNIT = ROOT / "tests" / "unit"
 def modules_beside(test: Path) -> set[str]:
     """Return the names of the modules and packages in the folder that a unit test's folder mirrors."""
     folder = test.parent.relative_to(UNIT)
-    places = [ROOT / "tiltcal" / folder, ROOT / folder] if folder.parts else [ROOT]
+    places = [ROOT / "tiltcal" / folder, ROOT / folder]
     found = {path.stem for place in places for path in place.glob("*.py")}
     return found | {path.parent.name for place in places for path in place.glob("*/__init__.py")} - {"__init__"}
 

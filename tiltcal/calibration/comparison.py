@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from tiltcal.calibration.calibration import Calibration
@@ -11,6 +10,7 @@ from tiltcal.calibration.results import NOISE_ALONE
 from tiltcal.core.budget import COVERAGE
 from tiltcal.core.named_coefficients import CoefficientChange
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
+from tiltcal.frozen import frozen
 
 _INCOMPLETE = (
     "the uncertainty of the {which} file rests on noise alone and leaves out how well the positions were set: measure "
@@ -18,7 +18,7 @@ _INCOMPLETE = (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class Comparison:
     """The comparison of an older and a newer calibration of one sensor.
 
@@ -100,7 +100,7 @@ def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Compariso
     )
 
 
-@dataclass(frozen=True)
+@frozen
 class Verdict:
     """The verdict on the changes of a sensor.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import isfinite
 from typing import Any
 
@@ -14,9 +14,10 @@ from tiltcal.drivers.device import Model, Population
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.files.records import PositionRecord
+from tiltcal.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class BenchUncertainty:
     """The standard uncertainties that a user states of the bench; None where one is not stated.
 
@@ -55,7 +56,7 @@ class BenchUncertainty:
                 raise UsageError(f"{option} {value:g}: a standard uncertainty is 0 or more")
 
 
-@dataclass(frozen=True)
+@frozen
 class Measurement:
     """One position of one sensor, ready for the estimator.
 
@@ -101,7 +102,7 @@ class Measurement:
         )
 
 
-@dataclass(frozen=True)
+@frozen
 class Nominal:
     """The facts of a sensor's model that stand in where a procedure does not determine them.
 
@@ -126,7 +127,7 @@ class Nominal:
         return cls(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails, model.population)
 
 
-@dataclass(frozen=True)
+@frozen
 class MeasuredSensor:
     """One sensor of a fixture with what was measured of it.
 

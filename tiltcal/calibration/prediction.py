@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from math import degrees, hypot, radians, sqrt
 from typing import Any
 
@@ -23,12 +22,13 @@ from tiltcal.errors import UsageError
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
+from tiltcal.frozen import frozen
 
 SHOWN = 3
 """Correlations and positions that are named."""
 
 
-@dataclass(frozen=True)
+@frozen
 class PredictedUncertainty:
     """The uncertainty that a procedure of positions leaves.
 
@@ -82,7 +82,7 @@ class PredictedUncertainty:
             yield f"  adding {name} would bring {coefficient} to {100 * share:.0f} % of its uncertainty"
 
 
-@dataclass(frozen=True)
+@frozen
 class PredictedMounting:
     """The uncertainty that a mounting leaves in the angles of a sensor that sits straight.
 

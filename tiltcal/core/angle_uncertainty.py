@@ -15,7 +15,6 @@ the arcsine, and where pitch or inclination comes from a length near zero, an er
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from math import pi, sqrt
 
@@ -27,6 +26,7 @@ from tiltcal.core.compensation import FAIL, NO_TEMPERATURE, Bytes, Compensated, 
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.tilt_angles import DIRECTIONS
 from tiltcal.errors import EstimateError
+from tiltcal.frozen import frozen
 
 TURN = "mounting.turn."
 """A small rotation error of the mounting about one of the application's axes, by its dotted name."""
@@ -48,7 +48,7 @@ _ONE_THREAD = 1 << 18  # multiplications of a matrix product for which the linea
 _CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
 
 
-@dataclass(frozen=True)
+@frozen
 class UncertaintyInputs:
     """What the angles are uncertain by.
 
@@ -73,7 +73,7 @@ class UncertaintyInputs:
     temperature: float = 0.0
 
 
-@dataclass(frozen=True)
+@frozen
 class AngleUncertainty:
     """What the kernel makes of n rows, and how uncertain its angles are.
 

@@ -6,11 +6,11 @@ Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2, 5.1 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from tiltcal.core.model import Array
+from tiltcal.frozen import frozen
 
 COVERAGE = 0.95
 """Probability that a stated interval contains the truth."""
@@ -22,7 +22,7 @@ NEGLIGIBLE = 1e-3
 """A part of a variance below this changes no factor that anyone would see."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Budget:
     """Covariance of quantities, and its sources.
 

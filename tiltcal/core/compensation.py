@@ -17,7 +17,6 @@ the sensor upside down.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from math import pi, radians, sin
 
 import numpy as np
@@ -27,6 +26,7 @@ from tiltcal.core.model import AXES, Array, Coefficients, Limits, nonlinearity_s
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, inclination, pitch, roll, tilt
 from tiltcal.errors import EstimateError
+from tiltcal.frozen import frozen
 
 Bytes = NDArray[np.uint8]
 Bits = NDArray[np.bool_]
@@ -59,7 +59,7 @@ _TILT_SLACK = radians(1e-9)
 _LARGEST_CONDITION = 1e12
 
 
-@dataclass(frozen=True)
+@frozen
 class Compensated:
     """What the kernel makes of n rows; every array is NaN where the flag is 9.
 
@@ -108,7 +108,7 @@ class Compensated:
             )
 
 
-@dataclass(frozen=True)
+@frozen
 class KernelChunk:
     """Some rows on their way through the kernel, for who wants to know more of them than comes out.
 

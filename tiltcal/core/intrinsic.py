@@ -13,7 +13,7 @@ triangular form that unit gravity alone determines.)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from math import degrees, radians
 
@@ -23,9 +23,10 @@ from tiltcal.core.budget import propagated
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.mounting import UNKNOWN_ANGLE, is_locked, mounting_angles
 from tiltcal.errors import EstimateError
+from tiltcal.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class IntrinsicQuantity:
     """A number with its standard uncertainty, in the same unit.
 
@@ -38,7 +39,7 @@ class IntrinsicQuantity:
     u: float
 
 
-@dataclass(frozen=True)
+@frozen
 class Intrinsic:
     """A sensor of three channels, apart from its mounting.
 

@@ -14,19 +14,20 @@ unless a procedure determined it. ``S_ii`` is the channel's sensitivity to its o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.errors import EstimateError
+from tiltcal.frozen import frozen
 
 Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
 
 
-@dataclass(frozen=True)
+@frozen
 class Mounting:
     """How the sensor sits in the application: roll first, then pitch, then yaw, in radians.
 
@@ -38,7 +39,7 @@ class Mounting:
     yaw: float = 0.0
 
 
-@dataclass(frozen=True)
+@frozen
 class Thermal:
     """The temperature terms of the model.
 
@@ -60,7 +61,7 @@ class Thermal:
     gain: Array
 
 
-@dataclass(frozen=True)
+@frozen
 class Coefficients:
     """What calibrates one sensor.
 
@@ -132,7 +133,7 @@ class Coefficients:
         return self.offset + readings
 
 
-@dataclass(frozen=True)
+@frozen
 class Limits:
     """The ranges in which a calibration holds.
 
@@ -185,7 +186,7 @@ def nonlinearity_slope(shares: Array, a: Array) -> Array:
     return 1.0 + polynomial(shares * np.arange(2, 2 + len(shares)), a)
 
 
-@dataclass(frozen=True)
+@frozen
 class ModelReading:
     """What one channel reads in n positions.
 
@@ -214,7 +215,7 @@ class ModelReading:
         return np.outer(self.by_signal, self.sensitivity)
 
 
-@dataclass(frozen=True)
+@frozen
 class ChannelModel:
     """The coefficients of one channel, and its reading with the derivatives that the estimator needs.
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf, sqrt
 
 import numpy as np
 
 from tiltcal.core.budget import COVERAGE, NEGLIGIBLE, coverage_factor, propagated, welch_satterthwaite
 from tiltcal.core.model import Array, Coefficients, Thermal, polynomial, vector_of, with_vector
+from tiltcal.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class KnownCoefficient:
     """The standard uncertainty of a coefficient.
 
@@ -28,7 +29,7 @@ class KnownCoefficient:
     dof: float = inf
 
 
-@dataclass(frozen=True)
+@frozen
 class CoefficientChange:
     """The change of one coefficient between two calibrations.
 

@@ -6,15 +6,16 @@ Sums are exactly rounded (:func:`math.fsum`), so a replayed session gives the sa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from math import exp, fsum, inf, pi, sqrt
+
+from tiltcal.frozen import frozen
 
 BLOCKS = 10
 """Number of blocks whose means show correlation that std/sqrt(n) does not see."""
 
 
-@dataclass(frozen=True)
+@frozen
 class SampleSummary:
     """What a run of samples of one channel says.
 

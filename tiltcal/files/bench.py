@@ -15,7 +15,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
@@ -23,6 +22,7 @@ from tiltcal.errors import InputError
 from tiltcal.files.declaration import Context, Converted, ListOf, Number, Section, Text, entry
 from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.node import Node
+from tiltcal.frozen import frozen
 
 _SERIAL = re.compile(r"[\w.+-][\w.+ -]*")
 _SIGNED_AXES = {"items": {"type": "string", "pattern": "^[+-]?[xyz]$"}, "minItems": 2, "maxItems": 3}
@@ -41,7 +41,7 @@ def _orientation(names: tuple[str, ...], node: Node, context: Context) -> Orient
         raise node.error(error.message) from None
 
 
-@dataclass(frozen=True)
+@frozen
 class BenchSensor:
     """One sensor of a bench."""
 
@@ -61,7 +61,7 @@ class BenchSensor:
     )
 
 
-@dataclass(frozen=True)
+@frozen
 class BenchThermometer:
     """The thermometer of a bench: any device that reports a temperature."""
 
@@ -80,7 +80,7 @@ def _unique(sensors: tuple[BenchSensor, ...], node: Node, context: Context) -> t
     return sensors
 
 
-@dataclass(frozen=True)
+@frozen
 class BenchFile:
     """The content of a bench file."""
 

@@ -7,7 +7,6 @@ positions, provenance) are records for people and later questions. Every key and
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import radians
 from pathlib import Path
 from typing import Any, Literal
@@ -35,6 +34,7 @@ from tiltcal.files.node import Node
 from tiltcal.files.records import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import UNCERTAINTY, Uncertainty, known_coefficients
 from tiltcal.files.whole import write_whole
+from tiltcal.frozen import frozen
 
 
 def _channels(found: tuple[str, ...], node: Node, context: Context) -> tuple[str, ...]:
@@ -43,7 +43,7 @@ def _channels(found: tuple[str, ...], node: Node, context: Context) -> tuple[str
     return found
 
 
-@dataclass(frozen=True)
+@frozen
 class SensorIdentity:
     """The sensor that a calibration belongs to."""
 
@@ -56,7 +56,7 @@ class SensorIdentity:
     )
 
 
-@dataclass(frozen=True)
+@frozen
 class Ranges(Format[Mapping[str, tuple[float, float]]]):
     """A range for each of some channels or axes, or one for all of them."""
 
@@ -76,7 +76,7 @@ class Ranges(Format[Mapping[str, tuple[float, float]]]):
         return {"anyOf": [Range().schema(), ByChannel(Range()).schema()]}
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class LimitsSection:
     """The section ``limits`` as it stands in a file."""
 
@@ -99,7 +99,7 @@ def _limits_section(limits: Limits) -> LimitsSection:
     return LimitsSection(tilt=tilt, temperature=limits.temperature, reading=limits.reading)
 
 
-@dataclass(frozen=True)
+@frozen
 class CalibrationRecord:
     """The content of a calibration file; angles of the coefficients and the limits are in radians."""
 

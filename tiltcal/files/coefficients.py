@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import degrees, radians
 
 import numpy as np
@@ -12,6 +11,7 @@ from tiltcal.core.model import AXES, Array, Coefficients, Mounting, Thermal
 from tiltcal.core.rounding import significant
 from tiltcal.files.declaration import ByChannel, Context, Converted, ListOf, Number, Range, Section, entry
 from tiltcal.files.node import Node
+from tiltcal.frozen import frozen
 
 ORDER_LIMIT = 6
 ANGLES = ("roll", "pitch", "yaw")
@@ -39,7 +39,7 @@ def polynomials(item: Number = Number()) -> ByChannel[tuple[float, ...]]:  # noq
     return ByChannel(ListOf(item, most=ORDER_LIMIT, says=says), of="channels")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class ThermalSection:
     """``calibration.temperature`` as it stands in a file."""
 
@@ -55,7 +55,7 @@ class ThermalSection:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class MountingSection:
     """``calibration.mounting`` as it stands in a file."""
 
@@ -64,7 +64,7 @@ class MountingSection:
     yaw: float = entry(Number(), "degrees", default=0.0, kept=True)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class CoefficientsSection:
     """The section ``calibration`` as it stands in a file."""
 

@@ -2,7 +2,7 @@
 
 A section of a file is a frozen dataclass whose fields are made by :func:`entry`::
 
-    @dataclass(frozen=True, kw_only=True)
+    @frozen(kw_only=True)
     class Spin:
         turns: float = entry(Number(above=0.0), "turns of the stage in the record")
         frequency: float | None = entry(Number(above=0.0, unit="Hz"), "of the spin", default=None)
@@ -16,12 +16,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from copy import copy
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, field, fields, replace
 from importlib import import_module
 from typing import Any, Generic, Literal, TypeVar, overload
 
 from tiltcal.core.model import AXES
 from tiltcal.files.node import Node
+from tiltcal.frozen import frozen
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -32,7 +33,7 @@ FORMAT_VERSION = 1
 _ENTRY = "entry"
 
 
-@dataclass(frozen=True)
+@frozen
 class Context:
     """What earlier parts of a file, and the user, determine for later parts.
 
@@ -82,7 +83,7 @@ class Format(ABC, Generic[T]):
         """Return the JSON Schema of the value."""
 
 
-@dataclass(frozen=True)
+@frozen
 class KeyDeclaration:
     """One key of a section.
 
@@ -160,7 +161,7 @@ def entries_of(record: type[Any]) -> dict[str, KeyDeclaration]:
     return {name: replace(one, key=one.key or name) for name, one in found.items()}
 
 
-@dataclass(frozen=True)
+@frozen
 class Text(Format[str]):
     """A text; an empty one only where it may be ``blank``."""
 
@@ -173,7 +174,7 @@ class Text(Format[str]):
         return {"type": "string"}
 
 
-@dataclass(frozen=True)
+@frozen
 class Choice(Format[str]):
     """One of a few words."""
 
@@ -186,7 +187,7 @@ class Choice(Format[str]):
         return {"enum": list(self.options)}
 
 
-@dataclass(frozen=True)
+@frozen
 class Flag(Format[bool]):
     """``true`` or ``false``."""
 
@@ -197,7 +198,7 @@ class Flag(Format[bool]):
         return {"type": "boolean"}
 
 
-@dataclass(frozen=True)
+@frozen
 class Number(Format[float]):
     """A finite number, at least ``minimum`` or more than ``above``."""
 
@@ -213,7 +214,7 @@ class Number(Format[float]):
         return {"type": "number", **{name: bound for name, bound in bounds.items() if bound is not None}}
 
 
-@dataclass(frozen=True)
+@frozen
 class Integer(Format[int]):
     """A whole number of at least ``minimum``."""
 
@@ -226,7 +227,7 @@ class Integer(Format[int]):
         return {"type": "integer", **({} if self.minimum is None else {"minimum": self.minimum})}
 
 
-@dataclass(frozen=True)
+@frozen
 class Range(Format[tuple[float, float]]):
     """Two numbers ``[low, high]`` in that order."""
 
@@ -242,7 +243,7 @@ class Range(Format[tuple[float, float]]):
         return {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
 
 
-@dataclass(frozen=True)
+@frozen
 class ListOf(Format[tuple[T, ...]]):
     """A list of values of one kind, of a bounded length.
 
@@ -277,7 +278,7 @@ class ListOf(Format[tuple[T, ...]]):
         return {"type": "array", "items": self.item.schema(), **kept}
 
 
-@dataclass(frozen=True)
+@frozen
 class ByName(Format[Mapping[str, T]]):
     """A mapping whose keys are free, such as the names of positions."""
 
@@ -293,7 +294,7 @@ class ByName(Format[Mapping[str, T]]):
         return {"type": "object", "additionalProperties": self.item.schema()}
 
 
-@dataclass(frozen=True)
+@frozen
 class ByKey(Format[Mapping[str, T]]):
     """A mapping with a few fixed keys, whose values are of one kind.
 
@@ -329,7 +330,7 @@ class ByKey(Format[Mapping[str, T]]):
         return {name: self.item.read(value, context) for name, value in known.items()}
 
 
-@dataclass(frozen=True)
+@frozen
 class ByChannel(ByKey[T]):
     """A value for each channel, or for each axis, of the sensor.
 
@@ -353,7 +354,7 @@ class ByChannel(ByKey[T]):
         return {**super().schema(), "required": []}
 
 
-@dataclass(frozen=True)
+@frozen
 class Converted(Format[T], Generic[S, T]):
     """A value that is checked, or converted to another one, after it was read.
 
@@ -384,7 +385,7 @@ class Converted(Format[T], Generic[S, T]):
         return {**self.form.schema(), **self.more}
 
 
-@dataclass(frozen=True)
+@frozen
 class Either(Format[T]):
     """One of two kinds of section, told apart by a key that the second one has.
 
@@ -405,7 +406,7 @@ class Either(Format[T]):
         return {"anyOf": [self.usual.schema(), self.other.schema()]}
 
 
-@dataclass(frozen=True)
+@frozen
 class Imported(Format[T]):
     """A format whose module is imported only where a file has it.
 
@@ -430,7 +431,7 @@ class Imported(Format[T]):
         return found
 
 
-@dataclass(frozen=True)
+@frozen
 class Anything(Format[Any]):
     """A mapping that another declaration reads."""
 
@@ -443,7 +444,7 @@ class Anything(Format[Any]):
         return {"type": "object"}
 
 
-@dataclass(frozen=True)
+@frozen
 class Section(Format[T]):
     """A mapping whose keys a dataclass declares.
 

@@ -35,6 +35,7 @@ from zlib import crc32
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.declaration import Anything, Flag, Integer, ListOf, Number, Section, Text, entry
 from tiltcal.files.node import document_of
+from tiltcal.frozen import frozen
 
 VERSION = 1
 HARDWARE_ERROR = "!"
@@ -59,7 +60,7 @@ _ARRAY_CHECK = len(',"00000000"]')
 _OBJECT_CHECK = len(',"check":"00000000"}')
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class DeviceHeader:
     """A sensor or the thermometer in the header."""
 
@@ -72,7 +73,7 @@ class DeviceHeader:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class SettingsHeader:
     """How the session measures."""
 
@@ -89,7 +90,7 @@ class SettingsHeader:
     heading: float | None = entry(Number("degrees", minimum=0.0), "uncertainty of a heading, degrees", default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Header:
     """The plan of a session, the first line of its journal."""
 
@@ -191,7 +192,7 @@ class Events(Sequence[Event]):
         return lines
 
 
-@dataclass(frozen=True)
+@frozen
 class Journal:
     """A journal that was read and found sound.
 

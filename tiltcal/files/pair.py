@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
 from tiltcal.files.records import PairProvenance
 from tiltcal.files.whole import write_whole
+from tiltcal.frozen import frozen
 
 _DIGITS = 4
 
@@ -37,11 +38,11 @@ _U = Number(minimum=0.0)
 _NAMES = ListOf(Text(), 2, 2, says="a pair has two channels, found {found}")
 
 
-@dataclass(frozen=True)
+@frozen
 class SinCos(Format[tuple[float, float]]):
     """The two components ``[sin, cos]`` at the turning."""
 
-    item: Number = Number()  # noqa: RUF009
+    item: Number = Number()
 
     def read(self, node: Node, context: Context = ANY) -> tuple[float, float]:
         items = node.items()
@@ -56,7 +57,7 @@ class SinCos(Format[tuple[float, float]]):
         return {"type": "array", "items": self.item.schema(), "minItems": 2, "maxItems": 2}
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class SpinSection:
     """The section ``spin``."""
 
@@ -70,7 +71,7 @@ class SpinSection:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class CoefficientUncertainty:
     """Standard uncertainties of p and q."""
 
@@ -78,7 +79,7 @@ class CoefficientUncertainty:
     q: float = entry(_U, "of q")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Suppression:
     """How far the common acceleration is suppressed."""
 
@@ -90,7 +91,7 @@ def _by_stage(item: Format[tuple[float, float]]) -> ByKey[Mapping[str, tuple[flo
     return ByKey(ByName(item), STAGES, complete=True)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class PairEntry:
     """One of ``pairs`` as it stands in a file."""
 
@@ -164,7 +165,7 @@ def _distinct(found: tuple[Matching, ...], node: Node, context: Context) -> tupl
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class PairFile:
     """A pair file as it stands."""
 
@@ -191,7 +192,7 @@ PAIR = Section(PairFile, kind="pair")
 """The pair file."""
 
 
-@dataclass(frozen=True)
+@frozen
 class PairRecord:
     """The content of a pair file.
 

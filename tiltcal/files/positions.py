@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from tiltcal.core.frames import Vector
@@ -14,9 +13,10 @@ from tiltcal.files.declaration import Integer, Number, Section, Text, entry
 from tiltcal.files.node import Node
 from tiltcal.files.procedure import ABSOLUTE_ZERO
 from tiltcal.files.segments import Direction
+from tiltcal.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class TabledPosition:
     """One row of a table of positions.
 
@@ -50,7 +50,7 @@ class TabledPosition:
 _U = Number(above=0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class TabledRow(Direction):
     """One row of a table of positions, as it stands in its file."""
 

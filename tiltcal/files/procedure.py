@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -33,6 +33,7 @@ from tiltcal.files.declaration import (
 )
 from tiltcal.files.document import checked_kind, read_tiltcal_file
 from tiltcal.files.node import Node, document_of
+from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.files.rotation import Rotation
@@ -68,7 +69,7 @@ _ORDER = Converted(Integer(minimum=0), _order, more={"maximum": ORDER_LIMIT})
 _TEMPERATURE = Number("°C", minimum=ABSOLUTE_ZERO)
 
 
-@dataclass(frozen=True)
+@frozen
 class Determines:
     """What the positions of a procedure determine besides the offset."""
 
@@ -109,7 +110,7 @@ def _consistent(found: Determines, node: Node, context: Context) -> Determines:
     return found
 
 
-@dataclass(frozen=True)
+@frozen
 class Position:
     """One position that the sensor is brought to.
 
@@ -140,7 +141,7 @@ class Position:
     stage: float | None = None
 
 
-@dataclass(frozen=True)
+@frozen
 class SetAngle(Format[float]):
     """An angle in degrees, or ``angle`` and ``-angle`` for the one of the procedure."""
 
@@ -164,7 +165,7 @@ def _name(name: str, node: Node, context: Context) -> str:
 IDENTIFIER = Converted(Text(), _name, more={"pattern": f"^{_NAME.pattern}$"})
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class PositionSection:
     """One of ``positions`` as it stands in a file."""
 
@@ -218,7 +219,7 @@ def _distinct(positions: tuple[Position, ...], node: Node, context: Context) -> 
     return positions
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Soak:
     """The conditions for a new temperature to count as settled."""
 
@@ -232,7 +233,7 @@ def _right_angle(angle: float, node: Node, context: Context) -> float:
     return angle
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class PositionsProcedure:
     """A procedure of positions as it stands in a file."""
 
@@ -269,7 +270,7 @@ class PositionsProcedure:
     )
 
 
-@dataclass(frozen=True)
+@frozen
 class Procedure:
     """A procedure: the positions to measure in order, or the rotation of a stage.
 

@@ -6,7 +6,6 @@ No angle is computed with them. A report shows them, ``check`` judges them and a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from tiltcal.files.declaration import (
@@ -24,6 +23,7 @@ from tiltcal.files.declaration import (
     entry,
 )
 from tiltcal.files.node import Node
+from tiltcal.frozen import frozen
 
 CHANNELS = ByChannel(Number())
 """A number for some channels of the sensor."""
@@ -34,7 +34,7 @@ VIRTUAL = "the virtual bench: no real sensor was measured"
 """``made_by`` of a file that no real sensor made."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class WorstResidual:
     """The largest residual of a fit."""
 
@@ -43,7 +43,7 @@ class WorstResidual:
     residual: float = entry(Number(), "measured − modelled, unit")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class SuspectPosition:
     """A position that is further off than the stated jig allows."""
 
@@ -51,7 +51,7 @@ class SuspectPosition:
     chi_square: float | None = entry(SHARE, "its share of chi-square", default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class CrossValidation:
     """The choice of the order of the drift."""
 
@@ -63,7 +63,7 @@ class CrossValidation:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Hysteresis:
     """The largest difference between two visits to one temperature."""
 
@@ -71,7 +71,7 @@ class Hysteresis:
     between: tuple[str, ...] = entry(ListOf(Text(), 2, 2), "the two positions")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class MountingFit:
     """The quality of the fit of a mounting."""
 
@@ -81,7 +81,7 @@ class MountingFit:
     chi_square: float | None = entry(SHARE, "where the jig was stated", default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class FitRecord:
     """The quality of a fit, and the sources of its uncertainty."""
 
@@ -144,7 +144,7 @@ class FitRecord:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class DerivedCoverage:
     """Coverage factors of derived quantities, for intervals of 95 %."""
 
@@ -152,7 +152,7 @@ class DerivedCoverage:
     misalignment_degrees: Mapping[str, float] = entry(ByChannel(SHARE), "per channel", default={})
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class DerivedUncertainty:
     """Standard uncertainties of derived quantities."""
 
@@ -163,7 +163,7 @@ class DerivedUncertainty:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class IntrinsicUncertainty:
     """Standard uncertainties of the intrinsic parameters."""
 
@@ -173,7 +173,7 @@ class IntrinsicUncertainty:
     rotation_degrees: Mapping[str, float] = entry(ByName(SHARE), "roll, pitch, yaw, degrees", default={})
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class IntrinsicRecord:
     """The parameters of a three-channel sensor that do not change with its mounting."""
 
@@ -197,7 +197,7 @@ class IntrinsicRecord:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class DerivedRecord:
     """Quantities derived from the coefficients."""
 
@@ -227,7 +227,7 @@ class DerivedRecord:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class PositionSet:
     """The attitude of a position as it was set."""
 
@@ -240,7 +240,7 @@ class PositionSet:
     temperature: float | None = entry(Number(), "°C", default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class MountingRun:
     """The mounting procedure as run."""
 
@@ -249,7 +249,7 @@ class MountingRun:
     positions: tuple[str, ...] = entry(ListOf(Text()), "their names", default=())
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class ProcedureRecord:
     """The procedure as run."""
 
@@ -266,7 +266,7 @@ class ProcedureRecord:
     )
 
 
-@dataclass(frozen=True)
+@frozen
 class RowRanges(Format[tuple[tuple[int, int], ...]]):
     """Rows of a log: ``[first, end]``, or a list of such where the position was interrupted."""
 
@@ -291,7 +291,7 @@ class RowRanges(Format[tuple[tuple[int, int], ...]]):
         return rows[0], rows[1]
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class PositionRecord:
     """The readings of one position."""
 
@@ -311,7 +311,7 @@ class PositionRecord:
     line: int | None = entry(Integer(minimum=1), "its line of the table", default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class FileRecord:
     """A file that was read."""
 
@@ -319,7 +319,7 @@ class FileRecord:
     sha256: str | None = entry(Text(), "the SHA-256 of its bytes", default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class LogRecord:
     """A log that was read."""
 
@@ -329,7 +329,7 @@ class LogRecord:
     missing: int | None = entry(Integer(minimum=0), "how many of them were left out", default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class SegmentsRecord:
     """The origin of the still segments of a log: a file, or how they were found."""
 
@@ -341,7 +341,7 @@ class SegmentsRecord:
     times_noise: float | None = entry(SHARE, "the threshold over the noise", default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class BenchSensorRecord:
     """One sensor on the stage of a pair calibration."""
 
@@ -350,7 +350,7 @@ class BenchSensorRecord:
     address: str | None = entry(Text(), "its address", default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class BenchRecord:
     """The bench that measured."""
 
@@ -364,7 +364,7 @@ class BenchRecord:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Provenance:
     """The provenance of a tilt calibration."""
 
@@ -388,7 +388,7 @@ class Provenance:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class SamplesRecord:
     """The numbers of samples of a rotation."""
 
@@ -396,7 +396,7 @@ class SamplesRecord:
     left_out: int = entry(Integer(minimum=0), "samples that were left out")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class PairProvenance:
     """The provenance of a pair calibration."""
 

@@ -15,14 +15,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import UsageError
 from tiltcal.files.declaration import Context, Converted, Integer, ListOf, Number, Section, Text, entry
 from tiltcal.files.node import Node
 from tiltcal.files.procedure import IDENTIFIER, Determines, Procedure, chosen_angle
+from tiltcal.frozen import frozen
 
 FEWEST = int(FEWEST_TURNS)
 MOST = 1_000_000
@@ -31,7 +30,7 @@ MOST = 1_000_000
 _FOUR = "pair, orthogonal and phase are four different channels"
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class PairSelection:
     """One of ``pairs`` as it stands in a file."""
 
@@ -62,7 +61,7 @@ def _distinct(pairs: tuple[Pair, ...], node: Node, context: Context) -> tuple[Pa
     return pairs
 
 
-@dataclass(frozen=True)
+@frozen
 class Rotation:
     """The pairs that are matched while a stage turns, and when it ends."""
 
@@ -126,7 +125,7 @@ ROTATION = Converted(Section(Rotation), _apart)
 """The section ``rotation``."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class RotationProcedure:
     """A procedure of a stage that turns, as it stands in a file."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,9 +11,10 @@ from tiltcal.errors import InputError
 from tiltcal.files.csv_tables import Table, table_rows
 from tiltcal.files.declaration import Context, Converted, Integer, Number, Section, Text, entry
 from tiltcal.files.node import Node
+from tiltcal.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class Segment:
     """Rows of a log during which the sensor was held still.
 
@@ -37,7 +37,7 @@ class Segment:
     line: int | None
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Direction:
     """The direction that points up, as a row of a table gives it."""
 
@@ -70,7 +70,7 @@ class Direction:
             raise row.error(failure.message) from None
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class SegmentRow(Direction):
     """One row of a segments file."""
 

@@ -43,7 +43,7 @@ Of a ``gradiometer`` the truth is a disk instead::
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -69,6 +69,7 @@ from tiltcal.files.declaration import (
 )
 from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.node import Node
+from tiltcal.frozen import frozen
 
 FAULTS = ("parity", "stuck", "silent", "unplugged")
 
@@ -84,7 +85,7 @@ def _fault_of(found: FaultSection, node: Node, context: Context) -> Fault:
     return Fault(found.kind, found.start, found.end)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class FaultSection:
     """One of ``faults`` as it stands in a file."""
 
@@ -115,7 +116,7 @@ def _own_axis(
     return rows
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class ThermalTruth:
     """``truth.temperature`` as it stands in a file."""
 
@@ -124,7 +125,7 @@ class ThermalTruth:
     sensitivity: Mapping[str, Polynomial] = entry(polynomials(), "as in a calibration file", default={})
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class TruthSection:
     """The section ``truth`` of a tilt sensor as it stands in a file."""
 
@@ -189,7 +190,7 @@ def _radians(degrees: float, node: Node, context: Context) -> float:
 _ANGLE = Converted(Number("degrees"), _radians)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Gradient:
     """``disk.gradient`` as it stands in a file."""
 
@@ -197,7 +198,7 @@ class Gradient:
     cross: float = entry(Number("g"), "R Γxy, g")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class AccelerometerSection:
     """One of ``disk.accelerometers`` as it stands in a file."""
 
@@ -209,7 +210,7 @@ class AccelerometerSection:
     second_order: float = entry(Number(), "1/g", default=0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class DiskSection:
     """``truth.disk`` as it stands in a file."""
 
@@ -247,7 +248,7 @@ def _disk_of(found: DiskSection, node: Node, context: Context) -> Disk:
     return Disk(**given)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class StageSection:
     """The section ``truth`` of a ``gradiometer`` as it stands in a file."""
 
@@ -262,7 +263,7 @@ def _stage_of(found: StageSection, node: Node, context: Context) -> Truth:
     return replace(StageTruth.of(found.disk, Truth.seed), faults=found.faults)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class TwinFile:
     """The content of a twin file."""
 

@@ -8,7 +8,7 @@ dotted names; and what a single ``reading`` of a log is uncertain by.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import inf, radians
 from typing import Any
 
@@ -34,6 +34,7 @@ from tiltcal.files.declaration import (
     entry,
 )
 from tiltcal.files.node import Node
+from tiltcal.frozen import frozen
 
 SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
 """What has the shape of the ``calibration`` section."""
@@ -49,7 +50,7 @@ _POLYNOMIALS = ByChannel(
 _ROUNDED = 0.01  # an eigenvalue of the correlations that is below zero by more is no matter of digits
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Covariance:
     """The covariance of the uncertain coefficients."""
 
@@ -61,7 +62,7 @@ class Covariance:
     matrix: tuple[tuple[float, ...], ...] = entry(ListOf(ListOf(Number())), "their covariance matrix")
 
 
-@dataclass(frozen=True)
+@frozen
 class Uncertainty(Mapping[str, float]):
     """The uncertainty of a calibration: standard uncertainties (k = 1) by the dotted names of the coefficients.
 
@@ -94,7 +95,7 @@ class Uncertainty(Mapping[str, float]):
         return len(self.standard)
 
 
-@dataclass(frozen=True)
+@frozen
 class StatedUncertainty:
     """The uncertainty that a calibration file states, as the inputs of an angle's uncertainty.
 
@@ -109,7 +110,7 @@ class StatedUncertainty:
     remarks: tuple[str, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class ThermalUncertainty:
     """Standard uncertainties in the shape of ``calibration.temperature``."""
 
@@ -118,7 +119,7 @@ class ThermalUncertainty:
     sensitivity: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, 1/°C, 1/°C², …", default={})
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class UncertaintySection:
     """The section as it stands in a file."""
 

@@ -1,0 +1,104 @@
+"""Frozen dataclasses that cost the start of a command little.
+
+``dataclasses.dataclass`` writes six methods as text and compiles them for each class: 1.2 ms under Python 3.11, and
+``tiltcal apply`` loads a hundred classes. Here the methods are the same functions for all classes, so that a class
+takes 0.1 ms; in return a value takes 3 µs in place of 1 µs. ``fields``, ``replace`` and ``asdict`` of
+:mod:`dataclasses` work as ever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import MISSING, Field, FrozenInstanceError, dataclass, field, fields
+from typing import Any, TypeVar, dataclass_transform, overload
+
+T = TypeVar("T")
+
+_FIELDS = "__frozen_fields__"
+
+
+@overload
+def frozen(cls: type[T], /) -> type[T]: ...
+
+
+@overload
+def frozen(*, kw_only: bool = False, eq: bool = True) -> Callable[[type[T]], type[T]]: ...
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
+def frozen(
+    cls: type[T] | None = None, /, *, kw_only: bool = False, eq: bool = True
+) -> type[T] | Callable[[type[T]], type[T]]:
+    """Make a class a dataclass as ``dataclass(frozen=True)`` does; a method that the class defines itself stays.
+
+    Parameters
+    ----------
+    kw_only : bool
+        The fields are given by name alone.
+    eq : bool
+        Two values with equal fields are equal; without it a value is equal to itself alone.
+    """
+
+    def made(decorated: type[T]) -> type[T]:
+        own = set(vars(decorated))
+        dataclass(init=False, repr=False, eq=False, kw_only=kw_only)(decorated)
+        for name, method in (_METHODS | _COMPARISON if eq else _METHODS).items():
+            if name not in own:
+                setattr(decorated, name, method)
+        setattr(decorated, _FIELDS, fields(decorated))  # type: ignore[arg-type]
+        return decorated
+
+    return made if cls is None else made(cls)
+
+
+def _fields(value: object) -> tuple[Field[Any], ...]:
+    found: tuple[Field[Any], ...] = getattr(type(value), _FIELDS)
+    return found
+
+
+def _init(self: Any, *args: Any, **values: Any) -> None:
+    known = _fields(self)
+    if args:
+        places = [one.name for one in known if not one.kw_only]
+        if len(args) > len(places) or not values.keys().isdisjoint(places[: len(args)]):
+            raise TypeError(f"{type(self).__name__}() takes {', '.join(places) or 'no value'} by position, each once")
+        values.update(zip(places, args, strict=False))
+    for one in known:
+        if one.name not in values:
+            if one.default is not MISSING:
+                values[one.name] = one.default
+            elif one.default_factory is not MISSING:
+                values[one.name] = one.default_factory()
+            else:
+                raise TypeError(f"{type(self).__name__}() needs {one.name!r}")
+    if len(values) > len(known):
+        surplus = values.keys() - {one.name for one in known}
+        raise TypeError(f"{type(self).__name__}() has no field {min(surplus)!r}")
+    self.__dict__.update(values)
+    if hasattr(self, "__post_init__"):
+        self.__post_init__()
+
+
+def _repr(self: object) -> str:
+    shown = ", ".join(f"{one.name}={getattr(self, one.name)!r}" for one in _fields(self))
+    return f"{type(self).__qualname__}({shown})"
+
+
+def _compared(value: object) -> tuple[Any, ...]:
+    return tuple(getattr(value, one.name) for one in _fields(value) if one.compare)
+
+
+def _equal(self: object, other: object) -> bool:
+    return _compared(self) == _compared(other) if type(other) is type(self) else NotImplemented
+
+
+def _hash(self: object) -> int:
+    return hash(_compared(self))
+
+
+def _refuse_change(self: object, name: str, *_: object) -> None:
+    raise FrozenInstanceError(f"{type(self).__name__} is frozen: make another with dataclasses.replace, not {name!r}")
+
+
+_METHODS = {"__init__": _init, "__repr__": _repr, "__setattr__": _refuse_change, "__delattr__": _refuse_change}
+_COMPARISON = {"__eq__": _equal, "__hash__": _hash}
