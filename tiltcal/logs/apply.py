@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError
 from tiltcal.logs.apply_summary import ApplySummary
 from tiltcal.logs.cf_attributes import same_unit
-from tiltcal.logs.columns import TEMPERATURE, locate_columns, named_columns
+from tiltcal.logs.columns import TEMPERATURE, TIME, locate_columns, named_columns
 from tiltcal.logs.formats import create_log, open_log, require_way
+from tiltcal.logs.kernel import RoleValues
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
 from tiltcal.logs.prepared import ApplyOptions, PreparedCalibration, prepare, prepare_file
 from tiltcal.logs.streams import log_sink
@@ -99,8 +101,10 @@ class CompensatedLog:
     prepared : PreparedCalibration
     channels : tuple of int
         Where each reading stands in the log, in the order of the calibration.
-    temperature : int or None
-        Where the temperature stands, if there is one.
+    roles : mapping of str to int
+        Where the temperature stands, if there is one, and each role that the calibration asks for.
+    vectors : mapping of str to tuple of int
+        Where the components of ``magnetometer`` and ``velocity`` stand, if they are asked for.
     summary : ApplySummary
         Counts the rows as they pass.
     """
@@ -108,12 +112,13 @@ class CompensatedLog:
     log: LogReader
     prepared: PreparedCalibration
     channels: tuple[int, ...]
-    temperature: int | None
+    roles: Mapping[str, int]
+    vectors: Mapping[str, tuple[int, ...]]
     summary: ApplySummary
 
     @classmethod
     def of(cls, log: LogReader, prepared: PreparedCalibration, columns: Mapping[str, str] | str = "") -> CompensatedLog:
-        """Find the readings of a log.
+        """Find the readings of a log, and whatever else the calibration asks for.
 
         Raises
         ------
@@ -122,13 +127,15 @@ class CompensatedLog:
         InputError
             A column is not there, or its unit is not that of the calibration.
         """
-        named = named_columns(columns, prepared.channels)
-        where = locate_columns(log.names, prepared.channels, named, file=log.name, line=log.header_line)
+        named = named_columns(columns, prepared.channels, prepared.roles)
+        where = locate_columns(log.names, prepared.channels, named, prepared.roles, file=log.name, line=log.header_line)
+        vectors = {role: _locate_vector(log, role, names) for role, names in prepared.vectors.items()}
         require_free(log.names, prepared.kernel.columns)
         channels = tuple(where[channel] for channel in prepared.channels)
         if prepared.unit is not None:
             require_unit(log, channels, prepared.unit)
-        return cls(log, prepared, channels, where.get(TEMPERATURE), ApplySummary.watching(prepared.watched))
+        roles = {role: where[role] for role in (TEMPERATURE, *prepared.roles) if role in where}
+        return cls(log, prepared, channels, roles, vectors, ApplySummary.watching(prepared.watched))
 
     def blocks(self, time: int | None = None, *, frames: bool = False) -> Iterator[tuple[LogBlock, Table]]:
         """Yield the log's own blocks, in order, and the columns that belong behind theirs.
@@ -136,18 +143,29 @@ class CompensatedLog:
         Parameters
         ----------
         time : int, optional
-            A column of times that is needed too.
+            A column of times that is needed too; without it, the one that the calibration asks for.
         frames : bool
             Give each block all columns with their types.
         """
-        extra = [index for index in (self.temperature, time) if index is not None]
-        kernel = self.prepared.kernel
-        for block in self.log.rows(sorted({*self.channels, *extra}), time, frames=frames):
-            temperature = None if self.temperature is None else block.values[self.temperature]
-            result = kernel(block.readings(self.channels), temperature)
-            table = kernel.table(result)
-            self.summary.add(result.flag, result.reason, len(block.faults), table)
+        time = self.roles.get(TIME, time)
+        wanted = {*self.channels, *self.roles.values(), *chain(*self.vectors.values())}
+        for block in self.log.rows(sorted(wanted if time is None else wanted | {time}), time, frames=frames):
+            table = self.prepared.kernel(self._values(block))
+            self.summary.add(table, len(block.faults))
             yield block, table
+
+    def _values(self, block: LogBlock) -> RoleValues:
+        return RoleValues(
+            block.readings(self.channels),
+            **{role: block.values[index] for role, index in self.roles.items()},
+            **{role: block.readings(indices) for role, indices in self.vectors.items()},
+        )
+
+
+def _locate_vector(log: LogReader, role: str, names: Sequence[str]) -> tuple[int, ...]:
+    """Return where the three columns of an option such as ``--magnetometer`` stand."""
+    where = locate_columns(log.names, names, {}, file=log.name, line=log.header_line, option=f"--{role} ")
+    return tuple(where[name] for name in names)
 
 
 def require_unit(log: LogReader, columns: Sequence[int], unit: str, whose: str = "the calibration") -> None:

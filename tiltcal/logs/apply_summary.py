@@ -77,8 +77,9 @@ class ApplySummary:
         """Return a summary that keeps the median and the largest value of some columns of the result."""
         return cls(widths={name: ColumnWidths() for name in columns})
 
-    def add(self, flag: NDArray[np.uint8], reason: NDArray[np.uint8], bad_rows: int, table: Table) -> None:
-        """Count some rows."""
+    def add(self, table: Table, bad_rows: int = 0) -> None:
+        """Count some rows, and those of them that could not be parsed."""
+        flag, reason = (np.asarray(table[name], np.uint8) for name in ("flag", "reason"))
         for name, widths in self.widths.items():
             widths.add(np.asarray(table[name], dtype=float))
         self.rows += len(flag)

@@ -11,7 +11,9 @@ TEMPERATURE = "temperature"
 TIME = "time"
 
 
-def named_columns(columns: Mapping[str, str] | str, channels: Sequence[str]) -> dict[str, str]:
+def named_columns(
+    columns: Mapping[str, str] | str, channels: Sequence[str], others: Sequence[str] = ()
+) -> dict[str, str]:
     """Return the column of each role that was named, as a mapping or as the text of ``--columns``.
 
     Raises
@@ -20,22 +22,22 @@ def named_columns(columns: Mapping[str, str] | str, channels: Sequence[str]) -> 
         There is no such role, or the text is no list of pairs.
     """
     if isinstance(columns, str):
-        return parse_columns(columns, channels)
-    roles = (*channels, TEMPERATURE, TIME)
+        return parse_columns(columns, channels, others)
+    roles = tuple(dict.fromkeys((*channels, TEMPERATURE, TIME, *others)))
     for role in columns:
         if role not in roles:
             raise UsageError(f"--columns: there is no role {role!r}{_suggestion(role, roles)}")
     return dict(columns)
 
 
-def parse_columns(text: str, channels: Sequence[str]) -> dict[str, str]:
+def parse_columns(text: str, channels: Sequence[str], others: Sequence[str] = ()) -> dict[str, str]:
     """Parse the text of ``--columns``, such as ``x=VoutX,y=VoutY,temperature=T``.
 
     Parameters
     ----------
     text : str
         Pairs of role and column name, parted by commas; empty for none.
-    channels : sequence of str
+    channels, others : sequence of str
         The roles that a log may have besides temperature and time.
 
     Returns
@@ -48,7 +50,7 @@ def parse_columns(text: str, channels: Sequence[str]) -> dict[str, str]:
     UsageError
         A pair without ``=``, a role that there is not, or one that is named twice.
     """
-    roles = (*channels, TEMPERATURE, TIME)
+    roles = tuple(dict.fromkeys((*channels, TEMPERATURE, TIME, *others)))
     named: dict[str, str] = {}
     for pair in filter(None, (part.strip() for part in text.split(","))):
         role, equals, column = (part.strip() for part in pair.partition("="))
@@ -66,6 +68,7 @@ def locate_columns(
     names: Sequence[str],
     channels: Sequence[str],
     named: Mapping[str, str],
+    others: Sequence[str] = (),
     *,
     file: str,
     line: int | None = 1,
@@ -83,6 +86,8 @@ def locate_columns(
         The readings that are needed.
     named : mapping of str to str
         Column name by role, from :func:`parse_columns`.
+    others : sequence of str
+        Further roles that are needed, such as time.
     file : str
         The log as the user named it, for the message.
     line : int or None
@@ -93,7 +98,7 @@ def locate_columns(
     Returns
     -------
     dict of str to int
-        Index by role, for every channel and, where there is one, the temperature.
+        Index by role, for every channel, every other role and, where there is one, the temperature.
 
     Raises
     ------
@@ -102,13 +107,14 @@ def locate_columns(
     """
     where = {name: index for index, name in enumerate(names)}
     located: dict[str, int] = {}
-    for role in (*channels, TEMPERATURE, TIME):
+    for role in dict.fromkeys((*channels, *others, TEMPERATURE, TIME)):
         column = named.get(role, role)
         if column in where:
             located[role] = where[column]
-        elif role in named or role in channels:
+        elif role in named or role in channels or role in others:
             raise InputError(_absent(role, column, names, option.format(role=role)), file=file, line=line)
-    located.pop(TIME, None)
+    if TIME not in others:
+        located.pop(TIME, None)
     return located
 
 

@@ -3,48 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 import tiltcal
 from tiltcal.calibration.calibration import Calibration, read
-from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
-from tiltcal.logs.log import Table
+from tiltcal.logs.kernel import Kernel, PairKernel, TiltKernel
 from tiltcal.logs.streams import sha256_of
 
 if TYPE_CHECKING:
-    from typing import Any
-
     from tiltcal.calibration.pair_calibration import PairCalibration
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
     from tiltcal.core.compensation import Compensation
-
-
-class Flagged(Protocol):
-    """What a kernel makes of some rows."""
-
-    @property
-    def flag(self) -> NDArray[np.uint8]: ...
-
-    @property
-    def reason(self) -> NDArray[np.uint8]: ...
-
-
-class Kernel(Protocol):
-    """What compensates rows: of a tilt sensor, or of pairs of accelerometers."""
-
-    @property
-    def columns(self) -> tuple[str, ...]: ...
-
-    def __call__(self, readings: Array, temperature: Array | None = None) -> Flagged: ...
-
-    def table(self, result: Any, /) -> Table: ...
 
 
 @dataclass(frozen=True)
@@ -71,7 +44,7 @@ class ApplyOptions:
 
 @dataclass(frozen=True)
 class PreparedCalibration:
-    """A calibration, ready for the rows of one log: a pair's kernel remembers those that have passed.
+    """A calibration, ready for the rows of one log: a kernel may remember those that have passed.
 
     Attributes
     ----------
@@ -87,6 +60,10 @@ class PreparedCalibration:
     origin : mapping of str to str
         What a file made with it should state: ``software``; of a file ``calibration`` and ``sha256``; of a sensor
         ``serial``.
+    roles : tuple of str
+        The roles that the log must have besides readings, such as ``time``; the temperature is taken where it is there.
+    vectors : mapping of str to tuple of str
+        The three columns of ``magnetometer`` and ``velocity``, where these are asked for.
     """
 
     kernel: Kernel
@@ -95,6 +72,8 @@ class PreparedCalibration:
     angles: tuple[str, ...]
     watched: tuple[str, ...]
     origin: Mapping[str, str]
+    roles: tuple[str, ...] = ()
+    vectors: Mapping[str, tuple[str, str, str]] = field(default_factory=dict)
 
 
 def prepare_file(
@@ -152,13 +131,13 @@ def prepare(
         compensation = calibration.compensation(first_order=options.first_order)
         if not options.uncertainty:
             return PreparedCalibration(
-                compensation, coefficients.channels, sensor.unit, compensation.angles, (), stated
+                TiltKernel(compensation), coefficients.channels, sensor.unit, compensation.angles, (), stated
             )
         uncertain = _uncertain(calibration, compensation, options.reading_noise, say)
     except EstimateError as failure:
         raise InputError(str(failure), file=file) from failure
     return PreparedCalibration(
-        uncertain, coefficients.channels, sensor.unit, compensation.angles, uncertain.expanded, stated
+        TiltKernel(uncertain), coefficients.channels, sensor.unit, compensation.angles, uncertain.expanded, stated
     )
 
 
@@ -173,7 +152,7 @@ def _of_pairs(
         if given:
             raise UsageError(f"{name} is for tilt calibrations; {file} is of pairs, which have no tilt")
     matched = calibration.compensation()
-    return PreparedCalibration(matched, matched.channels, None, (), (), origin)
+    return PreparedCalibration(PairKernel(matched), matched.channels, None, (), (), origin)
 
 
 def _mounted(calibration: Calibration, angles: Mapping[str, float] | str, say: Callable[[str], None]) -> Calibration:

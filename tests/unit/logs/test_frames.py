@@ -20,6 +20,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.apply import apply_log
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import apply_frame
+from tiltcal.logs.kernel import RoleValues
 from tiltcal.logs.log import LogBlock
 from tiltcal.logs.prepared import ApplyOptions, prepare
 
@@ -209,8 +210,8 @@ def test_results_do_not_depend_on_where_blocks_end(name: str) -> None:
     channels = len(found.coefficients.channels)
     readings = np.asfortranarray(found.coefficients.offset + span * draw.uniform(-0.9, 0.9, (50_001, channels)))
     temperature = draw.uniform(0.0, 30.0, len(readings))
-    whole = kernel.table(kernel(readings, temperature))
+    whole = kernel(RoleValues(readings, temperature))
     for rows in (slice(0, 7), slice(7, 20_011), slice(20_011, None)):
-        part = kernel.table(kernel(np.stack(readings[rows].T).T, temperature[rows]))
+        part = kernel(RoleValues(np.stack(readings[rows].T).T, temperature[rows]))
         for column, values in part.items():
             np.testing.assert_array_equal(values, whole[column][rows], err_msg=column)

@@ -75,15 +75,13 @@ class PairCompensation:
         """Return the columns of a result, in order."""
         return {**matched.values, "flag": matched.flag, "reason": matched.reason}
 
-    def __call__(self, readings: Array, temperature: Array | None = None) -> Matched:
+    def __call__(self, readings: Array) -> Matched:
         """Compensate some rows.
 
         Parameters
         ----------
         readings : ndarray, shape (n, channels)
             NaN where a value is missing.
-        temperature : ndarray, optional
-            Not used: a matching has no temperature terms.
         """
         by_name = dict(zip(self.channels, readings.T, strict=True))
         sums = []
