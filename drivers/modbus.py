@@ -53,7 +53,7 @@ RATE = 10.0
 """Samples per second if the address states no rate."""
 
 EXCEPTIONS = {
-    1: "it does not know this function: try table=input, or table=holding",
+    1: "it does not have this function: try table=input, or table=holding",
     2: "it has no such register: check the register numbers, which count from 0",
     3: "it refuses the number of registers",
     4: "it has failed",

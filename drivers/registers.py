@@ -26,7 +26,7 @@ class RegisterPort:
     Attributes
     ----------
     link : Link
-        Its letter tells the bus.
+        Its letter is the bus.
     read_command, write_command : callable
         The first byte of an SPI frame, by register.
     pointer : callable

@@ -352,7 +352,7 @@ _SCL3300 = Scl3300Part(
         MeasuringRange(4, "inclination, low noise", 12000.0, 10.0, 100e-3, 80e-6),
     ),
     words={"1.2g": 1, "2.4g": 2, "inclination": 3, "low-noise": 4},
-    # Its own limits were not found; the sibling's offset, and a sensitivity that tells the two apart.
+    # Its own limits were not found; the sibling's offset, and a sensitivity that separates the two.
     offset_limit=0.020,
     sensitivity_limit=0.02,
     source="17 µg/√Hz over the filter's noise bandwidth",

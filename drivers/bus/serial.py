@@ -52,7 +52,7 @@ def open_serial(address: Address, model: Model) -> SerialLink:
     Raises
     ------
     UsageError
-        An unknown or wrong option, or a URL that pyserial does not know.
+        An unknown or wrong option, or a URL that pyserial does not support.
     HardwareError
         The pyserial package is not installed.
     BusError

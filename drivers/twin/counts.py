@@ -267,7 +267,7 @@ class I2cTwin:
         if len(out) > 1:
             at_time(self._clock, now_ns, lambda: self._registers.write(self._decode(out[0]), out[1]))
         elif out:
-            # How many bytes were read is not told; the first one takes the sample.
+            # The number of bytes that were read is not known; the first one takes the sample.
             at_time(self._clock, now_ns, lambda: self._registers.read(self._decode(out[0]), 1))
 
     def close(self) -> None:

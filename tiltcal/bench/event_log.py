@@ -115,8 +115,8 @@ class EventLog:
             self.record(ANSWER, {"to": question, **said.record()})
         return said
 
-    def tell(self, operator: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
-        """Tell the operator something, unless it was told before the session was interrupted."""
+    def report(self, operator: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
+        """Report an event to the operator, unless it was reported before the session was interrupted."""
         if self.state is not SessionState.PLAYING:
             operator(*args, **kwargs)
 

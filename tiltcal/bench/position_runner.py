@@ -125,7 +125,7 @@ class PositionRunner:
         if verdict.word != "accept":
             return verdict.word
         log.position(result.record())
-        log.tell(operator.accepted, result)
+        log.report(operator.accepted, result)
         return result
 
     def _refuse(self, position: Position, error: Exception) -> None:
@@ -135,9 +135,9 @@ class PositionRunner:
                 raise error
             # It ended the session once; whoever resumes it has put it right.
             sensors.succeeded()
-        log.tell(self._operator.refused, position, str(error))
+        log.report(self._operator.refused, position, str(error))
         if isinstance(error, SensorError) and error.serial in sensors.lost:
-            log.tell(self._operator.lost, error.serial, sensors.lost[error.serial])
+            log.report(self._operator.lost, error.serial, sensors.lost[error.serial])
         if isinstance(error, HardwareError):
             self._clock.sleep(RECOVERY)
 
@@ -151,7 +151,7 @@ class PositionRunner:
         return self._sensors.by_serial(self._sensors.read(fresh=True))
 
     def _look(self, position: Position, sample: Sample, why: str) -> None:
-        self._log.tell(self._operator.look, position, self._sensors.by_serial(sample), why)
+        self._log.report(self._operator.look, position, self._sensors.by_serial(sample), why)
 
     def _window(self, position: Position, accepted: Sequence[PositionResult], typed: float | None) -> Window:
         """Return what must hold still: the readings; the temperature too, where this position changes it."""

@@ -1,7 +1,7 @@
 """The runner of a rotation: samples the accelerometers of a turning stage until their pairs are matched.
 
 The operator is asked once. Then every sample comes from the event log, in blocks of a fraction of a second. What cannot
-be used is told once with the reason, and so is that it goes on; after each turn the operator is told p and q. It ends
+be used is reported once with the reason, and so is its end; after each turn the operator gets p and q. It ends
 when they are known as the procedure asks, when its turns are made, or when the operator says stop.
 """
 
@@ -29,7 +29,7 @@ from tiltcal.files.rotation import Rotation
 BLOCK_NS = 200_000_000
 """Time over which samples are collected before they are judged and the operator is polled, ns."""
 LARGEST_BLOCK = 16
-"""Samples: fewer than a turn has, so that every turn is told."""
+"""Samples: fewer than a turn has, so that every turn is reported."""
 SOONEST = 5
 """Turns before p and q are called known: fewer do not show how the turns scatter."""
 
@@ -150,10 +150,10 @@ class RotationRunner:
         return self._log.now_ns() - since_ns > self._rotation.patience * 1e9
 
     def _block(self, collected: RotationSamples) -> str:
-        """Collect for a while, and tell what is held; why no sample came, if none did."""
+        """Collect for a while, and report what is held; return why no sample came, if none did."""
         block, why = self._sampled()
-        for told in collected.take(block):
-            self._say(told)
+        for remark in collected.take(block):
+            self._say(remark)
         if why:
             lost = collected.interrupt()
             self._say(f"{why}; {f'{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out' if lost else KEPT}")
@@ -211,7 +211,7 @@ class RotationRunner:
         left_out = collected.left_out + self._damaged
         turn = StageTurn(made, self._rotation.turns, collected.online(), dict(collected.unknown), left_out)
         self._told_damage = False
-        self._log.tell(self._operator.turn_completed, turn)
+        self._log.report(self._operator.turn_completed, turn)
         enough = self._rotation.converged
         if enough is not None and made >= SOONEST and collected.known_to(enough):
             return CONVERGED
@@ -237,7 +237,7 @@ class RotationRunner:
             raise EstimateError("; ".join(unmatched))
         for why in unmatched:
             self._say(why)
-        self._log.tell(self._operator.matched, whole.turns, matchings)
+        self._log.report(self._operator.matched, whole.turns, matchings)
         return RotationResult(
             tuple(matchings),
             whole.turns,
@@ -249,7 +249,7 @@ class RotationRunner:
         )
 
     def _refuse(self, why: str) -> None:
-        self._log.tell(self._operator.refused, why)
+        self._log.report(self._operator.refused, why)
 
     def _say(self, why: str) -> None:
         """Tell, once, why samples are held, or that they go on."""
@@ -257,9 +257,9 @@ class RotationRunner:
             return
         self._held = why
         if why:
-            self._log.tell(self._operator.paused, why)
+            self._log.report(self._operator.paused, why)
         else:
-            self._log.tell(self._operator.resumed)
+            self._log.report(self._operator.resumed)
 
     def _say_damage(self) -> None:
         """Tell, once a turn, that something was lost on the way."""

@@ -1,6 +1,6 @@
 """The samples of a turning stage, summed up as they come.
 
-Every sample goes to two estimators. The recursive ones tell what p and q are by now; the regression over all that
+Every sample goes to two estimators. The recursive ones estimate p and q so far; the regression over all that
 counts gives the result. What cannot be used (the stage stands or turns back, a gap, missing values) is held from both.
 
 An interruption begins a new stretch: the encoder may have lost its zero meanwhile, and the electronics their offsets.
@@ -158,21 +158,21 @@ class RotationSamples:
             return []
         theta, readings, times = np.array(block.theta), np.array(block.readings), np.array(block.times, np.int64)
         self._seen.follow(theta[np.isfinite(theta)])
-        told = []
+        remarks = []
         for item in self._stream.push(theta, readings):
             if isinstance(item, Notice):
-                told.append(item.why)
+                remarks.append(item.why)
             else:
                 self._update(item)
         used = np.isfinite(theta) & np.isfinite(readings).all(axis=1) & (not self._stream.why)
         self._now.add(theta[used], readings[used], times[used])
         self.left_out += int(np.count_nonzero(~used)) if self._stream.turns else 0
-        return told
+        return remarks
 
     def interrupt(self) -> int:
         """Begin a new span: after an interruption the zero of the angle and the offsets may be others.
 
-        What was collected since the last time is kept where it is turns enough to tell its phase.
+        What was collected since the last time is kept where it has turns enough to show its phase.
 
         Returns
         -------

@@ -168,7 +168,7 @@ def _rounded(found: MountingEstimate, joint: _Joint) -> tuple[Mounting, dict[str
         return found.mounting, {}
     known = angle_uncertainty(mounting_matrix(found.mounting), joint.covariance[-3:, -3:])
     u = {name: degrees(getattr(known, name)) for name in ANGLES}
-    # Where roll and yaw cannot be told apart their sum or difference is as well known as the pitch.
+    # Where roll and yaw cannot be separated their sum or difference is as well known as the pitch.
     digits = dict.fromkeys(ANGLES, min(u.values())) if known.roll == UNKNOWN_ANGLE else u
     angles = {name: radians(round_to(degrees(getattr(found.mounting, name)), digits[name])) for name in u}
     return Mounting(**angles), {name: significant(value, 4) for name, value in u.items()}

@@ -205,16 +205,16 @@ def _intrinsic_record(found: Estimate, design: Design) -> IntrinsicRecord:
     parts = {"offset": own.offset, "sensitivity": own.sensitivity, "angle_degrees": own.angle}
     if own.mounting:
         parts["rotation_degrees"] = own.mounting
-    told = {name: _told(quantities) for name, quantities in parts.items()}
+    printed = {name: _printed(quantities) for name, quantities in parts.items()}
     return IntrinsicRecord(
-        **{name: values for name, (values, _) in told.items()},
-        uncertainty=IntrinsicUncertainty(**{name: u for name, (_, u) in told.items()}),
+        **{name: values for name, (values, _) in printed.items()},
+        uncertainty=IntrinsicUncertainty(**{name: u for name, (_, u) in printed.items()}),
         gimbal_lock=own.gimbal_lock,
         left_handed=own.left_handed or None,
     )
 
 
-def _told(quantities: Mapping[str, IntrinsicQuantity]) -> tuple[dict[str, float], dict[str, float]]:
+def _printed(quantities: Mapping[str, IntrinsicQuantity]) -> tuple[dict[str, float], dict[str, float]]:
     """Values and uncertainties, rounded."""
     return (
         {name: round_to(one.value, one.u) for name, one in quantities.items()},

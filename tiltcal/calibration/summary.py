@@ -89,9 +89,9 @@ def objections(fit: FitRecord) -> list[str]:
             "not credible: noise, jig or thermometer are worse than stated, and the uncertainties are too small"
         )
     if fit.suspect_positions:
-        told = [f"{position} ({one.off_degrees:g}°)" for position, one in fit.suspect_positions.items()]
-        more = f" and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
-        found.append(f"further off than the stated jig allows, the worst first: {', '.join(told[:SHOWN])}{more}")
+        named = [f"{position} ({one.off_degrees:g}°)" for position, one in fit.suspect_positions.items()]
+        more = f" and {len(named) - SHOWN} more" if len(named) > SHOWN else ""
+        found.append(f"further off than the stated jig allows, the worst first: {', '.join(named[:SHOWN])}{more}")
     return found
 
 

@@ -29,7 +29,7 @@ REACH = 45.0
 """A direction is missing where no attitude comes as near, degrees."""
 
 UNDETERMINED = (
-    "undetermined: gravity alone does not tell how the sensor sits. The sensitivity is given in the frame whose z axis "
+    "undetermined: gravity alone does not show how the sensor sits. The sensitivity is given in the frame whose z axis "
     "is the direction that channel z senses, and whose y axis lies in the plane of those of channels y and z"
 )
 
@@ -117,7 +117,7 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
     warnings = []
     if distinct <= UNKNOWNS:
         warnings.append(
-            f"{distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to tell whether "
+            f"{distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to show whether "
             "the result is right; add attitudes, 12 to 18 or more"
         )
     worst, expanded = _worst(calibration)

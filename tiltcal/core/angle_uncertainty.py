@@ -81,7 +81,7 @@ class AngleUncertainty:
     ----------
     compensated : Compensated
     standard : ndarray, shape (n, angles)
-        Standard uncertainty of each angle (k = 1), degrees, to four digits; NaN where nobody knows it.
+        Standard uncertainty of each angle (k = 1), degrees, to four digits; NaN where it is not known.
     expanded : ndarray, shape (n, angles)
         Half width of its 95 % interval, degrees.
     """
@@ -102,7 +102,7 @@ class AngleUncertainty:
 
 
 class CompensationWithUncertainty:
-    """A compensation that tells how uncertain each of its angles is.
+    """A compensation with the uncertainty of each angle.
 
     Parameters
     ----------

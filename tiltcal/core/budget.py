@@ -180,7 +180,7 @@ class CoverageFactors:
 
         Notes
         -----
-        A part that its factor narrows, because errors come with the residuals that tell their size, is narrowed by
+        A part that its factor narrows, because errors come with the residuals that show their size, is narrowed by
         itself.
         """
         total = estimated + known

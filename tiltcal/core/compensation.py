@@ -110,7 +110,7 @@ class Compensated:
 
 @frozen
 class KernelChunk:
-    """Some rows on their way through the kernel, for who wants to know more of them than comes out.
+    """Some rows on their way through the kernel, for callers that need more than the result.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ class Compensation:
         sensitivity = coefficients.sensitivity[:, [coefficients.axes.index(axis) for axis in own]]
         self.axes = own[:2] if (channels, own) == (2, AXES) else own
         if channels == 1 and coefficients.channels[0] in own:
-            # What one channel sees of the other axes is not told from tilt: they are taken to be level.
+            # What one channel reads of the other axes cannot be separated from tilt: they are taken to be level.
             self.axes = coefficients.channels
         if len(self.axes) != channels:
             raise EstimateError(

@@ -18,7 +18,7 @@ UNKNOWN_ANGLE = pi / sqrt(3.0)
 
 NORMAL_FACTOR = 1.96
 
-_LOCK = 1e-8  # cosine of pitch below which roll and yaw turn about one line, as far as double precision can tell
+_LOCK = 1e-8  # cosine of pitch below which roll and yaw turn about one line, within double precision
 _ORTHOGONAL = 1e-6
 
 
@@ -102,7 +102,7 @@ def mounting_angles(matrix: Array) -> MountingAngles:
 
 
 def is_locked(pitch: float, u: float) -> bool:
-    """Return whether cos(pitch) is within its 95 % interval of zero: roll and yaw cannot be told apart there.
+    """Return whether cos(pitch) is within its 95 % interval of zero: roll and yaw cannot be separated there.
 
     Parameters
     ----------

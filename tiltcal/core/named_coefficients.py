@@ -103,8 +103,8 @@ def known(
     for name, own, stretch in zip(values(coefficients), u.tolist(), stretched.tolist(), strict=True):
         if own > 0.0:
             factor = normal * stretch / own
-            told = factor > normal * (1.0 + NEGLIGIBLE)
-            found[name] = KnownCoefficient(own, float(stdtridf(0.5 + COVERAGE / 2.0, factor)) if told else inf)
+            from_scatter = factor > normal * (1.0 + NEGLIGIBLE)
+            found[name] = KnownCoefficient(own, float(stdtridf(0.5 + COVERAGE / 2.0, factor)) if from_scatter else inf)
     return found
 
 

@@ -131,13 +131,13 @@ class ExpectedReadings:
             return f"this looks like {nearest}: is the sensor turned round?"
         if own > ODD:
             expected = self.expected(positions[position])
-            told = ", ".join(
+            differences = ", ".join(
                 f"{channel} reads {value:.6g} where about {expected[channel]:.6g} is expected"
                 for channel, value in zip(self._channels, reading, strict=True)
             )
             return (
-                f"no position of this procedure reads like this ({told}): is the sensor at the angle, and are its axes "
-                "named right?"
+                f"no position of this procedure reads like this ({differences}): is the sensor at the angle, and are "
+                "its axes named right?"
             )
         return None
 

@@ -47,7 +47,7 @@ def _channels(found: tuple[str, ...], node: Node, context: Context) -> tuple[str
 class SensorIdentity:
     """The sensor that a calibration belongs to."""
 
-    model: str = entry(Text(), "its model, such as `sca100t-d02`; `recorded` where `fit` was told none")
+    model: str = entry(Text(), "its model, such as `sca100t-d02`; `recorded` where `fit` was given none")
     serial: str = entry(Text(), "its serial number")
     unit: str = entry(Text(), "of its readings: `count`, `V`, `duty`, `m/s2`, …")
     channels: tuple[str, ...] = entry(

@@ -387,7 +387,7 @@ class Converted(Format[T], Generic[S, T]):
 
 @frozen
 class Either(Format[T]):
-    """One of two kinds of section, told apart by a key that the second one has.
+    """One of two kinds of section, distinguished by a key that the second one has.
 
     Attributes
     ----------

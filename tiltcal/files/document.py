@@ -163,7 +163,7 @@ class _Composer:
         except yaml.MarkedYAMLError as failure:
             mark = failure.problem_mark or failure.context_mark
             problem = failure.problem or failure.context or "the parser gives no reason"
-            # What is missing at the end is told for the last line, not for the one after it.
+            # What is missing at the end is reported for the last line, not for the one after it.
             line = None if mark is None else min(mark.line + 1, len(text.splitlines()))
             raise self._error(f"not YAML: {problem}", line) from None
         except yaml.reader.ReaderError as failure:

@@ -123,7 +123,7 @@ class FitRecord:
         "`assumed`",
         default={},
     )
-    notes: tuple[str, ...] = entry(ListOf(Text()), "what a reader of the numbers should know", default=())
+    notes: tuple[str, ...] = entry(ListOf(Text()), "what limits the numbers", default=())
     cross_validation: CrossValidation | None = entry(
         Section(CrossValidation), "after a sweep: how the order of the drift was chosen", default=None
     )
@@ -188,7 +188,7 @@ class IntrinsicRecord:
     uncertainty: IntrinsicUncertainty | None = entry(
         Section(IntrinsicUncertainty), "standard uncertainties (k = 1) of the above", default=None
     )
-    gimbal_lock: bool = entry(Flag(), "`true` where roll and yaw cannot be told apart", default=False)
+    gimbal_lock: bool = entry(Flag(), "`true` where roll and yaw cannot be separated", default=False)
     left_handed: str | None = entry(
         Text(),
         "why there is no rotation: the channels form a left-handed frame",
@@ -215,7 +215,7 @@ class DerivedRecord:
     )
     assumed: tuple[str, ...] = entry(ListOf(Text()), "which coefficients were not measured", default=())
     mounting: str | None = entry(Text(), "from free positions: what can be said of the mounting", default=None)
-    gimbal_lock: bool = entry(Flag(), "`true` where roll and yaw of the mounting cannot be told apart", default=False)
+    gimbal_lock: bool = entry(Flag(), "`true` where roll and yaw of the mounting cannot be separated", default=False)
     gravity_m_s2: float | None = entry(
         Number(above=0.0), "with `fit --gravity`: gravity where the calibration was made, m/s²", default=None
     )

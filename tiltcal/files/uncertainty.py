@@ -199,7 +199,7 @@ def stated_uncertainty(
     -------
     StatedUncertainty
         Without a covariance the coefficients count as uncorrelated; what is not stated counts as exact. The remarks
-        tell both.
+        state both.
 
     Raises
     ------
@@ -217,29 +217,29 @@ def stated_uncertainty(
         remarks.append("the file has no covariance: the coefficients count as uncorrelated")
     silent = [name for name in values(coefficients) if name not in uncertainty and name not in names]
     if silent:
-        remarks.append(f"no uncertainty is stated of {', '.join(silent)}: exact, so far as anyone says")
+        remarks.append(f"no uncertainty is stated of {', '.join(silent)}: they count as exact")
     turned = any(name.startswith(TURN) for name in names)
     if coefficients.mounting is not None and not turned:
         angles = {a: u for a in ANGLES if (u := uncertainty.get(f"mounting.{a}")) is not None}
         if angles:
             names, covariance = _with_turn(names, covariance, coefficients.mounting, angles)
         else:
-            remarks.append("no uncertainty is stated of the mounting: exact, so far as anyone says")
+            remarks.append("no uncertainty is stated of the mounting: it counts as exact")
     reading = dict(uncertainty.single_reading)
     if reading_noise is not None:
         reading |= dict.fromkeys(coefficients.channels, reading_noise)
     elif not any(channel in reading for channel in coefficients.channels):
         remarks.append(
-            "the file does not say how uncertain a reading is: only the calibration counts (--reading-noise)"
+            "the file has no uncertainty of a reading: only that of the calibration counts (state --reading-noise)"
         )
     _require_covariance(covariance)
-    told, usual = uncertainty.coverage_factor, float(coverage_factor(np.array([inf]))[0])
+    factors, usual = uncertainty.coverage_factor, float(coverage_factor(np.array([inf]))[0])
     scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
     return StatedUncertainty(
         UncertaintyInputs(
             names,
             covariance * np.outer(scale, scale),
-            np.array([told.get(name, usual) for name in names]),
+            np.array([factors.get(name, usual) for name in names]),
             np.array([reading.get(channel, 0.0) for channel in coefficients.channels]),
             reading.get(TEMPERATURE, 0.0),
         ),

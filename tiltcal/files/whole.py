@@ -23,7 +23,7 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
     """Open a binary stream whose content becomes the file when the block ends without an error.
 
     The stream writes to a file without a name in the same folder, so that a program that is killed leaves nothing
-    behind; where the system knows no such files, to a temporary one. At the end it is flushed to the disk and renamed;
+    behind; where the system has no such files, to a temporary one. At the end it is flushed to the disk and renamed;
     where the block raises, it is gone and a file that stood at ``path`` is as it was. A device or pipe has no such end:
     it is written as it comes. What was written can be read again, but for a device or pipe.
 
@@ -75,7 +75,7 @@ def write_whole(path: str | Path, text: str) -> None:
 def check_writable(path: str | Path) -> None:
     """Check, before anything is measured, that a file can be written.
 
-    A temporary file is made in the folder and removed: permission bits alone do not tell of a read-only disk.
+    A temporary file is made in the folder and removed: permission bits alone do not show a read-only disk.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
     part = target.with_name(f".tiltcal-{token_hex(6)}.part")
     try:
         nameless = _nameless(target.parent)
-        stream = open(part, "x+b") if nameless is None else open(nameless, "w+b")  # noqa: SIM115  (told apart from writing)
+        stream = open(part, "x+b") if nameless is None else open(nameless, "w+b")  # noqa: SIM115  (a failure to open differs from one to write)
     except OSError as failure:
         raise _cannot_write(target, failure) from failure
     try:

@@ -46,7 +46,7 @@ def apply_log(
     log : str or Path
         CSV, Parquet or NetCDF-4, by the end of its name; ``-`` is CSV on standard input.
     output : str or Path
-        It has the format that its name tells and appears whole or not at all; ``-`` is CSV on standard output.
+        Its name selects its format. It appears whole or not at all; ``-`` is CSV on standard output.
     columns : mapping of str to str, or str
         The column of each reading, such as ``{"x": "VoutX"}`` or ``"x=VoutX"``; without it, the column of its name.
     uncertainty : bool

@@ -59,7 +59,7 @@ def numbers(cells: pl.Series) -> tuple[Array, Bits | None]:
 def is_cut(cell: str) -> bool:
     """Return whether the last cell of a file that does not end its last line looks like the beginning of a number.
 
-    ``2.``, ``1e``, ``-`` and the empty cell do; ``2``, ``2.5`` and ``done`` do not: nobody can tell that they are.
+    ``2.``, ``1e``, ``-`` and the empty cell do; ``2``, ``2.5`` and ``done`` do not: nothing shows that they are.
     """
     return _CUT_NUMBER.fullmatch(cell.strip()) is not None
 

@@ -1,4 +1,4 @@
-"""What the CF conventions want to be known of a column: units, and what flags mean.
+"""The attributes of a column by the CF conventions: units, and what flags mean.
 
 Source: NetCDF Climate and Forecast conventions 1.11, sections 3.1 (units), 3.5 (flags) and 4.4 (time).
 """

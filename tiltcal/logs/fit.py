@@ -26,7 +26,7 @@ from tiltcal.files.records import FileRecord, LogRecord, Provenance, SegmentsRec
 from tiltcal.files.segments import read_segments
 from tiltcal.logs.columns import named_columns
 from tiltcal.logs.frames import FrameReader, rows_of
-from tiltcal.logs.static_detection import WINDOWS, find_still, still_segments, told
+from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
 from tiltcal.logs.static_intervals import (
     RecordedReadings,
     StaticInterval,
@@ -198,7 +198,7 @@ class FitSource:
         if not free and self.finds:
             raise UsageError(
                 "say with --segments which rows were taken in which position (or that LOG is a --table of positions); "
-                "only `tiltcal fit free` finds them itself, because it need not know the positions"
+                "only `tiltcal fit free` finds them itself, because it does not need the positions"
             )
         if self.window is not None and not (free and self.finds):
             raise UsageError(FOUND_ONLY)
@@ -233,7 +233,7 @@ class FitSource:
         record = self._record(sensor)
         windows = WINDOWS if self.window is None else (self.window,)
         chosen, tried = find_still(record.readings(channels), windows)
-        say(told(chosen, tried, sensor.unit))
+        say(choice_table(chosen, tried, sensor.unit))
         found = still_segments(chosen)
         holds = holds_of(record, found, file=record.name)
         attitudes = directions([hold.summaries for hold in holds])

@@ -118,7 +118,7 @@ class SensorNoise:
 
     @property
     def remarks(self) -> list[str]:
-        """What should be known before the numbers are believed."""
+        """What limits the numbers, in words."""
         return self.log.remarks()
 
     def as_data(self) -> dict[str, Any]:

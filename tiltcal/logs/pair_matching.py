@@ -93,7 +93,7 @@ def demodulate_log(
     """
     stage, demodulator, tally = AngleTracker(), Demodulator(channels), _Tally(len(channels))
     angles = _Angles(phase)
-    rows = tally.counted(angles.told(_stretches(log, channels, phase)))
+    rows = tally.counted(angles.with_angle(_stretches(log, channels, phase)))
     for stretch in StuckValues(channels, say).cleaned(rows):
         theta, readings, numbers = stretch.complete()
         demodulator.add(stage.follow(theta), readings, numbers)
@@ -141,7 +141,7 @@ class _Angles:
         self._measured = phase is not None
         self.spin: Spin | None = None
 
-    def told(self, stretches: Iterator[PairBlock]) -> Iterator[PairBlock]:
+    def with_angle(self, stretches: Iterator[PairBlock]) -> Iterator[PairBlock]:
         """Yield the stretches with their stage angle."""
         if self._measured:
             yield from stretches

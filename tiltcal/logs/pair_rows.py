@@ -124,18 +124,18 @@ class StuckValues:
         for channel, run in last.items():
             if run.first < ready and not run.standing:
                 self._turned[channel], self._stuck[channel] = abs(turns[ready - 1] - run.begun), run.stuck
-        told = stretch.theta[:ready][np.isfinite(stretch.theta[:ready])]
-        self._theta = float(told[-1]) if len(told) else self._theta
+        angles = stretch.theta[:ready][np.isfinite(stretch.theta[:ready])]
+        self._theta = float(angles[-1]) if len(angles) else self._theta
         yield replace(stretch.rows(slice(ready)), readings=cleaned[:ready])
 
     def _turns(self, theta: Array) -> Array:
         """Return the angle that the stage turned since the row before; where it is missing, the last one."""
         known = np.append(self._theta, theta)
-        told = np.isfinite(known)
-        if not told.any():
+        present = np.isfinite(known)
+        if not present.any():
             return np.zeros(len(theta))
-        turns = AngleTracker().follow(known[told])
-        latest = np.maximum(np.cumsum(told) - 1, 0)
+        turns = AngleTracker().follow(known[present])
+        latest = np.maximum(np.cumsum(present) - 1, 0)
         return np.asarray((turns[latest] - turns[0])[1:])
 
     def _left_out(self, channel: int, same: NDArray[np.bool_], turns: Array, readings: Array, number: int) -> _Run:

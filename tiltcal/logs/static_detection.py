@@ -6,7 +6,7 @@ is for the calibration to say. Too loose lets motion in, and the fit leaves a la
 attitudes, and nine of them fit nine unknowns perfectly and wrongly. So every choice is fitted and judged by the
 expanded uncertainty of the coefficients, in which noise, scatter, number and spread of the attitudes and Student's t
 for the degrees of freedom that are left all have their say, and nine attitudes have no say at all. Of those that are as
-good as the best, as far as its degrees of freedom can tell, the one with the most attitudes is taken.
+good as the best, within what its degrees of freedom show, the one with the most attitudes is taken.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SAME = cos(radians(0.5))
 
 @dataclass(frozen=True)
 class StaticDetection:
-    """One way to tell still from moving, and what it leads to.
+    """One threshold between still and moving, and the fit that it leads to.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ def find_still(
     best = min(tried, key=lambda choice: choice.expanded, default=None)
     if best is None or best.ellipsoid is None or best.expanded == inf:
         raise EstimateError(_too_few(tried, lost))
-    # What is left over knows the scatter no better than this. A choice that is better by less has but left out some
+    # What is left over shows the scatter no better than this. A choice that is better by less has but left out some
     # attitude that fits badly, and would be surer of itself than it is.
     luck = 1.0 + 1.0 / sqrt(2.0 * (len(best.holds) - UNKNOWNS))
     good = [choice for choice in tried if choice.expanded <= luck * best.expanded]
@@ -122,7 +122,7 @@ def still_segments(choice: StaticDetection) -> list[Segment]:
     ]
 
 
-def told(chosen: StaticDetection, tried: Sequence[StaticDetection], unit: str) -> str:
+def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit: str) -> str:
     """Return what was tried with the chosen window, and what was chosen, as a table.
 
     Parameters

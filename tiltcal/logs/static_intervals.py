@@ -249,12 +249,12 @@ def _require_steady(hold: StaticInterval, procedure: Procedure, file: str) -> No
 
 def _require_temperatures(holds: Sequence[StaticInterval], file: str) -> None:
     """Refuse holds of which only some have a temperature: the procedure's is no stand-in for one that was lost."""
-    told = [hold for hold in holds if hold.temperature is not None]
+    measured = [hold for hold in holds if hold.temperature is not None]
     silent = next((hold for hold in holds if hold.temperature is None), None)
-    if told and silent is not None:
+    if measured and silent is not None:
         raise InputError(
-            f"segment {silent.name}: there is no temperature in its rows, and {told[0].name} has one; choose rows that "
-            "have it, or fill it in",
+            f"segment {silent.name}: there is no temperature in its rows, and {measured[0].name} has one; choose rows "
+            "that have it, or fill it in",
             file=file,
             line=silent.line,
         )

@@ -58,7 +58,7 @@ class CoefficientRow:
         With its standard uncertainty in brackets.
     unit : str
     interval : AlignedNumber
-        Half width of its 95 % interval; empty where nobody knows it.
+        Half width of its 95 % interval; empty where it is not known.
     factor : str
         The coverage factor; empty where the file has none.
     """
@@ -253,11 +253,11 @@ def _by_channel(
 
 
 def _quantities(rows: Sequence[Row]) -> list[CoefficientRow]:
-    told = column(measured(row.value, row.u) if row.u else plain(row.value, 6) for row in rows)
+    printed = column(measured(row.value, row.u) if row.u else plain(row.value, 6) for row in rows)
     widths = column(half_width(row.factor * row.u) if row.u and row.factor else "" for row in rows)
     return [
         CoefficientRow(
             row.name, row.words, row.symbol, value, row.unit, width, f"{row.factor:.2f}" if row.factor and row.u else ""
         )
-        for row, value, width in zip(rows, told, widths, strict=True)
+        for row, value, width in zip(rows, printed, widths, strict=True)
     ]

@@ -53,8 +53,8 @@ def drift(before: CalibrationRecord, name: str, after: CalibrationRecord) -> Cha
     ratios = column("" if one.ratio is None else f"{one.ratio:.2f}" for one in found)
     unit = after.sensor.unit
     rows = [
-        ChangeRow(words(one.name), symbol(one.name), *told, unit_of(one.name, unit), one.name in verdict.changed)
-        for one, told in zip(found, zip(old, new, moved, ratios, strict=True), strict=True)
+        ChangeRow(words(one.name), symbol(one.name), *texts, unit_of(one.name, unit), one.name in verdict.changed)
+        for one, texts in zip(found, zip(old, new, moved, ratios, strict=True), strict=True)
     ]
     when = period(before.provenance)
     return ChangeSection(f"{name}, {when}" if when else name, _sentence(str(verdict)), rows)

@@ -39,12 +39,12 @@ class PositionRow:
 
 def position_table(calibration: CalibrationRecord) -> list[PositionRow]:
     """Return every measured position, in order."""
-    channels, fit, told = calibration.coefficients.channels, calibration.fit, calibration.positions
-    names = [record.position for record in told]
+    channels, fit, records = calibration.coefficients.channels, calibration.fit, calibration.positions
+    names = [record.position for record in records]
     # Positions of a mounting come last and were not fitted; they may bear a name that was.
     fitted = [name in fit.residuals and name not in names[:k] for k, name in enumerate(names)]
-    temperatures = column(_told(record.temperature, 2) for record in told)
-    means = [column(_mean(record, channel) for record in told) for channel in channels]
+    temperatures = column(_told(record.temperature, 2) for record in records)
+    means = [column(_mean(record, channel) for record in records) for channel in channels]
     decimals = _decimals(max((abs(v) for row in fit.residuals.values() for v in row.values()), default=0.0))
     left = [
         column(
@@ -58,7 +58,7 @@ def position_table(calibration: CalibrationRecord) -> list[PositionRow]:
             name,
             as_set(calibration.procedure.set.get(name, PositionSet())) if fitted[k] else "for the mounting",
             temperatures[k],
-            "" if told[k].n is None else str(told[k].n),
+            "" if records[k].n is None else str(records[k].n),
             [one[k] for one in means],
             [one[k] for one in left],
             fitted[k] and name in fit.suspect_positions,

@@ -28,13 +28,13 @@ def residual_figure(calibration: CalibrationRecord) -> SvgFigure | None:
         channel: max((abs(residuals[name].get(channel, 0.0)) for name in positions), default=0.0)
         for channel in channels
     }
-    told = "; ".join(f"channel {channel}: none beyond {value:.3g}" for channel, value in worst.items())
+    largest = "; ".join(f"channel {channel}: none beyond {value:.3g}" for channel, value in worst.items())
     return picture(
         "residuals",
         0.75 + 0.155 * len(positions),
         partial(_plot, calibration=calibration, positions=positions),
         title="Residuals of the positions",
-        description=f"Measured minus modelled, in {calibration.sensor.unit} for {len(positions)} positions; {told}.",
+        description=f"Measured minus modelled, in {calibration.sensor.unit} for {len(positions)} positions; {largest}.",
         caption="Residual of every position, measured minus modelled, with the position as it was set. Bars: ±1.96 "
         "standard uncertainties of the mean, from noise alone. Above: the residual as an angle near level.",
     )
@@ -55,7 +55,7 @@ def _plot(figure: Figure, calibration: CalibrationRecord, positions: list[str]) 
 
 
 def _plot_channel(panel: Axes, calibration: CalibrationRecord, positions: list[str], channel: str) -> None:
-    residuals, doubts = calibration.fit.residuals, _uncertainties(calibration, channel)
+    residuals, half_widths = calibration.fit.residuals, _uncertainties(calibration, channel)
     colour, mark, _ = CHANNELS[channel]
     panel.axvline(0.0, color=INK, linewidth=0.6)
     for row, name in enumerate(positions):
@@ -65,7 +65,7 @@ def _plot_channel(panel: Axes, calibration: CalibrationRecord, positions: list[s
             panel.errorbar(
                 value,
                 row,
-                xerr=COVERAGE * doubts.get(name, 0.0),
+                xerr=COVERAGE * half_widths.get(name, 0.0),
                 color=colour,
                 marker=mark,
                 markersize=3.2,

@@ -37,7 +37,7 @@ class Curves:
     ----------
     tilt : ndarray
     before : ndarray or None
-        Error with the data sheet's coefficients; None where nobody knows them.
+        Error with the data sheet's coefficients; None where they are not known.
     alone, reading : ndarray
         Half the 95 % interval from the coefficients alone, and with the noise of one reading.
     """
@@ -56,7 +56,7 @@ def tilt_figure(calibration: CalibrationRecord) -> SvgFigure | None:
         return None
     largest = max(float(np.nanmax(one.alone)) for one in curves.values())
     known = any(one.before is not None for one in curves.values())
-    told = "Left: error of the tilt with the coefficients of the data sheet. Right: half" if known else "Half"
+    sides = "Left: error of the tilt with the coefficients of the data sheet. Right: half" if known else "Half"
     return picture(
         "tilt",
         2.2,
@@ -64,7 +64,7 @@ def tilt_figure(calibration: CalibrationRecord) -> SvgFigure | None:
         title="Error of the tilt over its range",
         description=f"Tilt of {' and '.join(curves)}: half the 95 % interval of the calibrated tilt is at most "
         f"{largest:.2g}° over the range that is shown.",
-        caption=f"{told} the 95 % interval of the calibrated tilt at the reference temperature: thick from the "
+        caption=f"{sides} the 95 % interval of the calibrated tilt at the reference temperature: thick from the "
         "coefficients alone, thin of one single reading with its noise. Each axis is tilted by itself."
         + ("" if calibration.limits.tilt else f" No range of tilts was covered: ±{USUAL:g}° is shown."),
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.detection import window_scatter
 from tiltcal.errors import EstimateError
-from tiltcal.logs.static_detection import STUCK, find_still, still_holds, still_segments, told
+from tiltcal.logs.static_detection import STUCK, choice_table, find_still, still_holds, still_segments
 
 Array = NDArray[np.float64]
 HELD, MOVED = 300, 120
@@ -175,6 +175,6 @@ def test_segments_and_the_table_that_is_shown() -> None:
     segments = still_segments(chosen)
     assert [segment.name for segment in segments[:3]] == ["still-01", "still-01", "still-02"]
     assert segments[-1].name == "still-16"
-    table = told(chosen, tried, "g")
+    table = choice_table(chosen, tried, "g")
     assert f"up to {chosen.threshold:.4g} g" in table
     assert [line[0] for line in table.splitlines()[2:]].count("*") == 1

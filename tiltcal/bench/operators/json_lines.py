@@ -18,7 +18,7 @@ class JsonLinesRig:
     answers : text stream
         What the program says; its end is taken as ``quit``.
     asks : text stream
-        What the program is told.
+        What the program gets.
     """
 
     def __init__(self, answers: TextIO, asks: TextIO) -> None:

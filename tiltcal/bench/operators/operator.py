@@ -1,4 +1,4 @@
-"""The operator of a session: its questions, its answers, and what it is told.
+"""The operator of a session: its questions, its answers, and the events that it gets.
 
 A procedure of positions is carried out by a :class:`PositionOperator`, one of a turning stage by a
 :class:`RotationOperator`. A person at a terminal (``terminal.py``), a program or a Python object (``rig.py``,
@@ -71,7 +71,7 @@ class OperatorAnswer:
 
 
 class Operator(Protocol):
-    """The end of a session, which every operator is asked and told."""
+    """The end of a session, which every operator reviews and gets."""
 
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         """Answer ``yes``: the calibration files may be written.
@@ -159,7 +159,7 @@ class StageTurn:
 
 
 class RotationOperator(Operator, Protocol):
-    """The operator of a turning stage: asked once, told turn by turn, free to stop at any time."""
+    """The operator of a turning stage: asked once, informed turn by turn, free to stop at any time."""
 
     def begin(self, title: str) -> None:
         """Handle the start of a session, or its resumption."""

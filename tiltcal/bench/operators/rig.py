@@ -21,7 +21,7 @@ A rig that turns a stage is asked once, and may stop it at any time::
     held({"event": "held", "why": "..."}), resumed({"event": "resumed"})
     accepted({"event": "accepted", "position": "rotation", "turns": 25.1, "p": {...}, ..., "suppression": {...}})
 
-Only ``position``, or ``rotation``, is needed; an event whose method is missing is not told. ``redo`` asks for the same
+Only ``position``, or ``rotation``, is needed; an event whose method is missing is left out. ``redo`` asks for the same
 position again; ``back`` gives up the position before it and asks for that one.
 """
 
@@ -95,7 +95,7 @@ class RigPositionOperator(_Rig):
     Parameters
     ----------
     rig : object
-        Has ``position(ask)``, and a method for each event that it wants.
+        Has ``position(ask)``, and a method for each event that it handles.
     """
 
     def __init__(self, rig: object) -> None:
@@ -126,10 +126,10 @@ class RigPositionOperator(_Rig):
 
     def accepted(self, result: PositionResult) -> None:
         values = {serial: _values(result, serial) for serial in result.measurements}
-        told = {"position": result.position.name, **next(iter(values.values()))}
+        event = {"position": result.position.name, **next(iter(values.values()))}
         if len(values) > 1:
-            told["sensors"] = values
-        self._tell("accepted", **told)
+            event["sensors"] = values
+        self._tell("accepted", **event)
 
     def refused(self, position: Position, why: str) -> None:
         self._tell("refused", position=position.name, why=why)
@@ -144,7 +144,7 @@ class RigRotationOperator(_Rig):
     Parameters
     ----------
     rig : object
-        Has ``rotation(ask)``, ``poll()`` where it may stop the stage, and a method for each event that it wants.
+        Has ``rotation(ask)``, ``poll()`` where it may stop the stage, and a method for each event that it handles.
     """
 
     def __init__(self, rig: object) -> None:

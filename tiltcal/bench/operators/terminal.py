@@ -76,11 +76,11 @@ class _Terminal:
         self._console.print(Text(printable(text), style=style), end=end)
 
     def _hint(self, *choices: str) -> None:
-        told = Text("  ")
+        line = Text("  ")
         for choice in choices:
             key, _, meaning = choice.partition(" ")
-            told.append(key, style="bold").append(f" {meaning}   ", style="dim")
-        self._console.print(told)
+            line.append(key, style="bold").append(f" {meaning}   ", style="dim")
+        self._console.print(line)
 
     def _line(self, text: str) -> None:
         """Print one line that the next one overwrites."""

@@ -7,7 +7,7 @@ lies further back than the stretch before is left out. Its square for averages o
     σ²(m) = 1/2 <(mean of samples k+m ... k+2m-1  -  mean of samples k ... k+m-1)²>
 
 averaged over all k (the overlapping Allan variance, NIST Special Publication 1065, eq. 11). Stretches that start a
-thirty-second of their length apart tell as much as those that start at every sample, so each octave from the sixth on
+thirty-second of their length apart show as much as those that start at every sample, so each octave from the sixth on
 is worked out from the means of the octave five below: the memory needed is some blocks of each octave.
 """
 

@@ -36,7 +36,7 @@ _MOST_DOF = 1000.0
 """Of an octave's weight: a model of four terms is not trusted to better than 2 % of a deviation."""
 
 _WORTH = 8.0
-"""By how much a term must lower the deviance to be believed in; chance does it once in two hundred times."""
+"""By how much a term must lower the deviance to be accepted; chance does it once in two hundred times."""
 
 _DOUBTFUL = 1e-3
 """A fit that chance makes worse less often than this is none."""

@@ -1,4 +1,4 @@
-"""The step of readings that are rounded, told from the readings themselves."""
+"""The step of readings that are rounded, found from the readings themselves."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Quantisation:
             self.values = None
 
     def result(self) -> float:
-        """Return the step; 0 where the reading is continuous, as far as can be told."""
+        """Return the step; 0 where the reading is continuous, as far as the readings show."""
         values = self.values
         if values is None or len(values) < 2 or self._samples < _REPEATED * len(values):
             return 0.0

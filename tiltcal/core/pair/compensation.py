@@ -4,7 +4,7 @@ With both pairs matched, the paper's eq. 2 holds without its common acceleration
 
     (a1 + a2) - (a3 + a4) = 2 R (Γxx - Γyy) sin 2θ + 4 R Γxy cos 2θ
 
-The orthogonal accelerometer feels a gradient too, with the opposite sign, so a matched sum shows it a little smaller
+The orthogonal accelerometer reads a gradient too, with the opposite sign, so a matched sum shows it a little smaller
 (by about q / 2); each pair is divided by its own gain, and both are brought to the scale of the first accelerometer.
 """
 

@@ -5,7 +5,7 @@ Every channel is fitted by the harmonics of the stage angle, an offset and a lin
     I(θ, row) = sum_h (S_h sin hθ + C_h cos hθ) + offset + drift * row
 
 Of the rows only the products of these columns are kept, block of turns by block of turns: ten hours of a record take no
-more memory than a minute, and the scatter between the blocks tells how much noise there is at the turning itself, which
+more memory than a minute, and the scatter between the blocks shows how much noise there is at the turning itself, which
 may be more than the white noise between the harmonics.
 """
 
@@ -202,7 +202,7 @@ class Demodulation:
     def colour(self, mix: Array) -> float:
         """Noise power at the turning over that of all frequencies, as a standard uncertainty needs it.
 
-        Few turns know it badly. It is pooled with a few degrees of freedom of white noise, and widened as Student's
+        Few turns show it badly. It is pooled with a few degrees of freedom of white noise, and widened as Student's
         distribution is (GUM Supplement 1, 6.4.9.4), so that 1.96 standard uncertainties are 95 %.
         """
         variance = float(mix @ self.residual @ mix)

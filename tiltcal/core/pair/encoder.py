@@ -1,4 +1,4 @@
-"""The stage: its angle as an encoder tells it, followed over its turns."""
+"""The stage: its angle as an encoder reads it, followed over its turns."""
 
 from __future__ import annotations
 

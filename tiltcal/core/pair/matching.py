@@ -91,7 +91,7 @@ class Matching:
     def gradient_gain(self) -> float:
         """What the matched sum makes of a signal at twice the turning, over what two ideal accelerometers would.
 
-        The orthogonal channel feels a gradient with the opposite sign, so its share takes from it.
+        The orthogonal channel reads a gradient with the opposite sign, so its share takes from it.
         """
         before = self.components["before"]
         first, second, orthogonal = (before[channel].amplitude for channel in self.pair.channels)
@@ -100,7 +100,7 @@ class Matching:
 
 
 def match(demodulation: Demodulation, pair: Pair) -> Matching:
-    """Match a pair in closed form, and tell what that does to the record.
+    """Match a pair in closed form, and return its effect on the record.
 
     Parameters
     ----------

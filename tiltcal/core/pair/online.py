@@ -2,7 +2,7 @@
 
 The loops demodulate the matched sum over the last turn and trim p until its component in phase with the first
 accelerometer is gone, then q as well until the component in quadrature is. The first accelerometer itself is the
-reference, so no one needs to know where the stage angle begins.
+reference, so the zero of the stage angle does not matter.
 
 The recursive estimator keeps the sums of products of all rows, older ones with less weight (least squares with
 exponential forgetting), and solves for p and q in closed form.
@@ -111,7 +111,7 @@ class Loops:
 
     Notes
     -----
-    A single turn can hardly tell a drift of the readings from a sine. The drift is averaged over many turns, and what
+    A single turn hardly separates a drift from a sine. The drift is averaged over many turns, and what
     it leaves is demodulated.
     """
 
@@ -242,7 +242,7 @@ class Recursive:
         if self._sectors < SECTORS:
             return
         found = self._solved()
-        # Faded rows tell less of the mean than whole ones would, and have less noise in it too.
+        # Faded rows carry less of the mean than whole ones would, and have less noise in it too.
         fading = sqrt(self._squared_weights / float(self._products[_ONE, _ONE]))
         self.p, self.q = found.p, found.q
         self._white = found.u_p * fading, found.u_q * fading
@@ -252,7 +252,7 @@ class Recursive:
         return solve(regress(products, self._channels, HARMONICS), self._pair)
 
     def _remember(self, sector: Sector) -> None:
-        """Keep the products of the latest turns: how they scatter tells how much noise there is at the turning."""
+        """Keep the products of the latest turns: how they scatter shows how much noise there is at the turning."""
         before = self._turn
         self._turn = sector.products if before is None else moved(before, sector.end - self._end) + sector.products
         if self._sectors % SECTORS == SECTORS - 1:

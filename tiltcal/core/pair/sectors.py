@@ -150,15 +150,15 @@ class SectorStream:
             In order.
         """
         first, self.rows = self.rows, self.rows + len(theta)
-        told = np.flatnonzero(np.isfinite(theta)).astype(np.int64)
-        turns = self._stage.follow(theta[told])
+        known = np.flatnonzero(np.isfinite(theta)).astype(np.int64)
+        turns = self._stage.follow(theta[known])
         whole: Bits = np.asarray(np.isfinite(readings).all(axis=1))
-        self.missing += len(theta) - int(np.count_nonzero(whole[told]))
+        self.missing += len(theta) - int(np.count_nonzero(whole[known]))
         found: list[Sector | Notice] = []
         start = 0
-        while start < len(told):
+        while start < len(known):
             if self._lowest is None:
-                start = self._forwards(start, turns, told + first, readings[told], whole[told], found)
+                start = self._forwards(start, turns, known + first, readings[known], whole[known], found)
             else:
                 start = self._backwards(start, turns, self._lowest)
         self._watch_standing(found)

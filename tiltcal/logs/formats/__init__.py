@@ -1,4 +1,4 @@
-"""The formats of logs: which one a log has is told by the end of its name, and what tells nothing is CSV.
+"""The formats of logs: the end of a log's name selects it, and any other name is CSV.
 
 A new format is a module with a reader and a writer, and a line in :data:`FORMATS`.
 """
@@ -141,7 +141,7 @@ def create_log(
     added: Sequence[str] = (),
     origin: Mapping[str, str] | None = None,
 ) -> LogWriter:
-    """Return what writes the rows of a log, in the format that the output's name tells.
+    """Return what writes the rows of a log, in the format that the output's name selects.
 
     Parameters
     ----------

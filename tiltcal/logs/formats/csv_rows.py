@@ -307,7 +307,7 @@ def _records(text: str) -> Iterator[tuple[int, str, list[str] | None, str]]:
         try:
             row: list[str] | None = next(reader, [])
         except csv.Error as failure:
-            # A row that swallowed lines before its quotes went wrong cannot be told from those lines.
+            # A row that swallowed lines before its quotes went wrong cannot be distinguished from those lines.
             row = None if exhausted or len(taken) > 1 else []
             fault = f"the row cannot be parsed: {failure}"
         if not taken:

@@ -3,7 +3,7 @@
 The conventions (CF) define what a number is: packed values are unpacked, the fill value and NaN are a missing value.
 
 To write, the log's file is copied, byte for byte, and the new variables are put into the copy: all that it holds stays
-as it was, attributes, packing, groups and all. What is added is described as the CF conventions want it. Roll and pitch
+as it was, attributes, packing, groups and all. What is added is described by the CF conventions. Roll and pitch
 have no ``standard_name``: those of CF are a platform's, with its bow and its starboard side, and where on it the
 sensor's x axis points is unknown.
 """
