@@ -19,7 +19,7 @@ from tiltcal.cli.main import COMMANDS, group
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
-HEAVY = {"numpy", "scipy", "polars", "rich", "matplotlib", "jinja2", "yaml", "spidev"}
+HEAVY = {"numpy", "scipy", "polars", "narwhals", "rich", "matplotlib", "jinja2", "yaml", "spidev", "distributed"}
 REGISTRIES = ("pypi" + ".org", "python" + "hosted.org", "anaconda" + ".org", "npmjs" + ".com", "crates" + ".io")
 
 
@@ -70,6 +70,27 @@ def test_help_loads_nothing_heavy() -> None:
     loaded = loaded_by("from tiltcal.cli.main import run\nrun(['--help'])")
     assert "click" in loaded
     assert not loaded & HEAVY
+
+
+@pytest.mark.parametrize(
+    ("command", "needed"),
+    [
+        ("devices", set()),
+        ("procedures", {"numpy", "yaml"}),
+        ("check S.yaml", {"numpy", "yaml"}),
+        ("diff S.yaml S.yaml", {"numpy", "yaml", "scipy"}),  # for Student's t
+        ("plan plane --sensor sca100t-d02 --jig 0.1", {"numpy", "yaml"}),
+        ("apply S.yaml log.csv -o tilt.csv", {"numpy", "yaml"}),
+        ("apply S.yaml log.csv --uncertainty -o tilt.csv", {"numpy", "yaml", "scipy"}),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_command_loads_what_it_needs(command: str, needed: set[str], tmp_path: Path) -> None:
+    shutil.copy(ROOT / "fixtures" / "complete.yaml", tmp_path / "S.yaml")
+    (tmp_path / "log.csv").write_text("time,x,y,temperature\n0.0,1024,1022,20.5\n0.1,1030,1019,20.5\n")
+    called = f"os.chdir({str(tmp_path)!r})\nassert run({command.split()}) == 0"
+    loaded = loaded_by(f"import os\nfrom tiltcal.cli.main import run\n{called}")
+    assert loaded & HEAVY == needed
 
 
 def test_drivers_load_nothing_heavy() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.results import rounded_covariance
 from tiltcal.core.angle_uncertainty import TURN
-from tiltcal.core.budget import coverage_factor
+from tiltcal.core.budget import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
 from tiltcal.core.mounting import UNKNOWN_ANGLE, mounting_matrix
@@ -115,9 +115,8 @@ def _joined(
     all_moved = np.vstack([np.eye(len(names)), moved])
     joint = all_moved @ covariance @ all_moved.T
     joint[-3:, -3:] += found.covariance
-    normal = coverage_factor(np.array([np.inf]))[0]
     stretched = all_moved @ (covariance * np.outer(factors, factors)) @ all_moved.T
-    own = normal if found.stated else coverage_factor(np.array([float(found.dof)]))[0]
+    own = NORMAL_FACTOR if found.stated else coverage_factor(np.array([float(found.dof)]))[0]
     wide = np.diag(stretched)[-3:] + own**2 * np.diag(found.covariance)
     return _Joint(
         (*names, *(f"{TURN}{axis}" for axis in AXES)),

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.core.budget import coverage_factor
+from tiltcal.core.budget import NORMAL_FACTOR
 from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
@@ -131,14 +131,13 @@ def _derived(
     Uncertainties that are wider by what each factor exceeds that of a normal distribution are propagated as the
     standard ones are.
     """
-    normal = float(coverage_factor(np.array([np.inf]))[0])
-    wider = found.budget.factors / normal
+    wider = found.budget.factors / NORMAL_FACTOR
     u = derived_uncertainty(quantity, found.coefficients, found.names, found.covariance)
     wide = derived_uncertainty(quantity, found.coefficients, found.names, found.covariance * np.outer(wider, wider))
     return (
         {c: round_to(value, u[c]) for c, value in quantity(found.coefficients).items()},
         {c: significant(value, DIGITS) for c, value in u.items()},
-        {c: round(normal * wide[c] / value, 3) for c, value in u.items() if value > 0.0},
+        {c: round(NORMAL_FACTOR * wide[c] / value, 3) for c, value in u.items() if value > 0.0},
     )
 
 

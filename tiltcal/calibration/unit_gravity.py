@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from math import acos, cos, degrees, inf, radians
+from math import acos, cos, degrees, radians
 
 import numpy as np
 
 from tiltcal.calibration.measurement import MeasuredSensor, Measurement
-from tiltcal.core.budget import coverage_factor
+from tiltcal.core.budget import NORMAL_FACTOR
 from tiltcal.core.estimation.ellipsoid import UNKNOWNS, count_distinct, fit_ellipsoid, misfits
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.rounding import significant
@@ -137,9 +137,8 @@ def _worst(calibration: CalibrationRecord) -> tuple[str, float]:
     """Return the coefficient with the largest expanded uncertainty (95 %), and that in mg of the mean sensitivity."""
     coefficients, uncertainty = calibration.coefficients, calibration.uncertainty
     scale = float(np.mean(np.linalg.norm(coefficients.sensitivity, axis=1)))
-    normal = float(coverage_factor(np.array([inf]))[0])
     expanded = {
-        name: 1e3 * u * uncertainty.coverage_factor.get(name, normal) / scale
+        name: 1e3 * u * uncertainty.coverage_factor.get(name, NORMAL_FACTOR) / scale
         for name, u in uncertainty.items()
         if name.startswith(("offset.", "sensitivity."))
     }

@@ -15,6 +15,9 @@ from tiltcal.frozen import frozen
 COVERAGE = 0.95
 """Probability that a stated interval contains the truth."""
 
+NORMAL_FACTOR = 1.959963984540054
+"""The coverage factor of a variance that is known: the normal distribution is within so many deviations in 95 %."""
+
 FACTOR_STEPS = 1 << 14
 """Of the table of coverage factors: four digits of a factor."""
 
@@ -80,11 +83,12 @@ def coverage_factor(dof: Array) -> Array:
     dof : ndarray, shape (k,)
         Effective degrees of freedom; below 1 they count as 1.
     """
-    from scipy.special import ndtri, stdtrit
+    factors, estimated = np.full(dof.shape, NORMAL_FACTOR), np.isfinite(dof)
+    if estimated.any():
+        from scipy.special import stdtrit
 
-    upper = 0.5 + COVERAGE / 2.0
-    known = ~np.isfinite(dof)
-    return np.asarray(np.where(known, ndtri(upper), stdtrit(np.where(known, 1.0, np.maximum(dof, 1.0)), upper)))
+        factors[estimated] = stdtrit(np.maximum(dof[estimated], 1.0), 0.5 + COVERAGE / 2.0)
+    return factors
 
 
 def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float]]) -> Array:
@@ -150,10 +154,10 @@ class CoverageFactors:
     """
 
     def __init__(self) -> None:
-        from scipy.special import ndtri, stdtrit
+        from scipy.special import stdtrit
 
         upper = 0.5 + COVERAGE / 2.0
-        self.normal = float(ndtri(upper))
+        self.normal = NORMAL_FACTOR
         at = (np.arange(FACTOR_STEPS) + 0.5) / FACTOR_STEPS
         self._factors = np.asarray(stdtrit(1.0 / at, upper))
         """By one over the degrees of freedom, from 0 to 1."""

@@ -8,7 +8,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from tiltcal.core.budget import COVERAGE, NEGLIGIBLE, coverage_factor, propagated, welch_satterthwaite
+from tiltcal.core.budget import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR, propagated, welch_satterthwaite
 from tiltcal.core.model import Array, Coefficients, Thermal, polynomial, vector_of, with_vector
 from tiltcal.frozen import frozen
 
@@ -62,10 +62,14 @@ class CoefficientChange:
 
     def threshold(self, confidence: float) -> float:
         """Return the number of standard uncertainties that the difference of an unchanged coefficient stays within."""
-        from scipy.special import ndtri, stdtrit
-
         upper = (1.0 + confidence) / 2.0
-        return float(ndtri(upper) if self.dof == inf else stdtrit(self.dof, upper))
+        if self.dof == inf:
+            from statistics import NormalDist
+
+            return NormalDist().inv_cdf(upper)
+        from scipy.special import stdtrit
+
+        return float(stdtrit(self.dof, upper))
 
 
 def known(
@@ -89,23 +93,29 @@ def known(
     dict of str to KnownCoefficient
         By dotted name; those that are certain are not there.
     """
-    from scipy.special import stdtridf
 
     def numbers(vector: Array) -> Array:
         moved = with_vector(coefficients, names, vector)
         return np.array(list(values(moved if reference is None else referred(moved, reference)).values()))
 
-    normal = float(coverage_factor(np.array([inf]))[0])
-    vector, wider = vector_of(coefficients, names), np.maximum(factors / normal, 1.0)
+    vector, wider = vector_of(coefficients, names), np.maximum(factors / NORMAL_FACTOR, 1.0)
     u = propagated(numbers, vector, covariance)
     stretched = propagated(numbers, vector, covariance * np.outer(wider, wider))
     found = {}
     for name, own, stretch in zip(values(coefficients), u.tolist(), stretched.tolist(), strict=True):
         if own > 0.0:
-            factor = normal * stretch / own
-            from_scatter = factor > normal * (1.0 + NEGLIGIBLE)
-            found[name] = KnownCoefficient(own, float(stdtridf(0.5 + COVERAGE / 2.0, factor)) if from_scatter else inf)
+            factor = NORMAL_FACTOR * stretch / own
+            found[name] = KnownCoefficient(own, _dof(factor))
     return found
+
+
+def _dof(factor: float) -> float:
+    """Return the degrees of freedom with which Student's t gives a coverage factor; infinite for the normal one."""
+    if factor <= NORMAL_FACTOR * (1.0 + NEGLIGIBLE):
+        return inf
+    from scipy.special import stdtridf
+
+    return float(stdtridf(0.5 + COVERAGE / 2.0, factor))
 
 
 def referred(coefficients: Coefficients, reference: float) -> Coefficients:

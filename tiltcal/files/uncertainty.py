@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import field
-from math import inf, radians
+from math import radians
 from typing import Any
 
 import numpy as np
 
 from tiltcal.core.angle_uncertainty import TURN, UncertaintyInputs
-from tiltcal.core.budget import coverage_factor
+from tiltcal.core.budget import NORMAL_FACTOR
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.named_coefficients import KnownCoefficient, known, values
@@ -233,7 +233,7 @@ def stated_uncertainty(
             "the file has no uncertainty of a reading: only that of the calibration counts (state --reading-noise)"
         )
     _require_covariance(covariance)
-    factors, usual = uncertainty.coverage_factor, float(coverage_factor(np.array([inf]))[0])
+    factors, usual = uncertainty.coverage_factor, NORMAL_FACTOR
     scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
     return StatedUncertainty(
         UncertaintyInputs(

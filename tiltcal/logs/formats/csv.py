@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
+from tiltcal.logs.formats.csv_short import SHORT, short_rows, short_text
 from tiltcal.logs.formats.whitespace import WhitespaceSeparated, blank_separated_names, numbered_columns
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
 from tiltcal.logs.streams import ByteReader, HashingReader, refused_by_system
@@ -100,7 +101,8 @@ class CsvReader(LogReader):
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         if not frames:
-            yield from self._parsed(columns, time)
+            short = time is None and self.source.size is not None and self.source.size <= SHORT
+            yield from self._parsed(columns, time, short=short)
             return
         from tiltcal.logs.formats.csv_types import ColumnTypes
 
@@ -108,11 +110,14 @@ class CsvReader(LogReader):
         for block in self._parsed(columns, time, types.others):
             yield types.typed(block)
 
-    def _parsed(self, columns: Sequence[int], time: int | None, texts: Sequence[int] = ()) -> Iterator[CsvBlock]:
+    def _parsed(
+        self, columns: Sequence[int], time: int | None, texts: Sequence[int] = (), *, short: bool = False
+    ) -> Iterator[CsvBlock]:
         """Yield the rows, block after block, and with them the text of some other columns."""
         empty = True
         for data, ended, unended in self._lines():
-            rows = parse_rows(data, self.names, columns, time=time, texts=texts, unended=unended)
+            plain = short_rows(data, len(self.names), columns, unended=unended) if short else None
+            rows = plain or parse_rows(data, self.names, columns, time=time, texts=texts, unended=unended)
             if rows.faults and not self._skip_bad_rows:
                 row = min(rows.faults)
                 raise self._error(rows.faults[row], self._line + rows.starts[row])
@@ -258,9 +263,13 @@ class CsvWriter(LogWriter):
         return log.header + "".join(f",{name}" for name in self._added).encode() + log.line_end.encode()
 
     def _write_as_it_stands(self, block: LogBlock, table: Table) -> None:
+        rows, line_end = cast("CsvBlock", block), cast("CsvReader", self._log).line_end
+        if isinstance(rows.lines, list):
+            self._sink.write(short_text(rows.lines, table, line_end))
+            self._sink.flush()
+            return
         import polars as pl
 
-        rows, line_end = cast("CsvBlock", block), cast("CsvReader", self._log).line_end
         utf8 = rows.encoding == "utf-8"
         text = self._sink if utf8 else BytesIO()
         _write_csv(text, pl.DataFrame({"": rows.lines, **table}), quote_style="never", line_terminator=line_end)

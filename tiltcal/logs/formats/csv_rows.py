@@ -46,7 +46,7 @@ class CsvBlock(LogBlock):
     ----------
     faults : dict of int to str
         What is wrong, by row.
-    lines : polars.Series of String, length n
+    lines : polars.Series of String, or list of str, length n
         Each row's text without its line end.
     starts : sequence of int
         On which line of the bytes each row starts, counted from 0.
@@ -61,7 +61,7 @@ class CsvBlock(LogBlock):
     """
 
     faults: Mapping[int, str]
-    lines: pl.Series
+    lines: pl.Series | list[str]
     starts: Sequence[int]
     line_count: int
     encoding: str
