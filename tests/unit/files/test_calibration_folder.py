@@ -1,0 +1,61 @@
+"""The calibration files in a folder, by serial number and date."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from support import FIXTURES
+
+from tiltcal.errors import UsageError
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.calibration_folder import index_folder
+
+MAVS = (FIXTURES / "mavs.yaml").read_text(encoding="utf-8")
+
+
+def test_serial_model_and_date_are_those_that_the_whole_file_gives(tmp_path: Path) -> None:
+    """The second file has its keys in another layout, so that it is read whole; the third is in a folder below."""
+    (tmp_path / "a.yaml").write_text(MAVS)
+    (tmp_path / "b.yml").write_text("# of hand\n" + MAVS.replace("SIM-42", "0042").replace("2000-01-01", "2001-03-04"))
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "c.yaml").write_text(MAVS.replace("2000-01-01T00:04", "1999-12-31T23:04"))
+    index = index_folder(tmp_path)
+    assert not index.problems
+    found = [(one.serial, one.model, one.date, Path(one.path).name) for one in index.files]
+    assert found == [
+        ("0042", "sca100t-d02", datetime(2001, 3, 4, 0, 4, 0, 446000, UTC), "b.yml"),
+        ("SIM-42", "sca100t-d02", datetime(1999, 12, 31, 23, 4, 0, 446000, UTC), "c.yaml"),
+        ("SIM-42", "sca100t-d02", datetime(2000, 1, 1, 0, 4, 0, 446000, UTC), "a.yaml"),
+    ]
+
+
+def test_every_fixture_is_found_as_its_reader_reads_it() -> None:
+    index = index_folder(FIXTURES)
+    assert not index.problems
+    for one in index.files:
+        record = read_calibration(one.path)
+        assert (one.serial, one.model) == (record.sensor.serial, record.sensor.model)
+        assert one.started == record.provenance.started
+    names = {Path(one.path).name for one in index.files}
+    assert {"mavs.yaml", "free.yaml"} <= names
+    assert "rotation.yaml" not in names  # of pairs
+
+
+def test_files_of_other_kinds_are_passed_over_and_damaged_ones_are_named(tmp_path: Path) -> None:
+    (tmp_path / "notes.yaml").write_text("this: is no file of tiltcal\n")
+    (tmp_path / "torn.yaml").write_text(MAVS[:400])
+    (tmp_path / "undated.yaml").write_text(
+        MAVS[: MAVS.index("positions:")].replace("SIM-42", "S") + "provenance: {operator: me}\n"
+    )
+    index = index_folder(tmp_path)
+    assert not index.files
+    messages = sorted(str(problem) for problem in index.problems)
+    assert [Path(message.partition(":")[0]).name for message in messages] == ["torn.yaml", "undated.yaml"]
+    assert "write provenance.ended" in messages[1]
+
+
+def test_what_is_no_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no-folder: cannot be read as a folder"):
+        index_folder(tmp_path / "no-folder")
