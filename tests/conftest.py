@@ -62,10 +62,14 @@ def nothing_is_left_behind() -> Iterator[None]:
 
 
 def _children() -> set[int]:
-    """Return the numbers of the child processes of every thread."""
+    """Return the numbers of the child processes of every thread.
+
+    A thread of a library may end at any time, with its folder: between its listing and its reading too.
+    """
     found: set[int] = set()
     for listed in PROCESS.glob("task/*/children"):
-        found.update(map(int, listed.read_text().split()))
+        with suppress(FileNotFoundError, ProcessLookupError):
+            found.update(map(int, listed.read_text().split()))
     return found
 
 
