@@ -115,11 +115,16 @@ class Pose:
     def __init__(self, fixture: Fixture, seen: Callable[[Vector], Vector]) -> None:
         self._fixture = fixture
         self._seen = seen
+        self._held = fixture.gravity
+        self._gravity = seen(self._held)
 
     @property
     def gravity(self) -> Vector:
         """Up in the sensor frame, g."""
-        return self._seen(self._fixture.gravity)
+        if self._fixture.gravity is not self._held:
+            self._held = self._fixture.gravity
+            self._gravity = self._seen(self._held)
+        return self._gravity
 
     def temperature(self) -> float:
         """Return the temperature of the chamber now, °C."""

@@ -7,20 +7,43 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support import ROOT
 from support.command import measure, tiltcal
 from support.warm_start import Start, warm_start
 
-OPTIONS = [
-    *("measure", "complete", "--sensor", "sca100t-d02", "--address", "sim:?seed=1", "--serial", "S-1"),
-    *("-o", "S-1.yaml", "--operator", "sim", "--samples", "60"),
-]
 JOURNAL = "S-1.journal.jsonl"
+TWIN = """\
+tiltcal: 1
+kind: twin
+model: sca100t-d02
+seed: 1
+truth:
+  offset: {x: 1026.3, y: 1020.8}
+  sensitivity: {x: {x: 817.4, y: 11.2, z: -3.5}, y: {x: -7.9, y: 821.6, z: 5.1}}
+  temperature: {reference: 24.0, offset: {x: [0.21], y: [-0.05]}}
+  noise: {x: 0.6, y: 0.6}
+  jig: 0.01
+"""
 
 
 @pytest.fixture(scope="module")
-def never_stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def options(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """A session with every kind of event, whose chamber is quick: about 1,500 transactions."""
+    folder = tmp_path_factory.mktemp("bench")
+    complete = (ROOT / "procedures" / "complete.yaml").read_text()
+    (folder / "complete.yaml").write_text(complete.replace("soak: {seconds: 20,", "soak: {seconds: 0.5,"))
+    (folder / "twin.yaml").write_text(TWIN)
+    return [
+        *("measure", str(folder / "complete.yaml"), "--sensor", "sca100t-d02", "--serial", "S-1"),
+        *("--address", f"sim:?twin={folder / 'twin.yaml'}", "-o", "S-1.yaml", "--operator", "sim"),
+        *("--samples", "20", "--settle", "0.2"),
+    ]
+
+
+@pytest.fixture(scope="module")
+def never_stopped(options: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("never-stopped")
-    assert tiltcal(*OPTIONS, cwd=folder).returncode == 0
+    assert tiltcal(*options, cwd=folder).returncode == 0
     return folder
 
 
@@ -31,9 +54,11 @@ def start() -> Iterator[Start]:
 
 
 @pytest.mark.parametrize("number", range(20))
-def test_killed_at_a_random_moment(number: int, never_stopped: Path, start: Start, tmp_path: Path) -> None:
+def test_killed_at_a_random_moment(
+    number: int, options: list[str], never_stopped: Path, start: Start, tmp_path: Path
+) -> None:
     whole = (never_stopped / JOURNAL).read_bytes()
-    start(OPTIONS, tmp_path).kill_at(tmp_path / JOURNAL, random.Random(number).randrange(1, len(whole)))
+    start(options, tmp_path).kill_at(tmp_path / JOURNAL, random.Random(number).randrange(1, len(whole)))
     resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
     assert (tmp_path / "S-1.yaml").read_bytes() == (never_stopped / "S-1.yaml").read_bytes()

@@ -15,6 +15,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 Start = Callable[[Sequence[str], Path], "Victim"]
 
@@ -66,8 +69,11 @@ def warm_start() -> Iterator[Start]:
 
 def serve() -> None:
     """Fork a process for each line that asks for one, and tell its number; at an empty line tell how it ended."""
+    from support.command import measure
     from tiltcal.cli.main import run
 
+    with TemporaryDirectory() as folder:  # a session imports more than its modules name at their heads
+        measure("--samples", "2", "--settle", "0.1", cwd=Path(folder))
     number = 0
     for line in sys.stdin:
         if line.strip():

@@ -410,8 +410,7 @@ def write_all(descriptor: int, data: bytes) -> None:
         view = view[os.write(descriptor, view) :]
 
 
-def _dumps(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+_dumps = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode
 
 
 def _lock(descriptor: int, path: Path) -> None:
@@ -459,7 +458,7 @@ def _event_of(found: list[Any], number: int) -> Event:
 def _loads(body: bytes, path: Path, number: int) -> Any:
     """Parse the JSON of a line; refuse numbers that no session has, and deep nesting."""
     try:
-        return json.loads(body, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
+        return _DECODER.decode(body.decode())
     except RecursionError:
         raise JournalError("the line is nested too deeply", file=path, line=number) from None
     except ValueError as error:
@@ -477,6 +476,9 @@ def _finite(literal: str) -> float:
     if not isfinite(value):
         raise ValueError(f"{literal[:20]} is no finite number")
     return value
+
+
+_DECODER = json.JSONDecoder(parse_int=_whole, parse_float=_finite, parse_constant=_finite)
 
 
 def _is_event(found: Any) -> bool:
