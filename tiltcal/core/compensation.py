@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import pi, radians, sin
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,6 +58,16 @@ _CHUNK = 32_768  # rows whose columns stay in the cache from the first step to t
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
 _TILT_SLACK = radians(1e-9)
 _LARGEST_CONDITION = 1e12
+
+
+class FlaggedRows(Protocol):
+    """Rows with a flag and its reasons."""
+
+    @property
+    def flag(self) -> Bytes: ...
+
+    @property
+    def reason(self) -> Bytes: ...
 
 
 @frozen
@@ -321,15 +332,15 @@ class Compensation:
             known = np.isfinite(temperature)
             if self._temperatures is not None:
                 low, high = self._temperatures
-                _mark(out, known & ((temperature < low) | (temperature > high)), SUSPECT, TEMPERATURE_RANGE)
+                mark(out, known & ((temperature < low) | (temperature > high)), SUSPECT, TEMPERATURE_RANGE)
         if self._thermal is None:
             return None
         if temperature is None or known is None:
-            _mark(out, np.ones(len(out.flag), bool), SUSPECT, NO_TEMPERATURE)
+            mark(out, np.ones(len(out.flag), bool), SUSPECT, NO_TEMPERATURE)
             return None
         dt: Array = temperature - self._thermal.reference
         if not known.all():
-            _mark(out, ~known, SUSPECT, NO_TEMPERATURE)
+            mark(out, ~known, SUSPECT, NO_TEMPERATURE)
             dt[~known] = 0.0
         return dt
 
@@ -360,7 +371,7 @@ class Compensation:
         if q.any():
             own -= q[:, None] * hidden
             excess = np.einsum("ij,ij->j", own, own) - 1.0
-        _mark(out, excess > _ROUNDING, SUSPECT, CLIPPED)
+        mark(out, excess > _ROUNDING, SUSPECT, CLIPPED)
         return hidden
 
     def _mount(self, own: Array, hidden: Array | None, application: Array) -> None:
@@ -378,12 +389,12 @@ class Compensation:
         for axis, (low, high) in self._reach.items():
             argument = own[axis]
             measured = np.abs(argument) <= CLIP_LIMIT + _ROUNDING
-            _mark(out, measured & ((argument < low) | (argument > high)), SUSPECT, TILT_RANGE)
+            mark(out, measured & ((argument < low) | (argument > high)), SUSPECT, TILT_RANGE)
 
     def _judge_readings(self, u: Array, out: Compensated) -> None:
         """Mark readings at the rail, and blank the rows that have a reading which is no number."""
         for channel, (low, high) in self._rails.items():
-            _mark(out, (u[channel] <= low) | (u[channel] >= high), FAIL, RAIL)
+            mark(out, (u[channel] <= low) | (u[channel] >= high), FAIL, RAIL)
         finite = np.isfinite(u).all(axis=0)
         if finite.all():
             return
@@ -425,13 +436,13 @@ def _arcsine(argument: Array, angle: Array, out: Compensated) -> None:
     inside = size <= 1.0 + _ROUNDING
     if inside.all():
         return
-    _mark(out, ~inside, SUSPECT, CLIPPED)
+    mark(out, ~inside, SUSPECT, CLIPPED)
     lost = ~(size <= CLIP_LIMIT + _ROUNDING)
-    _mark(out, lost, FAIL, CLIPPED)
+    mark(out, lost, FAIL, CLIPPED)
     angle[lost] = np.nan
 
 
-def _mark(out: Compensated, rows: Bits, flag: int, reason: int) -> None:
+def mark(out: FlaggedRows, rows: Bits, flag: int, reason: int) -> None:
     """Add a reason to ``rows``, and raise their flag to ``flag`` where it is lower."""
     if rows.any():
         out.reason[rows] |= np.uint8(reason)

@@ -53,12 +53,15 @@ class Thermal:
         Column k holds the coefficient of dT**(k+1), unit/°C**(k+1).
     gain : ndarray, shape (channels, order)
         Column k holds the coefficient of dT**(k+1), 1/°C**(k+1).
+    lag : float
+        By how much the sensing element is later than the thermometer, s; see :mod:`tiltcal.core.thermal_lag`.
     """
 
     reference: float
     range: tuple[float, float] | None
     drift: Array
     gain: Array
+    lag: float = 0.0
 
 
 @frozen
@@ -323,7 +326,7 @@ def with_vector(coefficients: Coefficients, names: Sequence[str], vector: Array)
     offset, sensitivity = coefficients.offset.copy(), coefficients.sensitivity.copy()
     thermal, shares = coefficients.thermal, coefficients.nonlinearity
     if thermal is not None:
-        thermal = Thermal(thermal.reference, thermal.range, thermal.drift.copy(), thermal.gain.copy())
+        thermal = replace(thermal, drift=thermal.drift.copy(), gain=thermal.gain.copy())
     shares = None if shares is None else shares.copy()
     changed = replace(coefficients, offset=offset, sensitivity=sensitivity, thermal=thermal, nonlinearity=shares)
     for name, value in zip(names, vector, strict=True):

@@ -9,7 +9,7 @@ from math import inf, sqrt
 import numpy as np
 
 from tiltcal.core.budget import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR, propagated, welch_satterthwaite
-from tiltcal.core.model import Array, Coefficients, Thermal, polynomial, vector_of, with_vector
+from tiltcal.core.model import Array, Coefficients, polynomial, vector_of, with_vector
 from tiltcal.frozen import frozen
 
 
@@ -144,11 +144,11 @@ def referred(coefficients: Coefficients, reference: float) -> Coefficients:
         coefficients,
         offset=coefficients.offset + drift,
         sensitivity=coefficients.sensitivity * (1.0 + gain)[:, None],
-        thermal=Thermal(
-            reference,
-            thermal.range,
-            _shifted(thermal.drift, shift),
-            _shifted(thermal.gain, shift) / (1.0 + gain)[:, None],
+        thermal=replace(
+            thermal,
+            reference=reference,
+            drift=_shifted(thermal.drift, shift),
+            gain=_shifted(thermal.gain, shift) / (1.0 + gain)[:, None],
         ),
     )
 

@@ -53,6 +53,11 @@ class ThermalSection:
     sensitivity: Mapping[str, tuple[float, ...]] = entry(
         polynomials(), "per channel the coefficients of dT, dT², …, 1/°C, 1/°C², …", default={}
     )
+    lag: float = entry(
+        Number("s"),
+        "by how much the sensing element is later than the thermometer, s; negative where it is earlier",
+        default=0.0,
+    )
 
 
 @frozen(kw_only=True)
@@ -106,6 +111,7 @@ def _coefficients_of(section: CoefficientsSection, node: Node, context: Context)
             range=thermal.range,
             drift=_padded(thermal.offset, channels),
             gain=_padded(thermal.sensitivity, channels),
+            lag=thermal.lag,
         ),
         mounting=None
         if mounting is None
@@ -129,6 +135,7 @@ def _section_of(coefficients: Coefficients) -> CoefficientsSection:
             range=thermal.range and (float(thermal.range[0]), float(thermal.range[1])),
             offset=_by_channel(channels, thermal.drift),
             sensitivity=_by_channel(channels, thermal.gain),
+            lag=float(thermal.lag),
         ),
         mounting=None
         if mounting is None

@@ -117,6 +117,7 @@ class ThermalUncertainty:
     reference: float | None = entry(_SHARE, "of the reference temperature, °C", default=None)
     offset: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, unit/°C, unit/°C², …", default={})
     sensitivity: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, 1/°C, 1/°C², …", default={})
+    lag: float | None = entry(_SHARE, "of the lag, s", default=None)
 
 
 @frozen(kw_only=True)
@@ -282,7 +283,7 @@ def _joint(uncertainty: Uncertainty) -> tuple[tuple[str, ...], Array]:
     own = {
         name: u
         for name, u in uncertainty.items()
-        if u > 0.0 and not name.startswith("mounting.") and name != "temperature.reference"
+        if u > 0.0 and not name.startswith("mounting.") and name not in ("temperature.reference", "temperature.lag")
     }
     return tuple(own), np.diag(np.array(list(own.values())) ** 2)
 

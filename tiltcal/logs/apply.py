@@ -18,6 +18,11 @@ from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
 from tiltcal.logs.prepared import ApplyOptions, PreparedCalibration, prepare, prepare_file
 from tiltcal.logs.streams import log_sink
 
+NO_TIME = (
+    "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "
+    "compensated with the thermometer's temperature, flag 3 (--columns time=NAME)"
+)
+
 if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration
     from tiltcal.calibration.pair_calibration import PairCalibration
@@ -85,6 +90,8 @@ def apply_log(
     )
     with open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as reader:
         rows = CompensatedLog.of(reader, prepared, columns)
+        if TIME in prepared.optional_roles and TIME not in rows.roles:
+            say(NO_TIME)
         with log_sink(str(output)) as sink:
             writer = create_log(output, sink, reader, prepared.kernel.columns, prepared.origin)
             writer.write(rows.blocks(frames=writer.frames))
@@ -128,14 +135,15 @@ class CompensatedLog:
             A column is not there, or its unit is not that of the calibration.
         """
         named = named_columns(columns, prepared.channels, prepared.roles)
-        where = locate_columns(log.names, prepared.channels, named, prepared.roles, file=log.name, line=log.header_line)
+        roles = (*prepared.roles, *(role for role in prepared.optional_roles if role in named or role in log.names))
+        where = locate_columns(log.names, prepared.channels, named, roles, file=log.name, line=log.header_line)
         vectors = {role: _locate_vector(log, role, names) for role, names in prepared.vectors.items()}
         require_free(log.names, prepared.kernel.columns)
         channels = tuple(where[channel] for channel in prepared.channels)
         if prepared.unit is not None:
             require_unit(log, channels, prepared.unit)
-        roles = {role: where[role] for role in (TEMPERATURE, *prepared.roles) if role in where}
-        return cls(log, prepared, channels, roles, vectors, ApplySummary.watching(prepared.watched))
+        present = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
+        return cls(log, prepared, channels, present, vectors, ApplySummary.watching(prepared.watched))
 
     def blocks(self, time: int | None = None, *, frames: bool = False) -> Iterator[tuple[LogBlock, Table]]:
         """Yield the log's own blocks, in order, and the columns that belong behind theirs.

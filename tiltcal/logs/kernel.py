@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+
+from tiltcal.core.compensation import NO_TEMPERATURE, SUSPECT, mark
 from tiltcal.core.model import Array
+from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.logs.log import Table
 
 if TYPE_CHECKING:
@@ -67,14 +71,34 @@ class _TiltCompensation(Protocol):
 
 
 class TiltKernel:
-    """The compensation of a tilt sensor."""
+    """The compensation of a tilt sensor.
 
-    def __init__(self, compensation: _TiltCompensation) -> None:
+    Parameters
+    ----------
+    compensation : Compensation or CompensationWithUncertainty
+    lag : float
+        By how much its element is later than the thermometer, s. Rows without a time are compensated with the
+        temperature of the thermometer, and have flag 3 and reason 16.
+    """
+
+    def __init__(self, compensation: _TiltCompensation, lag: float = 0.0) -> None:
         self._compensation = compensation
+        self._lag = ThermalLag(lag) if lag else None
         self.columns = compensation.columns
 
     def __call__(self, values: RoleValues) -> Table:
-        return self._compensation.table(self._compensation(values.readings, values.temperature))
+        temperature = values.temperature
+        if self._lag is None or temperature is None:
+            return self._compensation.table(self._compensation(values.readings, temperature))
+        if values.time is None:
+            lost = np.isfinite(temperature)
+        else:
+            element = self._lag(values.time, temperature)
+            lost = np.isfinite(temperature) & ~np.isfinite(element)
+            temperature = np.where(lost, temperature, element)
+        result = self._compensation(values.readings, temperature)
+        mark(result, lost, SUSPECT, NO_TEMPERATURE)
+        return self._compensation.table(result)
 
 
 class PairKernel:

@@ -11,6 +11,7 @@ import tiltcal
 from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
+from tiltcal.logs.columns import TIME
 from tiltcal.logs.kernel import Kernel, PairKernel, TiltKernel
 from tiltcal.logs.streams import sha256_of
 
@@ -62,6 +63,8 @@ class PreparedCalibration:
         ``serial``.
     roles : tuple of str
         The roles that the log must have besides readings, such as ``time``; the temperature is taken where it is there.
+    optional_roles : tuple of str
+        Roles that are taken where the log has them.
     vectors : mapping of str to tuple of str
         The three columns of ``magnetometer`` and ``velocity``, where these are asked for.
     """
@@ -73,6 +76,7 @@ class PreparedCalibration:
     watched: tuple[str, ...]
     origin: Mapping[str, str]
     roles: tuple[str, ...] = ()
+    optional_roles: tuple[str, ...] = ()
     vectors: Mapping[str, tuple[str, str, str]] = field(default_factory=dict)
 
 
@@ -129,15 +133,18 @@ def prepare(
     stated["serial"] = sensor.serial
     try:
         compensation = calibration.compensation(first_order=options.first_order)
-        if not options.uncertainty:
-            return PreparedCalibration(
-                TiltKernel(compensation), coefficients.channels, sensor.unit, compensation.angles, (), stated
-            )
-        uncertain = _uncertain(calibration, compensation, options.reading_noise, say)
+        uncertain = _uncertain(calibration, compensation, options.reading_noise, say) if options.uncertainty else None
     except EstimateError as failure:
         raise InputError(str(failure), file=file) from failure
+    lag = 0.0 if coefficients.thermal is None else coefficients.thermal.lag
     return PreparedCalibration(
-        TiltKernel(uncertain), coefficients.channels, sensor.unit, compensation.angles, uncertain.expanded, stated
+        TiltKernel(compensation if uncertain is None else uncertain, lag),
+        coefficients.channels,
+        sensor.unit,
+        compensation.angles,
+        () if uncertain is None else uncertain.expanded,
+        stated,
+        optional_roles=(TIME,) if lag else (),
     )
 
 

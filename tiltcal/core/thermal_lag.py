@@ -1,0 +1,101 @@
+"""The temperature of the sensing element, which is later or earlier than its thermometer.
+
+An element that is later by a lag τ > 0 has the temperature E of a first-order filter::
+
+    τ dE/dt + E = T
+
+T being the thermometer's. Where the thermometer is later than the element, τ < 0, the filter is the inverse one::
+
+    E = T + |τ| dT/dt
+
+whose derivative is that of a first-order filter of the time constant ``SMOOTHING`` |τ|: it is exact on a steady ramp,
+and amplifies the noise of the thermometer by no more than 1 + 1 / SMOOTHING.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from tiltcal.core.model import Array
+
+SMOOTHING = 0.1
+"""Time constant of the derivative where the thermometer is later, as a part of its lag."""
+
+
+class ThermalLag:
+    """The filter from the thermometer to the sensing element, for the rows of one log in order.
+
+    Between two rows the temperature changes linearly, so irregular times and gaps need nothing of their own: after a
+    gap much longer than the lag, only the mean pace in the gap counts. At the first row, and where time goes back, the
+    element has the temperature of the thermometer.
+
+    Parameters
+    ----------
+    lag : float
+        s; positive where the element is later than the thermometer.
+    """
+
+    def __init__(self, lag: float) -> None:
+        self._lag = lag
+        self._constant = lag if lag > 0.0 else -SMOOTHING * lag
+        self._time = self._temperature = self._filtered = np.nan
+
+    def __call__(self, time: Array, temperature: Array) -> Array:
+        """Return the temperatures of the element in some more rows, °C, shape (n,).
+
+        Parameters
+        ----------
+        time : ndarray, shape (n,)
+            s; NaN where it is missing.
+        temperature : ndarray, shape (n,)
+            Of the thermometer, °C; NaN where it is missing.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            NaN where the time or the temperature is missing.
+        """
+        if self._lag == 0.0:
+            return np.array(temperature, dtype=float)
+        known = np.isfinite(time) & np.isfinite(temperature)
+        element = np.full(len(time), np.nan)
+        if known.any():
+            element[known] = self._filter(time[known], temperature[known])
+        return element
+
+    def _filter(self, time: Array, temperature: Array) -> Array:
+        step = np.diff(time, prepend=self._time)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            x = step / self._constant
+            decay = np.exp(-x)
+            mean = np.where(x > 0.0, -np.expm1(-x) / x, 1.0)
+        before = np.concatenate([[self._temperature], temperature[:-1]])
+        added = (mean - decay) * before + (1.0 - mean) * temperature
+        fresh = ~(step >= 0.0)
+        decay[fresh], added[fresh] = 0.0, temperature[fresh]
+        filtered = _recursion(decay, added, 0.0 if np.isnan(self._filtered) else self._filtered)
+        self._time, self._temperature, self._filtered = float(time[-1]), float(temperature[-1]), float(filtered[-1])
+        if self._lag > 0.0:
+            return filtered
+        return np.asarray(temperature + (temperature - filtered) / SMOOTHING)
+
+
+def _recursion(decay: Array, added: Array, start: float) -> Array:
+    """Return y_k = decay_k y_(k-1) + added_k for all k, ``start`` being the y before the first."""
+    size = len(decay)
+    length = int(sqrt(size)) or 1
+    rows = -(-size // length)
+    factors, values = np.ones(rows * length), np.zeros(rows * length)
+    factors[:size], values[:size] = decay, added
+    factors, values = (np.ascontiguousarray(part.reshape(rows, length).T) for part in (factors, values))
+    # Column by column of the table at once; then each row of it starts where the one before ends.
+    for k in range(1, length):
+        values[k] += factors[k] * values[k - 1]
+        factors[k] *= factors[k - 1]
+    starts = np.empty(rows)
+    for row, (factor, value) in enumerate(zip(factors[-1].tolist(), values[-1].tolist(), strict=True)):
+        starts[row] = start
+        start = factor * start + value
+    return np.asarray((values + factors * starts).T.reshape(-1)[:size])
