@@ -15,17 +15,17 @@ from tiltcal.bench.session import Session
 from tiltcal.bench.session_calibration import changes_in_words
 from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, plan_session, single
 from tiltcal.bench.virtual import VirtualBench
-from tiltcal.calibration.calibrate import base_of
 from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.level import level_summary
 from tiltcal.calibration.prediction import predict
 from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import Sensor, in_words
 from tiltcal.errors import JournalError, UsageError
+from tiltcal.files.base import bases_of
 from tiltcal.files.bench import BenchFile, read_bench
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.document import read_text
 from tiltcal.files.procedure import Procedure, find_procedure
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def measure(
     heading: float | None = None,
     tilt: float | None = None,
     turns: int | None = None,
+    alignment: float | None = None,
     base: str | Path | None = None,
     typical_temperature: bool = False,
     closing: bool = False,
@@ -93,8 +94,11 @@ def measure(
         The angle that the procedure leaves free, degrees.
     turns : int, optional
         The most turns of a stage, in place of the procedure's.
+    alignment : float, optional
+        With ``level``: by how much at most the sensor may sit askew since its calibration, degrees about each axis.
     base : str or Path, optional
-        The sensor's calibration file, which a mounting completes.
+        The sensor's own calibration file, or a folder with SERIAL.yaml of each: a mounting or a new level completes it,
+        and its sensitivity stands in where the procedure determines none.
     typical_temperature : bool
         Whether the data sheet's mean temperature curves stand in for a temperature run.
     closing : bool
@@ -133,7 +137,7 @@ def measure(
         _require_named(
             procedure, bench, resume, {"--sensor": sensor, "--address": address, "--serial": serial, "-o": output}
         )
-        steps = find_procedure(str(procedure), tilt).with_turns(turns)
+        steps = find_procedure(str(procedure), tilt).with_turns(turns).with_alignment(alignment)
         steps = steps.with_closing() if closing else steps
         require_no_jig(steps, jig)
         if steps.rotation is not None:
@@ -145,7 +149,7 @@ def measure(
             table=sensors.table if table_lean is None else table_lean,
             heading=sensors.heading if heading is None else heading,
         )
-        base_of(steps, None if base is None else Path(base), [one.serial for one in sensors.sensors])
+        bases = bases_of(steps, base, [one.serial for one in sensors.sensors])
         outputs, beside = _outputs(steps, sensors, bench, None if output is None else Path(output))
         path = Path(resume or journal or free_journal(beside, remark))
         plan = plan_session(
@@ -153,7 +157,7 @@ def measure(
             lead=operator if isinstance(operator, str) else "json",
             samples=samples,
             settle=settle,
-            base=None if base is None else read_text(Path(base)),
+            bases=bases,
             typical=typical_temperature,
         )
         session = Session(plan, path)
@@ -179,6 +183,8 @@ def measure(
     for one in calibrations:
         for note in one.fit.notes:
             remark(f"{one.sensor.serial}: {note}")
+        if session.plan.procedure.determines.level:
+            remark(level_summary(one.record))
         if session.plan.procedure.closes:
             remark(changes_in_words(one.record))
     return calibrations[0] if len(session.plan.sensors) == 1 else calibrations
@@ -244,7 +250,7 @@ def _bench(bench: str | Path | BenchFile) -> BenchFile:
 
 def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
     """Remark how well the positions will determine the coefficients; refuse those that cannot."""
-    if plan.procedure.determines.mounting:
+    if plan.procedure.determines.completes:
         return
     if plan.procedure.rotation is not None:
         from tiltcal.bench.channel_map import map_channels

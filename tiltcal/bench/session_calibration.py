@@ -13,8 +13,7 @@ from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, stamp
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Nominal
-from tiltcal.files.calibration import CalibrationRecord, calibration_of
-from tiltcal.files.document import checked_kind, parse_document
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.records import VIRTUAL, BenchRecord, FileRecord, Provenance
 
 
@@ -68,12 +67,12 @@ def tilt_calibrations(
                 Nominal.of(one.model),
                 one.orientation.matrix,
                 one.model.thermometer_rounding if own_thermometers else None,
+                base.calibration if (base := plan.bases.get(one.serial)) else None,
             )
             for one in sensors
         ],
         plan.procedure,
         BenchUncertainty(plan.jig, plan.thermometer_uncertainty, plan.table, plan.heading),
-        base=_base(plan),
         typical_temperature=plan.typical,
         settings={"samples": plan.settings.samples, "settle_seconds": plan.settings.settle},
     )
@@ -90,6 +89,7 @@ def tilt_provenance(plan: SessionPlan, device: DeviceSetup, ending: SessionEnd) 
             axes=() if device.orientation.straight else tuple(device.orientation.names),
             thermometer=None if plan.thermometer is None else plan.thermometer.address,
         ),
+        base=base.origin if (base := plan.bases.get(device.serial)) else None,
         link_statistics=None if statistics is None else dict(statistics),
     )
 
@@ -105,13 +105,6 @@ def changes_in_words(calibration: CalibrationRecord) -> str:
         sensitivity = abs(float(coefficients.sensitivity[row, coefficients.axes.index(channel)]))
         parts.append(f"{channel} {change:+.3g} ± {2 * u:.2g} {unit} ({1000 * change / sensitivity:+.2g} mg)")
     return f"{calibration.sensor.serial}: back in {first.position} the readings have changed by {', '.join(parts)}"
-
-
-def _base(plan: SessionPlan) -> CalibrationRecord | None:
-    """Return the calibration that a mounting completes."""
-    if plan.base is None:
-        return None
-    return calibration_of(checked_kind(parse_document(plan.base, "the base calibration"), "tilt"))
 
 
 def session_provenance(plan: SessionPlan, ending: SessionEnd) -> dict[str, Any]:

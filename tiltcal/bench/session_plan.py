@@ -6,8 +6,8 @@ It is the journal's header, so a journal alone is enough to resume the session o
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +21,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model
 from tiltcal.errors import InputError, JournalError, UsageError
+from tiltcal.files.base import BASE, BaseFile
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.journal import DeviceHeader, Journal
 from tiltcal.files.node import require_printable
@@ -97,8 +98,8 @@ class SessionPlan:
         Stated standard uncertainty of a temperature, °C.
     table, heading : float or None
         Stated standard uncertainties of the table's lean and of a heading, degrees.
-    base : str or None
-        The text of the calibration file that a mounting completes.
+    bases : mapping of str to BaseFile
+        The calibrations that sensors bring with them, by serial number.
     typical : bool
         Whether the model's mean temperature curves stand in for a run of the unit's own.
     """
@@ -116,7 +117,7 @@ class SessionPlan:
     thermometer_uncertainty: float | None = None
     table: float | None = None
     heading: float | None = None
-    base: str | None = None
+    bases: Mapping[str, BaseFile] = field(default_factory=dict)
     typical: bool = False
 
     @property
@@ -155,7 +156,7 @@ class SessionPlan:
                 **({} if self.procedure.rotation is None else {"turns": self.procedure.rotation.turns}),
             },
             "procedure": dict(self.procedure.record),
-            **({} if self.base is None else {"base": self.base}),
+            **({"bases": {serial: BASE.write(base) for serial, base in self.bases.items()}} if self.bases else {}),
             **({"typical_temperature": True} if self.typical else {}),
         }
 
@@ -186,7 +187,7 @@ class SessionPlan:
                 thermometer_uncertainty=settings.thermometer,
                 table=settings.table,
                 heading=settings.heading,
-                base=header.base,
+                bases=header.known,
                 typical=header.typical_temperature,
             )
         except (ValueError, InputError, UsageError) as error:
@@ -202,7 +203,7 @@ def plan_session(
     lead: str,
     samples: int | None = None,
     settle: float | None = None,
-    base: str | None = None,
+    bases: Mapping[str, BaseFile] | None = None,
     typical: bool = False,
 ) -> SessionPlan:
     """Lay down a session from what the command line and the bench file say.
@@ -218,8 +219,8 @@ def plan_session(
     lead : str
     samples, settle
         In place of the procedure's; the soaking window is scaled with ``settle``.
-    base : str, optional
-        The text of the calibration file that a mounting completes.
+    bases : mapping of str to BaseFile, optional
+        The calibrations that sensors bring with them, by serial number.
     typical : bool
         Whether the models' mean temperature curves stand in for runs of the units' own.
 
@@ -253,7 +254,7 @@ def plan_session(
         thermometer_uncertainty=None if bench.thermometer is None else bench.thermometer.uncertainty,
         table=bench.table,
         heading=bench.heading,
-        base=base,
+        bases=bases or {},
         typical=typical,
     )
     if typical:
@@ -283,7 +284,7 @@ def _require_population(plan: SessionPlan) -> None:
     determines = plan.procedure.determines
     if plan.procedure.rotation is not None:
         raise UsageError(f"{plan.procedure.name} needs no --typical-temperature: a pair has no temperature terms")
-    if determines.drift or determines.gain or determines.mounting:
+    if determines.drift or determines.gain or determines.completes:
         raise UsageError(
             f"{plan.procedure.name} needs no --typical-temperature: it has no temperature terms, or measures them"
         )
@@ -313,7 +314,7 @@ def require_in_range(procedure: Procedure, model: Model, orientation: Orientatio
     ------
     UsageError
     """
-    if not model.scaled and not procedure.determines.axes and not procedure.determines.mounting:
+    if not model.scaled and not procedure.determines.axes and not procedure.determines.completes:
         raise UsageError(
             f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
             "address (sensitivity=..., unit per g)"

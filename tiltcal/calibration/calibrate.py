@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from tiltcal.calibration.channels import require_own_readings
 from tiltcal.calibration.joint_fit import fit_jointly
+from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
 from tiltcal.calibration.temperature import choose_order, swept, with_order, with_typical_temperature
 from tiltcal.calibration.unit_gravity import directed, require_no_jig, with_verdict
 from tiltcal.core.rounding import round_to
 from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
@@ -31,7 +31,6 @@ def calibrate(
     procedure: Procedure,
     bench: BenchUncertainty,
     *,
-    base: CalibrationRecord | None = None,
     typical_temperature: bool = False,
     table: bool = False,
     gravity: float | None = None,
@@ -45,9 +44,6 @@ def calibrate(
         They share the fixture's attitude in every position.
     procedure : Procedure
     bench : BenchUncertainty
-    base : CalibrationRecord, optional
-        Of the one sensor, from :func:`base_of`: a mounting completes it, and its sensitivity stands in where the
-        procedure determines none.
     typical_temperature : bool
         The mean temperature curves of the sensors' models stand in for runs of the units' own.
     table : bool
@@ -73,11 +69,12 @@ def calibrate(
     for sensor in sensors:
         require_own_readings(sensor)
     if procedure.determines.mounting:
-        if base is None:
-            raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor that is mounted")
-        found = [mount(base, one.measurements, jig=bench.jig, settings=settings) for one in sensors]
+        found = [mount(_base(one), one.measurements, jig=bench.jig, settings=settings) for one in sensors]
+    elif procedure.determines.level:
+        bench = _with_thermometer(bench, sensors)
+        found = [level(_base(one), one.measurements, procedure, bench, settings=settings) for one in sensors]
     else:
-        found = _fitted(sensors, procedure, _with_thermometer(bench, sensors), base, settings)
+        found = _fitted(sensors, procedure, _with_thermometer(bench, sensors), settings)
         if typical_temperature:
             found = [with_typical_temperature(one, its) for one, its in zip(found, sensors, strict=True)]
         if table:
@@ -85,37 +82,10 @@ def calibrate(
     return found if gravity is None else [_of_local_gravity(one, gravity) for one in found]
 
 
-def base_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str]) -> CalibrationRecord | None:
-    """Read the calibration that a mounting completes, or whose sensitivity stands in; None where none is named.
-
-    Parameters
-    ----------
-    procedure : Procedure
-    path : str or Path or None
-        As the user names it.
-    serials : sequence of str
-        Of the sensors that are measured.
-
-    Raises
-    ------
-    UsageError
-        It is missing, the procedure takes none, or it is of another sensor.
-    InputError
-        Anything in it is wrong.
-    """
-    determines = procedure.determines
-    if path is None:
-        if determines.mounting:
-            raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor that is mounted")
-        return None
-    if determines.axes or determines.free:
-        raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
-    base = read_calibration(path)
-    if list(serials) != [base.sensor.serial]:
-        raise UsageError(f"{path} is of {base.sensor.serial}, and the sensor to measure is {' and '.join(serials)}")
-    if base.coefficients.mounting is not None and not determines.mounting:
-        raise UsageError(f"{path} has a mounting, which {procedure.name} would drop: name the file from before it")
-    return base
+def _base(sensor: MeasuredSensor) -> CalibrationRecord:
+    if sensor.base is None:
+        raise UsageError(f"{sensor.sensor.serial} needs --base, its calibration file")
+    return sensor.base
 
 
 def _with_thermometer(bench: BenchUncertainty, sensors: Sequence[MeasuredSensor]) -> BenchUncertainty:
@@ -129,7 +99,6 @@ def _fitted(
     sensors: Sequence[MeasuredSensor],
     procedure: Procedure,
     bench: BenchUncertainty,
-    base: CalibrationRecord | None,
     settings: Mapping[str, Any] | None,
 ) -> list[CalibrationRecord]:
     """Return the joint estimate, in free positions or set ones, with an order of the drift that the data warrant."""
@@ -138,9 +107,9 @@ def _fitted(
         found = fit_jointly(sensors, procedure, bench, settings=settings)
         return [with_verdict(one, its.measurements) for one, its in zip(found, sensors, strict=True)]
     if not procedure.determines.cross_validated:
-        return fit_jointly(sensors, procedure, bench, base=base, settings=settings)
-    choice = choose_order(sensors, procedure, bench, base)
-    found = fit_jointly(sensors, with_order(procedure, choice.order), bench, base=base, settings=settings)
+        return fit_jointly(sensors, procedure, bench, settings=settings)
+    choice = choose_order(sensors, procedure, bench)
+    found = fit_jointly(sensors, with_order(procedure, choice.order), bench, settings=settings)
     return [swept(one, its.measurements, choice) for one, its in zip(found, sensors, strict=True)]
 
 

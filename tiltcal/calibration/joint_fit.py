@@ -28,6 +28,9 @@ from tiltcal.files.records import PositionSet, ProcedureRecord
 LOOP = 3.0
 """Standard uncertainties above which the difference of two readings at one temperature is hysteresis."""
 
+OF_BASE = "of the base calibration"
+"""What a sensitivity is that stands in from the sensor's own calibration."""
+
 EXACT_TEMPERATURES = "the thermometer's uncertainty is not stated: temperatures count as exact (--thermometer)"
 
 
@@ -36,7 +39,6 @@ def fit_jointly(
     procedure: Procedure,
     bench: BenchUncertainty,
     *,
-    base: CalibrationRecord | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> list[CalibrationRecord]:
     """Calibrate all sensors of a fixture together, by the positions of a procedure with its order of the drift.
@@ -46,8 +48,6 @@ def fit_jointly(
     sensors : sequence of MeasuredSensor
     procedure : Procedure
     bench : BenchUncertainty
-    base : CalibrationRecord, optional
-        Its sensitivity stands in where the procedure determines none.
     settings : mapping, optional
         ``samples`` and ``settle_seconds`` of the procedure as run.
 
@@ -61,8 +61,7 @@ def fit_jointly(
     EstimateError
         The positions cannot determine the coefficients.
     """
-    observed = [observed_sensor(one, procedure, bench, base) for one in sensors]
-    assumed = "nominal of the model" if base is None else "of the base calibration"
+    observed = [observed_sensor(one, procedure, bench) for one in sensors]
     calibrations = []
     for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
         design = seen.design
@@ -74,8 +73,8 @@ def fit_jointly(
                 sensor=replace(sensor.sensor, channels=design.channels),
                 coefficients=rounded(one),
                 uncertainty=uncertainty_of(one, _reading(sensor.measurements, design)),
-                limits=_limits(design, sensor, base, one.coefficients.thermal is not None),
-                derived=derived_record(one, design, assumed),
+                limits=_limits(design, sensor, one.coefficients.thermal is not None),
+                derived=derived_record(one, design, "nominal of the model" if sensor.base is None else OF_BASE),
                 fit=replace(fit, notes=(*fit.notes, *remarks)),
                 procedure=_procedure(procedure, sensor.measurements, settings or {}),
                 positions=tuple(measurement.record(design.channels) for measurement in sensor.measurements),
@@ -110,9 +109,7 @@ def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: 
     return replace(found, notes=tuple(notes))
 
 
-def observed_sensor(
-    sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty, base: CalibrationRecord | None = None
-) -> SensorObservations:
+def observed_sensor(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> SensorObservations:
     """Return a sensor as the estimator takes it.
 
     Raises
@@ -120,7 +117,7 @@ def observed_sensor(
     EstimateError
         The sensor has none of the procedure's axes, or a sensitivity that is not known has to stand in.
     """
-    design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=base)
+    design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
     return SensorObservations(design, observations_of(sensor.measurements, design.channels), sensor.orientation)
 
 
@@ -251,7 +248,7 @@ def _reading(measurements: Sequence[Measurement], design: Design) -> dict[str, f
     return known
 
 
-def _limits(design: Design, sensor: MeasuredSensor, base: CalibrationRecord | None, thermal: bool) -> Limits:
+def _limits(design: Design, sensor: MeasuredSensor, thermal: bool) -> Limits:
     """Tilt to either side as far as any position went, the temperatures that were met, the rails that are known."""
     tilt = {}
     for axis in design.channels:
@@ -266,7 +263,7 @@ def _limits(design: Design, sensor: MeasuredSensor, base: CalibrationRecord | No
     return Limits(
         tilt=tilt,
         temperature=(min(met), max(met)) if thermal else None,
-        reading=rails or ({} if base is None else base.limits.reading),
+        reading=rails or ({} if sensor.base is None else sensor.base.limits.reading),
     )
 
 

@@ -40,8 +40,7 @@ def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
 
 def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> CalibrationRecord:
     """Return a calibration with a mounting that is known, and exact; one that it has is replaced."""
-    run, covariance = calibration.procedure.mounting, calibration.uncertainty.covariance
-    positions = calibration.positions
+    covariance = calibration.uncertainty.covariance
     return replace(
         calibration,
         coefficients=replace(calibration.coefficients, mounting=mounting),
@@ -56,7 +55,7 @@ def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> Calibra
         derived=replace(calibration.derived, gimbal_lock=False),
         fit=replace(calibration.fit, mounting=None),
         procedure=replace(calibration.procedure, mounting=None),
-        positions=positions if run is None else positions[: len(positions) - len(run.positions)],
+        positions=calibration.positions_with(mounting=()),
     )
 
 

@@ -12,7 +12,7 @@ from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model, Population
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.records import PositionRecord
 from tiltcal.frozen import frozen
 
@@ -142,6 +142,9 @@ class MeasuredSensor:
     thermometer : float or None
         Standard uncertainty from the step of the sensor's own thermometer, °C; None where it did not take the
         temperatures.
+    base : CalibrationRecord or None
+        The sensor's own calibration: a mounting or a new level completes it, and its sensitivity stands in where a
+        procedure determines none.
     """
 
     sensor: SensorIdentity
@@ -149,3 +152,4 @@ class MeasuredSensor:
     nominal: Nominal | None = None
     orientation: Sequence[Sequence[float]] = STRAIGHT
     thermometer: float | None = None
+    base: CalibrationRecord | None = None

@@ -21,7 +21,7 @@ from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, rotation_vec
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.records import MountingFit, MountingRun
+from tiltcal.files.records import CompletingRun, MountingFit
 from tiltcal.files.uncertainty import Uncertainty, stated_uncertainty
 
 
@@ -67,9 +67,9 @@ def mount(
         fit=replace(base.fit, mounting=_record(found, measurements, jig)),
         procedure=replace(
             base.procedure,
-            mounting=MountingRun(**(settings or {}), positions=tuple(m.position for m in measurements)),
+            mounting=CompletingRun(**(settings or {}), positions=tuple(m.position for m in measurements)),
         ),
-        positions=(*base.positions, *(replace(m.record(list(m.summaries)), u=None) for m in measurements)),
+        positions=base.positions_with(mounting=[replace(m.record(list(m.summaries)), u=None) for m in measurements]),
     )
 
 

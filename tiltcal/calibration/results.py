@@ -119,7 +119,9 @@ def derived_record(found: Estimate, design: Design, assumed: str) -> DerivedReco
             misalignment_degrees=u_turned,
             coverage_factor=DerivedCoverage(cross_axis_percent=k_crossed, misalignment_degrees=k_turned),
         ),
-        intrinsic=_intrinsic_record(found, design) if whole else None,
+        intrinsic=intrinsic_record(coefficients, found.names, found.covariance, mounted=not design.free)
+        if whole
+        else None,
     )
 
 
@@ -198,9 +200,11 @@ def _rounded_rows(table: Array, channels: Sequence[str], name: str, u: Mapping[s
     return np.array(rows).reshape(table.shape)
 
 
-def _intrinsic_record(found: Estimate, design: Design) -> IntrinsicRecord:
-    """Return the nine intrinsic parameters and, where positions were set, the rotation that is left."""
-    own = intrinsic(found.coefficients, found.names, found.covariance, mounted=not design.free)
+def intrinsic_record(
+    coefficients: Coefficients, names: Sequence[str], covariance: Array, *, mounted: bool
+) -> IntrinsicRecord:
+    """Return the nine intrinsic parameters and, where positions were set (``mounted``), the rotation that is left."""
+    own = intrinsic(coefficients, names, covariance, mounted=mounted)
     parts = {"offset": own.offset, "sensitivity": own.sensitivity, "angle_degrees": own.angle}
     if own.mounting:
         parts["rotation_degrees"] = own.mounting

@@ -48,12 +48,7 @@ class OrderChoice:
     errors: Mapping[int, float]
 
 
-def choose_order(
-    sensors: Sequence[MeasuredSensor],
-    procedure: Procedure,
-    bench: BenchUncertainty,
-    base: CalibrationRecord | None = None,
-) -> OrderChoice:
+def choose_order(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty) -> OrderChoice:
     """Choose the order of the drift that predicts left-out positions best.
 
     Parameters
@@ -63,8 +58,6 @@ def choose_order(
     procedure : Procedure
         Its ``drift`` is the highest order that is tried.
     bench : BenchUncertainty
-    base : CalibrationRecord, optional
-        Its sensitivity stands in where the procedure determines none.
 
     Raises
     ------
@@ -78,7 +71,7 @@ def choose_order(
     squares: dict[int, Array] = {}
     for order in range(1, procedure.determines.drift + 1):
         try:
-            squares[order] = _left_out(sensors, with_order(procedure, order), bench, base)
+            squares[order] = _left_out(sensors, with_order(procedure, order), bench)
         except EstimateError:
             break
     if not squares:
@@ -107,18 +100,16 @@ def swept(
     return replace(calibration, fit=replace(calibration.fit, cross_validation=validation, hysteresis=loops))
 
 
-def _left_out(
-    sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty, base: CalibrationRecord | None
-) -> Array:
+def _left_out(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty) -> Array:
     """Squared error of predicting each position from the others, over its variance; over 1 where none is known."""
     found: list[float] = []
-    noise = [_uncertainties(one, observed_sensor(one, procedure, bench, base).design.channels) for one in sensors]
+    noise = [_uncertainties(one, observed_sensor(one, procedure, bench).design.channels) for one in sensors]
     for number in range(len(sensors[0].measurements)):
         rest = [
             replace(sensor, measurements=[m for k, m in enumerate(sensor.measurements) if k != number])
             for sensor in sensors
         ]
-        estimates = estimate_jointly([observed_sensor(one, procedure, bench, base) for one in rest])
+        estimates = estimate_jointly([observed_sensor(one, procedure, bench) for one in rest])
         for sensor, u, estimate in zip(sensors, noise, estimates, strict=True):
             out = sensor.measurements[number]
             gravity, temperature = np.array([out.gravity]), np.array([out.temperature], dtype=float)

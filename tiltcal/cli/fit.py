@@ -46,7 +46,7 @@ Examples:
     help="The column of each reading [x, y, z, temperature]; in a log without a header a number from 1.",
 )
 @click.option("--unit", help="The unit of the readings, such as m/s2, V or count.")
-@click.option("--serial", required=True, help="The sensor's serial number, for the calibration file.")
+@click.option("--serial", help="The sensor's serial number, for the calibration file [that of --base].")
 @click.option("--sensor", metavar="MODEL", help="The model of the sensor, if it is one of `tiltcal devices`.")
 @click.option(
     "--jig",
@@ -88,11 +88,18 @@ Examples:
     help="Write the static intervals that were found.",
 )
 @click.option(
+    "--alignment",
+    type=click.FloatRange(0.0),
+    metavar="DEGREES",
+    help="With level: by how much at most the sensor may sit askew since its calibration, about each axis [2]; 0 if it "
+    "was not unplugged.",
+)
+@click.option(
     "--base",
     type=click.Path(path_type=Path),
     metavar="CAL",
-    help="The calibration file of the sensor: the mounting procedure completes it, and procedures that determine no "
-    "sensitivity use its own.",
+    help="The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, "
+    "and procedures that determine no sensitivity use its own.",
 )
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The calibration file to write.")
 def command(
@@ -102,7 +109,7 @@ def command(
     table: bool,
     columns: str,
     unit: str | None,
-    serial: str,
+    serial: str | None,
     sensor: str | None,
     jig: float | None,
     thermometer: float | None,
@@ -112,6 +119,7 @@ def command(
     gravity: float | None,
     window: int | None,
     segments_out: Path | None,
+    alignment: float | None,
     base: Path | None,
     output: Path,
 ) -> None:
@@ -120,6 +128,7 @@ def command(
     PROCEDURE free needs no known positions: a three-axis sensor is held still in twelve or more attitudes, and gravity
     is 1 g in each. It does not determine the mounting.
     """
+    from tiltcal.calibration.level import level_summary
     from tiltcal.calibration.summary import mounting_summary, summary
     from tiltcal.files.procedure import find_procedure
     from tiltcal.logs.fit import FOUND_ONLY, fit
@@ -144,6 +153,7 @@ def command(
         tilt=tilt,
         gravity=gravity,
         window=window,
+        alignment=alignment,
         base=base,
         say=lambda line: click.echo(line, err=True),
     )
@@ -152,7 +162,8 @@ def command(
         _write_segments(segments_out, calibration)
         click.echo(f"wrote {segments_out}", err=True)
     record = calibration.record
-    click.echo(mounting_summary(record) if determines.mounting else summary(record))
+    told = mounting_summary if determines.mounting else level_summary if determines.level else summary
+    click.echo(told(record))
     if determines.free:
         _tell_free(record)
     click.echo(f"wrote {output}", err=True)

@@ -59,11 +59,18 @@ from tiltcal.cli.session_options import LEADERS, left_at_default, remark
 @click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
 @click.option("--turns", type=int, help="Largest number of turns of the stage; overrides the procedure.")
 @click.option(
+    "--alignment",
+    type=click.FloatRange(0.0),
+    metavar="DEGREES",
+    help="With level: by how much at most the sensor may sit askew since its calibration, about each axis [2]; 0 if it "
+    "was not unplugged.",
+)
+@click.option(
     "--base",
     type=click.Path(path_type=Path),
     metavar="CAL",
-    help="The calibration file of the sensor: the mounting procedure completes it, and procedures that determine no "
-    "sensitivity use its own.",
+    help="The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, "
+    "and procedures that determine no sensitivity use its own.",
 )
 @click.option(
     "--typical-temperature",
@@ -91,6 +98,7 @@ def command(
     heading: float | None,
     tilt: float | None,
     turns: int | None,
+    alignment: float | None,
     base: Path | None,
     typical_temperature: bool,
     closing: bool,
@@ -121,6 +129,7 @@ def command(
         heading=heading,
         tilt=tilt,
         turns=turns,
+        alignment=alignment,
         base=base,
         typical_temperature=typical_temperature,
         closing=closing,

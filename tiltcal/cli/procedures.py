@@ -55,6 +55,8 @@ def _determined(determines: Determines) -> str:
     """Return what a procedure determines, as text."""
     if determines.mounting:
         return "the mounting of a sensor that is calibrated"
+    if determines.level:
+        return "the offset of a sensor that is calibrated; all else stays"
     axes = f"sensitivity to {', '.join(determines.axes)}" if determines.axes else "no sensitivity"
     orders = "".join(
         f", {name} of order {order} over temperature"

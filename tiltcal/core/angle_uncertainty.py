@@ -21,7 +21,7 @@ from math import pi, sqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tiltcal.core.budget import NEGLIGIBLE, CoverageFactors
+from tiltcal.core.budget import NEGLIGIBLE, coverage_factors
 from tiltcal.core.compensation import FAIL, NO_TEMPERATURE, Bytes, Compensated, Compensation, KernelChunk
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.tilt_angles import DIRECTIONS
@@ -64,6 +64,8 @@ class UncertaintyInputs:
         Standard uncertainty of a single reading, unit; channels are independent.
     temperature : float
         Standard uncertainty of a temperature, °C.
+    alignment : float
+        How far the sensor may have turned about each axis since it was level, standard uncertainty, radians.
     """
 
     names: tuple[str, ...]
@@ -71,6 +73,7 @@ class UncertaintyInputs:
     factors: Array
     readings: Array
     temperature: float = 0.0
+    alignment: float = 0.0
 
 
 @frozen
@@ -173,7 +176,8 @@ class _Propagation:
             raise EstimateError("a mounting that is uncertain takes a sensor that measures at least x and y")
         self._models, self._vectors = coefficients.models, coefficients.vectors
         self._readings, self._temperature = inputs.readings, inputs.temperature
-        self._coverage = CoverageFactors()
+        self._alignment = inputs.alignment
+        self._coverage = coverage_factors()
         self._chosen, parameters = self._parameters(inputs.names)
         widening = inputs.factors / self._coverage.normal
         self._known = bool(np.allclose(widening, 1.0, rtol=NEGLIGIBLE))
@@ -263,7 +267,29 @@ class _Propagation:
                     found[-1, k] += by_temperature[a] * by_temperature[b]
                 if a == b:
                     found[-1, k] += (slopes[a] * self._readings[a]) ** 2
-        return np.asarray(np.matmul(self._pair_lift, found))
+        variances = np.asarray(np.matmul(self._pair_lift, found))
+        if self._alignment:
+            self._add_alignment(variances[-1], gravity)
+        return variances
+
+    def _add_alignment(self, variances: Array, gravity: Array) -> None:
+        """Add what a turn θ of the sensor since it was level makes: θ × (g - z), θ alike about every axis."""
+        level = self._rotation[2]
+        if self._sees_all:
+            moved = self._rotation @ (gravity - level[:, None])
+            outputs = np.eye(3)
+        else:
+            if len(self._axes) == 1:  # the rest of gravity lies along an axis that the sensor does not see
+                gravity[0 if self._axes == ("z",) else 2] = np.sqrt(np.maximum(1.0 - np.sum(gravity**2, axis=0), 0.0))
+            moved = gravity - level[:, None]
+            outputs = np.eye(3)[[AXES.index(axis) for axis in self._axes]]
+            if len(self._axes) == 2:
+                outputs[:, 2] += self._coupling
+        length, along = np.sum(moved**2, axis=0), outputs @ moved
+        for (a, b), k in self._pairs.items():
+            if b < len(outputs):
+                spread = float(outputs[a] @ outputs[b]) * length - along[a] * along[b]
+                variances[k] += self._alignment**2 * spread
 
     def _sensed(self, chunk: KernelChunk) -> Array:
         """Return g in the sensor's frame, shape (3, n); 0 along an axis that a sensor of one channel does not see."""

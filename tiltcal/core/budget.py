@@ -6,6 +6,7 @@ Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2, 5.1 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -26,6 +27,41 @@ NEGLIGIBLE = 1e-3
 
 
 @frozen
+class Part:
+    """What one source of uncertainty adds to some quantities: errors, and how the quantities follow them.
+
+    Attributes
+    ----------
+    source : str
+    by : ndarray, shape (k, m)
+        Derivatives of the quantities by the errors.
+    covariance : ndarray, shape (m, m)
+    factors : ndarray, shape (m,)
+        What each error's standard uncertainty is multiplied with for an interval of 95 %.
+    """
+
+    source: str
+    by: Array
+    covariance: Array
+    factors: Array
+
+    @property
+    def dof(self) -> Array:
+        """Degrees of freedom of its part of each quantity's variance, shape (k,), from its 95 % intervals."""
+        from scipy.special import stdtridf
+
+        normal = coverage_factor(np.array([np.inf]))[0]
+        wider = np.maximum(self.factors / normal, 1.0)
+        own, wide = (
+            np.einsum("ik,kl,il->i", self.by, matrix, self.by)
+            for matrix in (self.covariance, self.covariance * np.outer(wider, wider))
+        )
+        ratio = np.sqrt(wide / np.where(own > 0.0, own, 1.0))
+        told = (own > 0.0) & (ratio > 1.0 + NEGLIGIBLE)
+        return np.where(told, stdtridf(0.5 + COVERAGE / 2.0, np.where(told, normal * ratio, 3.0)), np.inf)
+
+
+@frozen
 class Budget:
     """Covariance of quantities, and its sources.
 
@@ -41,6 +77,17 @@ class Budget:
     covariance: Array
     variance: Mapping[str, Array]
     dof: Array
+
+    @classmethod
+    def of(cls, parts: Sequence[Part]) -> Budget:
+        """Return the budget of quantities whose errors come from independent sources."""
+        shares = [part.by @ part.covariance @ part.by.T for part in parts]
+        variance: dict[str, Array] = {}
+        for part, share in zip(parts, shares, strict=True):
+            variance[part.source] = variance.get(part.source, 0.0) + np.diag(share)
+        covariance = np.sum(shares, axis=0)
+        estimated = [(np.diag(share), part.dof) for part, share in zip(parts, shares, strict=True)]
+        return cls(covariance, variance, welch_satterthwaite(np.diag(covariance), estimated))
 
     @property
     def factors(self) -> Array:
@@ -91,15 +138,15 @@ def coverage_factor(dof: Array) -> Array:
     return factors
 
 
-def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float]]) -> Array:
+def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float | Array]]) -> Array:
     """Effective degrees of freedom of a sum of variances (GUM, eq. G.2b).
 
     Parameters
     ----------
     variance : ndarray, shape (k,)
         The sums.
-    parts : sequence of (ndarray of shape (k,), float)
-        The parts that were estimated, each with its degrees of freedom.
+    parts : sequence of (ndarray of shape (k,), float or ndarray of shape (k,))
+        The parts, each with its degrees of freedom; infinite where it was not estimated.
 
     Returns
     -------
@@ -108,8 +155,7 @@ def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float]]) -
     """
     weighted = np.zeros_like(variance)
     for part, dof in parts:
-        if np.isfinite(dof):
-            weighted += part**2 / dof
+        weighted += part**2 / dof
     return np.asarray(np.where(weighted > 0.0, variance**2 / np.where(weighted > 0.0, weighted, 1.0), np.inf))
 
 
@@ -196,6 +242,12 @@ class CoverageFactors:
         if narrow.any():
             factor[narrow] = self.normal * np.sqrt((widened + known)[narrow] / total[narrow])
         return factor
+
+
+@cache
+def coverage_factors() -> CoverageFactors:
+    """Return the coverage factors, whose tables take 15 ms to fill."""
+    return CoverageFactors()
 
 
 def _looked_up(table: Array, argument: Array) -> Array:

@@ -6,7 +6,7 @@ positions, provenance) are records for people and later questions. Every key and
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import radians
 from pathlib import Path
 from typing import Any, Literal
@@ -123,11 +123,24 @@ class CalibrationRecord:
     )
     positions: tuple[PositionRecord, ...] = entry(
         ListOf(Section(PositionRecord)),
-        "what was measured in each position; those of a mounting come last",
+        "what was measured in each position; those of a mounting and of a level come last",
         default=(),
         kept=True,
     )
     provenance: Provenance = entry(Section(Provenance), "how it was made", default=Provenance(), kept=True)
+
+    def positions_with(
+        self, *, mounting: Sequence[PositionRecord] | None = None, level: Sequence[PositionRecord] | None = None
+    ) -> tuple[PositionRecord, ...]:
+        """Return the positions with others of a mounting or a level; None leaves those that there are."""
+        runs = (self.procedure.mounting, self.procedure.level)
+        mounted, levelled = (0 if run is None else len(run.positions) for run in runs)
+        first, second = len(self.positions) - mounted - levelled, len(self.positions) - levelled
+        return (
+            *self.positions[:first],
+            *(self.positions[first:second] if mounting is None else mounting),
+            *(self.positions[second:] if level is None else level),
+        )
 
 
 def _names(key: str, found: Mapping[str, Any], context: Context) -> Context:

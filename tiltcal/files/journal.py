@@ -33,7 +33,8 @@ from typing import Any, BinaryIO, overload
 from zlib import crc32
 
 from tiltcal.errors import InputError, JournalError, UsageError
-from tiltcal.files.declaration import Anything, Flag, Integer, ListOf, Number, Section, Text, entry
+from tiltcal.files.base import BASE, BaseFile
+from tiltcal.files.declaration import Anything, ByName, Flag, Integer, ListOf, Number, Section, Text, entry
 from tiltcal.files.node import document_of
 from tiltcal.frozen import frozen
 
@@ -106,10 +107,22 @@ class Header:
     thermometer: DeviceHeader | None = entry(Section(DeviceHeader), "of a bench that has one", default=None)
     settings: SettingsHeader = entry(Section(SettingsHeader), "how the session measures")
     procedure: Mapping[str, Any] = entry(Anything(), "the procedure file in full")
-    base: str | None = entry(Text(), "the text of the calibration file that a mounting completes", default=None)
+    base: str | None = entry(
+        Text(), "in older journals, the text of the calibration file that a mounting completes", default=None
+    )
+    bases: Mapping[str, BaseFile] = entry(
+        ByName(BASE),
+        "by serial number the calibration file that the sensor brings (`--base`): `name`, `text`",
+        default={},
+    )
     typical_temperature: bool = entry(
         Flag(), "`true` where the data sheet's mean temperature curves were asked for", default=False
     )
+
+    @property
+    def known(self) -> dict[str, BaseFile]:
+        """The calibrations that sensors bring with them, by serial number."""
+        return dict(self.bases) if self.base is None else {self.sensors[0].serial: BaseFile(self.base)}
 
 
 HEADER = Section(Header)

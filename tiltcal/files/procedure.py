@@ -42,6 +42,10 @@ ORDER_LIMIT = 6
 """The highest order of a temperature polynomial."""
 ABSOLUTE_ZERO = -273.15
 """°C."""
+LEVEL = (0.0, 0.0, 1.0)
+"""Up in the application's frame where it is level."""
+MOST_ASKEW = 10.0
+"""A sensor that sits further askew has another mounting, degrees."""
 
 _NAME = re.compile(r"[^\W\d_][\w.-]*")
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
@@ -88,6 +92,11 @@ class Determines:
         "`--base` then",
         default=False,
     )
+    level: bool = entry(
+        Flag(),
+        "whether the position is level and renews the offset of the sensor's calibration `--base`, with `axes: []`",
+        default=False,
+    )
     cross_validated: bool = entry(
         Flag(), "whether the order of the drift is chosen by cross-validation, up to that of `drift`", default=False
     )
@@ -98,11 +107,17 @@ class Determines:
         default=False,
     )
 
+    @property
+    def completes(self) -> bool:
+        """Whether the sensor's own calibration is needed and completed."""
+        return self.mounting or self.level
+
 
 def _consistent(found: Determines, node: Node, context: Context) -> Determines:
     orders = found.drift or found.gain or found.nonlinearity
-    if found.mounting and (found.axes or orders):
-        raise node.error("a procedure that determines the mounting determines nothing else: axes is [] there")
+    for what, asked in (("mounting", found.mounting), ("level", found.level)):
+        if asked and (found.axes or orders or (found.mounting and found.level)):
+            raise node.error(f"a procedure that determines the {what} determines nothing else: axes is [] there")
     if found.cross_validated and not found.drift:
         raise node.error("an order that is chosen by cross-validation needs the key 'drift', the highest order")
     if found.free and (len(found.axes) < 3 or orders or found.mounting):
@@ -249,6 +264,12 @@ class PositionsProcedure:
         "the angle that positions may call `angle` or `-angle`, degrees; `--tilt` takes its place",
         default=None,
     )
+    alignment: float = entry(
+        Number("degrees", minimum=0.0),
+        "with `level`: by how much at most the sensor may sit askew since its calibration, degrees about each axis; "
+        "`--alignment` takes its place",
+        default=0.0,
+    )
     samples: int = entry(Integer(minimum=2), "samples a position", default=100)
     settle: float = entry(Number(above=0.0), "seconds over which the reading must hold still", default=2.0)
     soak: Soak = entry(
@@ -289,6 +310,8 @@ class Procedure:
         Time over which a reading must hold still, seconds.
     soak_seconds, soak_drift : float
         At a position with a temperature: the window, seconds, and the largest drift in it, °C.
+    alignment : float
+        By how much at most the sensor may sit askew since its calibration, degrees about each axis.
     record : mapping
         The procedure as plain data, before ``angle`` and the turns were put in.
     rotation : Rotation or None
@@ -307,6 +330,7 @@ class Procedure:
     soak_seconds: float = 20.0
     soak_drift: float = 0.3
     record: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    alignment: float = 0.0
     rotation: Rotation | None = None
 
     def require_positions(self) -> None:
@@ -338,6 +362,22 @@ class Procedure:
         from tiltcal.files.rotation import require_turns
 
         return replace(self, rotation=replace(self.rotation, turns=require_turns(turns)))
+
+    def with_alignment(self, alignment: float | None) -> Procedure:
+        """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it as it is.
+
+        Raises
+        ------
+        UsageError
+            It renews no offset, or the angle cannot be.
+        """
+        if alignment is None:
+            return self
+        if not self.determines.level:
+            raise UsageError(f"{self.name} renews no offset: leave --alignment out")
+        if not 0.0 <= alignment <= MOST_ASKEW:
+            raise UsageError(f"--alignment {alignment:g}: it is between 0 and {MOST_ASKEW:g} degrees")
+        return replace(self, alignment=alignment, record={**self.record, "alignment": alignment})
 
     @property
     def closes(self) -> bool:
@@ -457,6 +497,10 @@ def _of_positions(found: PositionsProcedure, node: Node, context: Context) -> Pr
         raise node.entries()["determines"].error(
             "temperature terms need the key 'reference', the temperature that they are counted from"
         )
+    if found.determines.level:
+        for item, position in zip(node.entries()["positions"].items(), found.positions, strict=True):
+            if position.gravity != LEVEL:
+                raise item.error("a position that renews the offset is level: tilt: {x: 0, y: 0}")
     return Procedure(
         name=found.name,
         title=found.title,
@@ -469,6 +513,7 @@ def _of_positions(found: PositionsProcedure, node: Node, context: Context) -> Pr
         settle=found.settle,
         soak_seconds=found.soak.seconds,
         soak_drift=found.soak.drift,
+        alignment=found.alignment,
         record=node.plain(),
     )
 

@@ -82,6 +82,21 @@ class MountingFit:
 
 
 @frozen(kw_only=True)
+class LevelFit:
+    """The offset that a level position has renewed, against the one before."""
+
+    change: Mapping[str, float] = entry(CHANNELS, "per channel, the new offset less the one before, unit", default={})
+    change_uncertainty: Mapping[str, float] = entry(
+        ByChannel(SHARE), "per channel, its standard uncertainty, unit", default={}
+    )
+    verdict: str | None = entry(Text(), "whether the change is more than its uncertainty", default=None)
+    temperature: float | None = entry(Number(), "of the position, °C", default=None)
+    jig_degrees: float | None = entry(
+        SHARE, "the stated standard uncertainty of how level it was, degrees", default=None
+    )
+
+
+@frozen(kw_only=True)
 class FitRecord:
     """The quality of a fit, and the sources of its uncertainty."""
 
@@ -142,6 +157,7 @@ class FitRecord:
     mounting: MountingFit | None = entry(
         Section(MountingFit), "after the mounting procedure: how well its positions agree", default=None
     )
+    level: LevelFit | None = entry(Section(LevelFit), "after `level`: by how much the offset has changed", default=None)
 
 
 @frozen(kw_only=True)
@@ -241,8 +257,8 @@ class PositionSet:
 
 
 @frozen(kw_only=True)
-class MountingRun:
-    """The mounting procedure as run."""
+class CompletingRun:
+    """A procedure that completes a calibration, as run."""
 
     samples: int | None = entry(Integer(minimum=1), "per position", default=None)
     settle_seconds: float | None = entry(SHARE, "over which the reading held still", default=None)
@@ -261,9 +277,10 @@ class ProcedureRecord:
     set: Mapping[str, PositionSet] = entry(
         ByName(Section(PositionSet)), "per position `tilt` or `gravity` as it was set", default={}
     )
-    mounting: MountingRun | None = entry(
-        Section(MountingRun), "`samples`, `settle_seconds` and `positions` of the mounting procedure", default=None
+    mounting: CompletingRun | None = entry(
+        Section(CompletingRun), "`samples`, `settle_seconds` and `positions` of the mounting procedure", default=None
     )
+    level: CompletingRun | None = entry(Section(CompletingRun), "likewise of `level`", default=None)
 
 
 @frozen
@@ -371,6 +388,12 @@ class Provenance:
     made_by: str | None = entry(Text(), "`measurement`, `the virtual bench …`, `fit of …`", default=None)
     operator: str | None = entry(Text(), "who led the session", default=None)
     bench: BenchRecord | None = entry(Section(BenchRecord), "`address`, `axes` and `thermometer`", default=None)
+    base: FileRecord | None = entry(
+        Section(FileRecord), "the calibration that it builds on (`--base`): `name`, `sha256`", default=None
+    )
+    sources: tuple[FileRecord, ...] = entry(
+        ListOf(Section(FileRecord)), "the calibrations that `combine` put together: `name`, `sha256`", default=()
+    )
     log: LogRecord | None = entry(Section(LogRecord), "the log: `name`, `rows`, `missing`, `sha256`", default=None)
     table: FileRecord | None = entry(Section(FileRecord), "the table of positions: `name`, `sha256`", default=None)
     segments: SegmentsRecord | None = entry(

@@ -78,12 +78,16 @@ class Uncertainty(Mapping[str, float]):
     coverage_factor : mapping of str to float
         By coefficient, what its standard uncertainty is multiplied with for an interval of 95 %.
     covariance : Covariance or None
+    alignment : float
+        How far the sensor may have turned about each axis since its coefficients were measured, degrees; it makes no
+        error where it was level when its offset was renewed.
     """
 
     standard: Mapping[str, float] = field(default_factory=dict)
     single_reading: Mapping[str, float] = field(default_factory=dict)
     coverage_factor: Mapping[str, float] = field(default_factory=dict)
     covariance: Covariance | None = None
+    alignment: float = 0.0
 
     def __getitem__(self, name: str) -> float:
         return self.standard[name]
@@ -139,6 +143,12 @@ class UncertaintySection:
         default={},
         formerly="reading",
     )
+    alignment: float = entry(
+        _SHARE,
+        "after `level`: of how the sensor sits since its sensitivity was measured, degrees about each axis; it makes "
+        "no error at level",
+        default=0.0,
+    )
     coverage_factor: Mapping[str, float] = entry(
         ByName(Number(above=0.0)),
         "per coefficient, by its dotted name such as `sensitivity.x.y`, what its standard uncertainty is multiplied "
@@ -155,7 +165,9 @@ class UncertaintySection:
 def _of_section(found: UncertaintySection, node: Node, context: Context) -> Uncertainty:
     """Return the section with its standard uncertainties by dotted name."""
     shaped = {key: value for key, value in _SECTION.write(found).items() if key in SHAPED}
-    return Uncertainty(dict(_named(shaped)), found.single_reading, found.coverage_factor, found.covariance)
+    return Uncertainty(
+        dict(_named(shaped)), found.single_reading, found.coverage_factor, found.covariance, found.alignment
+    )
 
 
 def _section_of(uncertainty: Uncertainty) -> UncertaintySection:
@@ -177,6 +189,7 @@ def _section_of(uncertainty: Uncertainty) -> UncertaintySection:
         single_reading=uncertainty.single_reading,
         coverage_factor=uncertainty.coverage_factor,
         covariance=uncertainty.covariance,
+        alignment=uncertainty.alignment,
     )
 
 
@@ -243,6 +256,7 @@ def stated_uncertainty(
             np.array([factors.get(name, usual) for name in names]),
             np.array([reading.get(channel, 0.0) for channel in coefficients.channels]),
             reading.get(TEMPERATURE, 0.0),
+            radians(uncertainty.alignment),
         ),
         tuple(remarks),
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import tiltcal
-from tiltcal.calibration.calibrate import base_of, calibrate
+from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.joint_fit import no_sensitivity
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
@@ -18,12 +18,13 @@ from tiltcal.core.rounding import significant
 from tiltcal.drivers import find_model
 from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.base import bases_of
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.node import require_printable
 from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.records import FileRecord, LogRecord, Provenance, SegmentsRecord
-from tiltcal.files.segments import read_segments
+from tiltcal.files.segments import Segment, read_segments
 from tiltcal.logs.columns import named_columns
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
@@ -54,7 +55,7 @@ def fit(
     procedure: str,
     data: Any,
     *,
-    serial: str,
+    serial: str | None = None,
     unit: str | None = None,
     sensor: str | None = None,
     segments: Any = None,
@@ -67,6 +68,7 @@ def fit(
     tilt: float | None = None,
     gravity: float | None = None,
     window: int | None = None,
+    alignment: float | None = None,
     base: str | Path | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Calibration:
@@ -79,8 +81,8 @@ def fit(
     data : str, Path or frame
         A log (CSV, Parquet or NetCDF-4), or a table of positions; or a frame of either: polars, pandas, pyarrow, an
         xarray Dataset, a dict of arrays.
-    serial : str
-        The sensor's serial number.
+    serial : str, optional
+        The sensor's serial number; without it that of the ``base``.
     unit : str, optional
         Of the readings, such as ``m/s2``, ``V`` or ``count``; a known ``sensor`` has its own.
     sensor : str, optional
@@ -109,6 +111,8 @@ def fit(
         Local gravity, m/s²: adds the sensitivity per m/s² beside that per g.
     window : int, optional
         Rows over which the sensor must be still, where static intervals are found; several are tried without it.
+    alignment : float, optional
+        With ``level``: by how much at most the sensor may sit askew since its calibration, degrees about each axis.
     base : str or Path, optional
         The sensor's calibration file: a mounting completes it, and its sensitivity stands in where the procedure
         determines none.
@@ -128,10 +132,10 @@ def fit(
     EstimateError
         The positions cannot determine the coefficients.
     """
-    steps = find_procedure(procedure, tilt)
+    steps = find_procedure(procedure, tilt).with_alignment(alignment)
     steps.require_positions()
     source = FitSource(data, segments, _is_table(data, segments) if table is None else table, columns, window)
-    source.require_sound(free=steps.determines.free)
+    source.require_sound(steps)
     require_no_jig(steps, jig)
     if gravity is not None and not LOCAL_GRAVITY[0] <= gravity <= LOCAL_GRAVITY[1]:
         raise UsageError(
@@ -140,18 +144,22 @@ def fit(
     model = find_model(sensor) if sensor else None
     if model is not None:
         require_tilt(steps, model)
-    known = base_of(steps, base, [serial])
-    identity = _identity(known, model, steps, unit, serial)
+    serial = _serial(serial, base)
+    known = bases_of(steps, base, [serial]).get(serial)
+    own = None if known is None else known.calibration
+    identity = _identity(own, model, steps, unit, serial)
     positions = source.free_positions(identity, say) if steps.determines.free else source.set_positions(identity, steps)
     measured = MeasuredSensor(
         identity,
         positions.measurements,
         None if model is None or model.unit != identity.unit else Nominal.of(model),
         thermometer=None if model is None else model.thermometer_rounding,
+        base=own,
     )
     bench = BenchUncertainty(jig, thermometer, table_lean, heading)
-    (found,) = calibrate([measured], steps, bench, base=known, table=source.table, gravity=gravity)
-    return Calibration(replace(found, provenance=positions.provenance))
+    (found,) = calibrate([measured], steps, bench, table=source.table, gravity=gravity)
+    origin = None if known is None else known.origin
+    return Calibration(replace(found, provenance=replace(positions.provenance, base=origin)))
 
 
 @dataclass(frozen=True)
@@ -184,7 +192,7 @@ class FitSource:
         """Whether the static intervals are to be found."""
         return not self.table and self.segments is None
 
-    def require_sound(self, *, free: bool) -> None:
+    def require_sound(self, procedure: Procedure) -> None:
         """Refuse what contradicts itself.
 
         Raises
@@ -195,7 +203,8 @@ class FitSource:
             raise UsageError("a --table has its positions already: leave --segments out")
         if self.table and self.columns:
             raise UsageError("a --table names its columns itself (position, x, y, z, ...): leave --columns out")
-        if not free and self.finds:
+        free = procedure.determines.free
+        if not free and self.finds and len(procedure.positions) > 1:
             raise UsageError(
                 "say with --segments which rows were taken in which position (or that LOG is a --table of positions); "
                 "only `tiltcal fit free` finds them itself, because it does not need the positions"
@@ -213,7 +222,7 @@ class FitSource:
         InputError
             A file is wrong; the message names file and line.
         """
-        holds, provenance = self._given(sensor)
+        holds, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor)
         return FitPositions(placed(holds, procedure, file=self._name), provenance)
 
     def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
@@ -266,6 +275,12 @@ class FitSource:
         holds = holds_of(record, segments, file=self._name)
         return holds, self._provenance(record, _origin(self.segments, SegmentsRecord))
 
+    def _whole(self, sensor: SensorIdentity, procedure: Procedure) -> tuple[list[StaticInterval], Provenance]:
+        """What the sensor read in the one position of a procedure, which is the whole log."""
+        record = self._record(sensor)
+        whole = [Segment(procedure.positions[0].name, 0, record.rows, None, None)]
+        return holds_of(record, whole, file=record.name), self._provenance(record)
+
     def _record(self, sensor: SensorIdentity) -> RecordedReadings:
         return read_record(self.data, sensor.channels, named_columns(self.columns, sensor.channels), sensor.unit)
 
@@ -278,6 +293,15 @@ class FitSource:
             segments=segments,
             software=f"tiltcal {tiltcal.__version__}",
         )
+
+
+def _serial(serial: str | None, base: str | Path | None) -> str:
+    """The serial number that is named, or that of the base."""
+    if serial is not None:
+        return serial
+    if base is None or Path(base).is_dir():
+        raise UsageError("state the sensor's --serial number")
+    return read_calibration(base).sensor.serial
 
 
 def _is_table(data: Any, segments: Any) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.declaration import Section
-from tiltcal.files.records import MountingRun, PairProvenance, Provenance
+from tiltcal.files.records import CompletingRun, PairProvenance, Provenance
 
 _VIRTUAL = "virtual"
 """The mark of a file that was made without a real sensor."""
@@ -109,7 +109,7 @@ def procedure_facts(calibration: CalibrationRecord) -> list[Fact]:
         ("Still before sampling", run.settle_seconds is not None and f"{run.settle_seconds:g} s"),
     ]
     if run.mounting is not None:
-        kept = _leaves(Section(MountingRun).write(run.mounting))
+        kept = _leaves(Section(CompletingRun).write(run.mounting))
         said.append(("Mounting", "; ".join(f"{name.replace('_', ' ')} {value}" for name, value in kept)))
     return [Fact(label, value) for label, value in said if value]
 

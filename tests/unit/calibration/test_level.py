@@ -1,0 +1,190 @@
+"""The offset that a level position renews: its value, its covariance, and what the angles are uncertain by after it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import radians, sqrt
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support import FIXTURES
+
+from tiltcal.calibration.calibrate import calibrate
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.level import NO_LEVEL, level_summary
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.core.model import Array, Mounting, vector_of, with_vector
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.errors import EstimateError, UsageError
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.procedure import find_procedure
+
+COMPLETE = read_calibration(FIXTURES / "complete.yaml")
+"""Two channels over x, y and z, with a drift."""
+NOISE = 0.05
+JIG = 0.05
+
+
+def levelled(
+    base: CalibrationRecord,
+    readings: Array,
+    temperature: float | None = 24.0,
+    *,
+    jig: float | None = JIG,
+    alignment: float | None = None,
+) -> CalibrationRecord:
+    """The base with the offset of one level position."""
+    summaries = {
+        channel: SampleSummary(float(mean), NOISE * 10, 100, NOISE)
+        for channel, mean in zip(base.coefficients.channels, readings, strict=True)
+    }
+    measurement = Measurement("level", (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, temperature, summaries)
+    sensor = MeasuredSensor(base.sensor, [measurement], base=base)
+    procedure = find_procedure("level").with_alignment(alignment)
+    return calibrate([sensor], procedure, BenchUncertainty(jig, 0.1))[0]
+
+
+def covariance_of(record: CalibrationRecord, *names: str) -> Array:
+    stated = record.uncertainty.covariance
+    assert stated is not None
+    places = [stated.parameters.index(name) for name in names]
+    return np.array(stated.matrix)[np.ix_(places, places)]
+
+
+def test_the_offset_is_what_is_left_of_the_reading() -> None:
+    """o = r - S_xz - k dT by hand, with its variance and covariances by the GUM; all else is the base's."""
+    found = levelled(COMPLETE, np.array([1030.0, 1010.0]), 10.0)
+    old, new = COMPLETE.coefficients, found.coefficients
+    dt = 10.0 - old.thermal.reference
+    assert new.offset[0] == pytest.approx(1030.0 - old.sensitivity[0, 2] - old.thermal.drift[0, 0] * dt, abs=1e-3)
+    names = ("sensitivity.x.z", "temperature.offset.x.1")
+    known = covariance_of(COMPLETE, *names)
+    slopes = -np.array([1.0, dt])
+    level = (radians(JIG) * np.linalg.norm(old.sensitivity[0, :2])) ** 2
+    by_hand = slopes @ known @ slopes + NOISE**2 + level + (0.1 * old.thermal.drift[0, 0]) ** 2
+    assert found.uncertainty["offset.x"] == pytest.approx(sqrt(by_hand), rel=1e-3)
+    joint = covariance_of(found, "offset.x", *names)
+    np.testing.assert_allclose(joint[0, 1:], slopes @ known, rtol=1e-2)
+    np.testing.assert_array_equal(joint[1:, 1:], known)
+    np.testing.assert_array_equal(new.sensitivity, old.sensitivity)
+    assert found.limits == COMPLETE.limits
+
+
+def test_both_channels_share_what_the_level_was_off() -> None:
+    """A lean of the table shows in x and y as their sensitivities to it say."""
+    base = replace(COMPLETE, uncertainty=replace(COMPLETE.uncertainty, standard={}, covariance=None))
+    found = levelled(base, np.array([1030.0, 1010.0]), jig=0.5)
+    sensitivity = COMPLETE.coefficients.sensitivity[:, :2]
+    expected = radians(0.5) ** 2 * sensitivity @ sensitivity.T + NOISE**2 * np.eye(2)
+    expected += np.outer(COMPLETE.coefficients.thermal.drift[:, 0], COMPLETE.coefficients.thermal.drift[:, 0]) * 0.01
+    np.testing.assert_allclose(covariance_of(found, "offset.x", "offset.y"), expected, rtol=2e-3, atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("mounting", "times"), [(None, 200), (Mounting(roll=np.pi), 15), (Mounting(0.2, -0.3, 2.0), 15)]
+)
+def test_after_200_replugs_the_tilt_holds_its_interval(mounting: Mounting | None, times: int) -> None:
+    """Turns of up to 2° about any axis, tilts of up to 45° to every side, 5 to 30 °C, with the errors of the base."""
+    rng = np.random.default_rng(7)
+    stated = COMPLETE.uncertainty.covariance
+    truth = replace(COMPLETE.coefficients, mounting=None)
+    frame = (
+        np.eye(3)
+        if mounting is None
+        else Calibration(COMPLETE)
+        .with_mounting({name: np.degrees(getattr(mounting, name)) for name in ("roll", "pitch", "yaw")})
+        .compensation()
+        .rotation
+    )
+    vector = vector_of(truth, stated.parameters)
+    held = []
+    for _ in range(times):
+        drawn = rng.multivariate_normal(vector, np.array(stated.matrix))
+        base = replace(COMPLETE, coefficients=replace(with_vector(truth, stated.parameters, drawn), mounting=mounting))
+        seat = Rotation.random(random_state=rng).as_rotvec()
+        seat = Rotation.from_rotvec(seat / np.linalg.norm(seat) * radians(2.0) * rng.uniform() ** (1 / 3))
+        lean = np.append(radians(JIG) * rng.normal(size=2), 1.0)
+        at_level = truth.predict(seat.apply(lean / np.linalg.norm(lean))[None] @ frame, np.array([21.0]))[0]
+        found = Calibration(levelled(base, at_level + NOISE * rng.normal(size=2), 21.0))
+        tilt, direction = radians(45.0) * np.sqrt(rng.uniform(size=40)), rng.uniform(0.0, 2.0 * np.pi, 40)
+        up = np.column_stack([np.sin(tilt) * np.cos(direction), np.sin(tilt) * np.sin(direction), np.cos(tilt)])
+        temperature = rng.uniform(5.0, 30.0, 40)
+        x, y = truth.predict(seat.apply(up) @ frame, temperature).T
+        out = found.apply({"x": x, "y": y, "temperature": temperature}, uncertainty=True, reading_noise=0.0)
+        for axis, known in zip("xy", np.degrees(np.arcsin(up[:, :2])).T, strict=True):
+            held.append(np.abs(out[f"tilt_{axis}"] - known) <= out[f"U95_tilt_{axis}"])
+    assert np.mean(held) > 0.95
+
+
+def test_an_inverted_sensor_has_its_own_offset() -> None:
+    """Upside down by a roll of 180° gravity is -z in the sensor's frame."""
+    hanging = Calibration(COMPLETE).with_mounting("roll=180").record
+    found = levelled(hanging, np.array([1030.0, 1010.0]))
+    drift = COMPLETE.coefficients.thermal.drift[0, 0] * (24.0 - COMPLETE.coefficients.thermal.reference)
+    expected = 1030.0 + COMPLETE.coefficients.sensitivity[0, 2] - drift
+    assert found.coefficients.offset[0] == pytest.approx(expected, abs=1e-3)
+    assert found.coefficients.mounting == hanging.coefficients.mounting
+
+
+def test_an_alignment_that_is_an_error_of_no_level_and_grows_with_the_tilt() -> None:
+    """±2° about every axis: 2°/sqrt(3) each; with the other axis at 30° that of the vertical gives half of it."""
+    found = Calibration(levelled(COMPLETE, np.array([1030.0, 1010.0]), jig=0.0))
+    fixed = Calibration(levelled(COMPLETE, np.array([1030.0, 1010.0]), jig=0.0, alignment=0.0))
+    assert found.uncertainty.alignment == pytest.approx(2.0 / sqrt(3.0), rel=1e-3)
+    up = np.array([[0.0, 0.0, 1.0], [0.0, 0.5, sqrt(0.75)]])
+    x, y = found.coefficients.predict(up).T
+    u, alone = (
+        one.apply({"x": x, "y": y, "temperature": [24.0, 24.0]}, uncertainty=True, reading_noise=0.0)["u_tilt_x"]
+        for one in (found, fixed)
+    )
+    assert u[0] == pytest.approx(alone[0], rel=1e-3)
+    by_hand = 2.0 / sqrt(3.0) * sqrt(0.5**2 + (1.0 - sqrt(0.75)) ** 2)
+    assert sqrt(u[1] ** 2 - alone[1] ** 2) == pytest.approx(by_hand, rel=2e-3)
+
+
+def test_one_channel_sees_the_turns_that_it_can() -> None:
+    """Along its own tilt t a turn about the other level axis gives cos t - 1, over cos t for the tilt."""
+    base = read_calibration(FIXTURES / "zero-45.yaml")
+    alone = replace(
+        base,
+        sensor=replace(base.sensor, channels=("x",)),
+        coefficients=replace(
+            base.coefficients, channels=("x",), axes=("x",), offset=np.array([1024.0]), sensitivity=np.array([[819.0]])
+        ),
+        uncertainty=replace(base.uncertainty, standard={}, covariance=None, coverage_factor={}),
+    )
+    found = Calibration(levelled(alone, np.array([1030.0]), jig=0.0))
+    tilted = found.apply({"x": [1030.0, 1030.0 + 819.0 * 0.6]}, uncertainty=True, reading_noise=0.0)
+    assert tilted["u_tilt_x"][1] ** 2 - tilted["u_tilt_x"][0] ** 2 / 0.8**2 == pytest.approx(
+        (2.0 / sqrt(3.0) * 0.2 / 0.8) ** 2, rel=1e-2
+    )
+
+
+def test_the_change_is_told_and_judged() -> None:
+    """25 counts of 819 per g are 1.7°; a change within the level's own 0.05° is none."""
+    offset = COMPLETE.coefficients.offset + COMPLETE.coefficients.sensitivity[:, 2]
+    record = levelled(COMPLETE, offset + np.array([25.0, 0.1]))
+    assert record.fit.level.change["x"] == pytest.approx(25.0, abs=0.5)
+    assert record.fit.level.verdict.startswith("changed: offset.x by more")
+    assert "(+1.7" in level_summary(record)
+    assert levelled(COMPLETE, offset).fit.level.verdict.startswith("unchanged")
+    unsaid = levelled(COMPLETE, offset + 25.0, jig=None)
+    assert unsaid.fit.level.verdict.startswith("no verdict")
+    assert NO_LEVEL in unsaid.fit.notes
+
+
+def test_a_second_level_takes_the_place_of_the_first() -> None:
+    first = levelled(COMPLETE, np.array([1030.0, 1010.0]))
+    second = levelled(first, np.array([1020.0, 1012.0]), alignment=0.0)
+    assert len(second.positions) == len(first.positions) == len(COMPLETE.positions) + 1
+    assert second.uncertainty.alignment == first.uncertainty.alignment
+    assert second.uncertainty["offset.x"] == pytest.approx(first.uncertainty["offset.x"], rel=1e-3)
+    assert second.fit.level.change["x"] == pytest.approx(-10.0, abs=1e-2)
+
+
+def test_what_is_missing_is_named() -> None:
+    with pytest.raises(EstimateError, match="changes with temperature, and level has none"):
+        levelled(COMPLETE, np.array([1030.0, 1010.0]), None)
+    with pytest.raises(UsageError, match="--alignment 20: it is between 0 and 10"):
+        levelled(COMPLETE, np.array([1030.0, 1010.0]), alignment=20.0)

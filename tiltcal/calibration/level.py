@@ -1,0 +1,359 @@
+"""A new offset for a sensor that is calibrated already, from its reading where it is level.
+
+A tilt meter that is plugged into its socket again sits a little askew. The reading at level then determines the offset
+that belongs to it (*A Solid State Tilt Meter for Current Meter Attitude Determination*, section D); sensitivity and
+temperature terms stay::
+
+    offset = reading - drift(dT) - (1 + gain(dT)) S Rᵀ z
+
+with the mounting R. What S, the temperature terms and R are uncertain by goes into the offset, with the covariance of
+both. Away from level a sensor that sits askew by the small rotation θ errs by θ × (g - z): nothing at level, and by the
+sine of the tilt where θ is about the vertical, which no level shows. The file states θ as ``uncertainty.alignment``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from math import asin, cos, degrees, inf, radians, sin, sqrt
+from typing import Any
+
+import numpy as np
+
+from tiltcal.calibration.joint_fit import observations_of
+from tiltcal.calibration.measurement import BenchUncertainty, Measurement
+from tiltcal.calibration.results import DIGITS, NOISE_ALONE, SHARE_DIGITS, intrinsic_record, rounded_covariance
+from tiltcal.calibration.verdict import judge
+from tiltcal.core.angle_uncertainty import TURN
+from tiltcal.core.budget import Budget, Part, coverage_factor
+from tiltcal.core.estimation.design import Observation
+from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
+from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
+from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.named_coefficients import CoefficientChange
+from tiltcal.core.rounding import round_to, significant
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.records import CompletingRun, LevelFit
+from tiltcal.files.uncertainty import Uncertainty, stated_uncertainty
+from tiltcal.frozen import frozen
+
+BASE = "base"
+"""The share of an offset's variance that comes from the calibration that it completes."""
+
+NEARLY_LEVEL = 5.0
+"""The most that a position may be off level as it was set, degrees."""
+
+TURNED = 1e-5
+"""Turn by which derivatives are taken, radians."""
+
+NO_LEVEL = (
+    "how level the sensor lay is not stated (--jig, --table-lean), and the uncertainty of its offset leaves it out"
+)
+
+
+def level(
+    base: CalibrationRecord,
+    measurements: Sequence[Measurement],
+    procedure: Procedure,
+    bench: BenchUncertainty,
+    *,
+    settings: Mapping[str, Any] | None = None,
+) -> CalibrationRecord:
+    """Return a calibration with the offset that a level position shows; all else is the base's.
+
+    Parameters
+    ----------
+    base : CalibrationRecord
+        Of the same sensor.
+    measurements : sequence of Measurement
+        One, or several at different headings, where the application is level.
+    procedure : Procedure
+        Its ``alignment`` is the most that the sensor may sit askew since the base was measured.
+    bench : BenchUncertainty
+    settings : mapping, optional
+        How the procedure was run, for the file.
+
+    Raises
+    ------
+    EstimateError
+        A position is not level, or its temperature is missing and counts.
+    """
+    _require_level(base, measurements)
+    found = _Renewal.of(base, measurements, bench)
+    stated = bench.jig is not None or bench.table is not None
+    u = found.budget.u[: len(found.offset)]
+    coefficients = replace(
+        base.coefficients, offset=np.array([round_to(*one) for one in zip(found.offset, u, strict=True)])
+    )
+    notes = [note for note in base.fit.notes if note != NO_LEVEL]
+    record = replace(
+        base,
+        coefficients=coefficients,
+        uncertainty=found.uncertainty(procedure.alignment),
+        fit=replace(
+            base.fit,
+            uncertainty_from=base.fit.uncertainty_from if stated else NOISE_ALONE,
+            budget={**base.fit.budget, **found.shares()},
+            notes=tuple(notes if stated else [*notes, NO_LEVEL]),
+            level=found.record(bench),
+        ),
+        procedure=replace(
+            base.procedure,
+            level=CompletingRun(**(settings or {}), positions=tuple(one.position for one in measurements)),
+        ),
+        positions=base.positions_with(level=[one.record(base.coefficients.channels) for one in measurements]),
+    )
+    before = base.derived.intrinsic
+    if before is None:
+        return record
+    own = np.array([not name.startswith(TURN) for name in found.names])
+    renewed = intrinsic_record(
+        coefficients,
+        [name for name in found.names if not name.startswith(TURN)],
+        found.budget.covariance[np.ix_(own, own)],
+        mounted=bool(before.rotation_degrees),
+    )
+    return replace(record, derived=replace(base.derived, intrinsic=renewed))
+
+
+def level_summary(calibration: CalibrationRecord) -> str:
+    """Return by how much the offsets have changed, and whether that is more than their uncertainty."""
+    return "\n".join(_lines(calibration))
+
+
+def _lines(calibration: CalibrationRecord) -> Iterator[str]:
+    sensor, coefficients, found = calibration.sensor, calibration.coefficients, calibration.fit.level
+    if found is None:
+        return
+    at = "" if found.temperature is None else f" at {found.temperature:g} °C"
+    yield f"{sensor.model} {sensor.serial}, level{at}  (± standard uncertainty, k = 1)"
+    for row, channel in enumerate(coefficients.channels):
+        offset, change = float(coefficients.offset[row]), found.change[channel]
+        column = coefficients.axes.index(channel) if channel in coefficients.axes else row
+        angle = degrees(asin(max(-1.0, min(change / float(coefficients.sensitivity[row, column]), 1.0))))
+        yield (
+            f"  offset {channel}  {offset:.6g} ± {calibration.uncertainty.get(f'offset.{channel}', 0.0):.2g} "
+            f"{sensor.unit}; was {offset - change:.6g}, changed by {change:+.3g} ± "
+            f"{found.change_uncertainty.get(channel, 0.0):.2g} ({angle:+.3f}°)"
+        )
+    yield f"  {found.verdict}"
+    askew = calibration.uncertainty.alignment
+    if askew:
+        yield (
+            f"  the sensor may sit up to {askew * sqrt(3.0):.2g}° askew since its calibration (--alignment): nothing "
+            f"at level, ±{2.0 * askew * sin(radians(30.0)):.2g}° (95 %) where the other axis is tilted by 30°"
+        )
+
+
+@frozen
+class _Renewal:
+    """The new offsets, by how much they have changed, and their covariance with all else that is uncertain.
+
+    ``names`` are those of the offsets and then of the rest; turns of the mounting are in radians. ``factors`` are the
+    base's of the rest.
+    """
+
+    base: CalibrationRecord
+    offset: Array
+    names: tuple[str, ...]
+    budget: Budget
+    changes: tuple[CoefficientChange, ...]
+    temperature: float | None
+
+    @classmethod
+    def of(cls, base: CalibrationRecord, measurements: Sequence[Measurement], bench: BenchUncertainty) -> _Renewal:
+        """Compute the offsets from the mean reading of the positions."""
+        coefficients, channels = base.coefficients, base.coefficients.channels
+        seen = observations_of(measurements, channels)
+        known, covariance, factors = _inputs(base)
+        at_level = _LevelReading(coefficients, seen)
+        slopes = at_level.slopes(known)
+        change = np.mean([one.mean for one in seen], axis=0) - at_level(known, at_level.start(known))
+        own = np.array([[float(name == f"offset.{channel}") for name in known] for channel in channels])
+        rest = [k for k, name in enumerate(known) if not name.startswith("offset.")]
+        # An old offset is read anew: only what the other coefficients share with it is left.
+        followed = np.vstack([own - slopes, np.eye(len(known))[rest]])
+        errors = list(_errors_of_bench(at_level, seen, bench))
+        alone = [replace(one, by=np.vstack([one.by, np.zeros((len(rest), one.by.shape[1]))])) for one in errors]
+        budget = Budget.of([Part(BASE, followed, covariance, factors), *alone])
+        changed = Budget.of([Part(BASE, slopes, covariance, factors), *errors])
+        offsets = coefficients.offset + change
+        return cls(
+            base,
+            offsets,
+            (*(f"offset.{channel}" for channel in channels), *(known[k] for k in rest)),
+            budget,
+            tuple(
+                CoefficientChange(f"offset.{channel}", float(new - step), float(new), float(u) or None, float(dof))
+                for channel, new, step, u, dof in zip(channels, offsets, change, changed.u, changed.dof, strict=True)
+            ),
+            measurements[0].temperature,
+        )
+
+    def uncertainty(self, alignment: float) -> Uncertainty:
+        """Return the base's uncertainty with that of the offsets, and of a sensor that may sit askew, degrees."""
+        before, count = self.base.uncertainty, len(self.offset)
+        offsets = self.names[:count]
+        factors = dict(zip(offsets, self.budget.factors[:count].tolist(), strict=True))
+        known = _inputs(self.base)[0]
+        order = (*(name for name in offsets if name not in known), *known)
+        places = [self.names.index(name) for name in order]
+        scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in order])
+        covariance = self.budget.covariance[np.ix_(places, places)] * np.outer(scale, scale)
+        u = dict(zip(offsets, self.budget.u[:count].tolist(), strict=True))
+        return replace(
+            before,
+            standard={
+                **{n: significant(value, DIGITS) for n, value in u.items()},
+                **{n: v for n, v in before.items() if n not in u},
+            },
+            coverage_factor={
+                **{name: round(k, 3) for name, k in factors.items() if u[name] > 0.0},
+                **{name: k for name, k in before.coverage_factor.items() if name not in factors},
+            },
+            covariance=rounded_covariance(order, covariance),
+            alignment=max(significant(alignment / sqrt(3.0), DIGITS), before.alignment),
+        )
+
+    def shares(self) -> dict[str, dict[str, float]]:
+        """Return the share of each source in the variance of each offset."""
+        return {
+            name: {
+                source: share
+                for source, column in self.budget.shares.items()
+                if (share := round(float(column[k]), SHARE_DIGITS))
+            }
+            for k, name in enumerate(self.names[: len(self.offset)])
+            if self.budget.u[k] > 0.0
+        }
+
+    def record(self, bench: BenchUncertainty) -> LevelFit:
+        """Return by how much the offsets have changed, for the file."""
+        channels = self.base.coefficients.channels
+        incomplete = NO_LEVEL if bench.jig is None and bench.table is None else ""
+        lean = [one for one in (bench.jig, bench.table) if one is not None]
+        return LevelFit(
+            change={c: round_to(one.difference, one.u or 0.0) for c, one in zip(channels, self.changes, strict=True)},
+            change_uncertainty={
+                c: significant(one.u, DIGITS) for c, one in zip(channels, self.changes, strict=True) if one.u
+            },
+            verdict=str(judge(self.changes, incomplete)),
+            temperature=None if self.temperature is None else round(self.temperature, 3),
+            jig_degrees=significant(sqrt(sum(one**2 for one in lean)), DIGITS) if lean else None,
+        )
+
+
+@frozen
+class _LevelReading:
+    """What a calibration expects in the positions, on average over them."""
+
+    coefficients: Coefficients
+    seen: Sequence[Observation]
+
+    def __call__(self, names: Sequence[str], vector: Array, up: Array | None = None, warmer: float = 0.0) -> Array:
+        """Return the mean reading, shape (channels,).
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of coefficients and turns of the mounting, radians.
+        vector : ndarray, shape (k,)
+            Their values.
+        up : ndarray, shape (positions, 3), optional
+            Up in the application's frame; as it was set where it is left out.
+        warmer : float
+            Added to every temperature, °C.
+        """
+        turned = np.array([name.startswith(TURN) for name in names], dtype=bool)
+        own = [name for name in names if not name.startswith(TURN)]
+        coefficients = with_vector(self.coefficients, own, vector[~turned])
+        up = self.up if up is None else up
+        for name, angle in zip(np.array(names)[turned].tolist(), vector[turned].tolist(), strict=True):
+            up = up - np.cross(angle * np.eye(3)[AXES.index(name[len(TURN) :])], up)
+        mounting = self.coefficients.mounting
+        gravity = up if mounting is None else up @ mounting_matrix(mounting)
+        thermal = coefficients.thermal is not None
+        temperatures = np.array([one.temperature for one in self.seen], dtype=float) + warmer if thermal else None
+        return np.asarray(coefficients.predict(gravity, temperatures).mean(axis=0))
+
+    @property
+    def up(self) -> Array:
+        """Up in the application's frame as it was set, shape (positions, 3)."""
+        return np.array([one.gravity for one in self.seen])
+
+    def start(self, names: Sequence[str]) -> Array:
+        """Return the values of the coefficients, and 0 for the turns of the mounting."""
+        return np.array([0.0 if name.startswith(TURN) else vector_of(self.coefficients, [name])[0] for name in names])
+
+    def slopes(self, names: Sequence[str]) -> Array:
+        """Return the derivatives of the mean reading by the parameters, shape (channels, k)."""
+        start = self.start(names)
+        columns = []
+        for k in range(len(names)):
+            step = np.zeros(len(names))
+            step[k] = TURNED * max(1.0, abs(float(start[k])))
+            columns.append((self(names, start + step) - self(names, start - step)) / (2.0 * step[k]))
+        return np.array(columns).reshape(len(names), len(self.coefficients.channels)).T
+
+    def by_lean(self, headings: Sequence[float]) -> Array:
+        """Return the derivatives by a lean that is turned with the headings, shape (channels, 2)."""
+        columns = []
+        for axis in ((1.0, 0.0), (0.0, 1.0)):
+            ends = []
+            for side in (TURNED, -TURNED):
+                turned = [
+                    (axis[0] * cos(h) + axis[1] * sin(h), axis[1] * cos(h) - axis[0] * sin(h))
+                    for h in map(radians, headings)
+                ]
+                ends.append(self((), np.zeros(0), self.up + [[side * x, side * y, 0.0] for x, y in turned]))
+            columns.append((ends[0] - ends[1]) / (2.0 * TURNED))
+        return np.stack(columns, axis=1)
+
+
+def _errors_of_bench(at_level: _LevelReading, seen: Sequence[Observation], bench: BenchUncertainty) -> Iterator[Part]:
+    """Yield what noise, jig, table and thermometer add to the mean reading."""
+    count, channels = len(seen), len(at_level.coefficients.channels)
+    normal = coverage_factor(np.array([inf]))
+    adc = np.array([np.zeros(channels) if one.adc is None else one.adc for one in seen])
+    noise = np.array([one.u for one in seen]) ** 2 - adc**2
+    for one, variance in zip(seen, noise, strict=True):
+        dof = np.full(channels, inf) if one.dof is None else one.dof
+        yield Part(NOISE, np.eye(channels) / count, np.diag(variance), coverage_factor(dof))
+    # Rounding is alike in every position: it does not average out.
+    yield Part(ADC, np.eye(channels), np.diag(np.max(adc, axis=0) ** 2), np.repeat(normal, channels))
+    headings = [one.heading or 0.0 for one in seen]
+    for source, angle, by, number in (
+        (JIG, bench.jig, at_level.by_lean([0.0] * count), count),
+        (TABLE, bench.table, at_level.by_lean(headings), 1),
+    ):
+        if angle:
+            yield Part(source, by, np.eye(2) * radians(angle) ** 2 / number, np.repeat(normal, 2))
+    if bench.thermometer and at_level.coefficients.thermal is not None:
+        ends = [at_level((), np.zeros(0), warmer=side) for side in (1e-3, -1e-3)]
+        yield Part(THERMOMETER, ((ends[0] - ends[1]) / 2e-3)[:, None], np.eye(1) * bench.thermometer**2, normal)
+
+
+def _inputs(base: CalibrationRecord) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names, covariance and coverage factors of what the base states as uncertain; turns are in radians."""
+    try:
+        known = stated_uncertainty(base.uncertainty, base.coefficients).inputs
+    except EstimateError:
+        return (), np.zeros((0, 0)), np.zeros(0)
+    return known.names, known.covariance, known.factors
+
+
+def _require_level(base: CalibrationRecord, measurements: Sequence[Measurement]) -> None:
+    thermal = base.coefficients.thermal
+    for one in measurements:
+        if one.gravity[2] < cos(radians(NEARLY_LEVEL)):
+            raise EstimateError(
+                f"{one.position} is not level, it was set to gravity ({', '.join(f'{g:.3g}' for g in one.gravity)}); "
+                "how the sensor sits belongs into the mounting of its calibration: tiltcal combine CAL --mounting"
+            )
+        if one.temperature is None and thermal is not None and (thermal.drift.any() or thermal.gain.any()):
+            raise EstimateError(
+                f"the offset of {base.sensor.serial} changes with temperature, and {one.position} has none: "
+                "type it at the prompt (t), name a thermometer in the bench file, or a column of the log"
+            )

@@ -1,0 +1,86 @@
+"""The sensor's own calibration that a session builds on: ``--base``, one file, or a folder with one for each sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+
+from tiltcal.errors import UsageError
+from tiltcal.files.calibration import CalibrationRecord, calibration_of
+from tiltcal.files.declaration import Section, Text, entry
+from tiltcal.files.document import checked_kind, parse_document, read_text
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.records import FileRecord
+from tiltcal.frozen import frozen
+
+
+@frozen
+class BaseFile:
+    """A calibration file that a session builds on, whole: the session's journal keeps it."""
+
+    text: str = entry(Text(), "the whole text of the file")
+    name: str | None = entry(Text(), "its name", default=None)
+
+    @cached_property
+    def calibration(self) -> CalibrationRecord:
+        """The calibration in it.
+
+        Raises
+        ------
+        InputError
+            Anything in it is wrong; the message names file, line and key.
+        """
+        return calibration_of(checked_kind(parse_document(self.text, self.name or "the base calibration"), "tilt"))
+
+    @property
+    def origin(self) -> FileRecord | None:
+        """Its name and SHA-256."""
+        return None if self.name is None else FileRecord(name=self.name, sha256=sha256(self.text.encode()).hexdigest())
+
+
+BASE = Section(BaseFile)
+"""A calibration file in the header of a journal."""
+
+
+def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str]) -> dict[str, BaseFile]:
+    """Read the calibrations that sensors bring with them, by serial number; empty where none is named.
+
+    Parameters
+    ----------
+    procedure : Procedure
+    path : str or Path or None
+        A file, or a folder with a file ``SERIAL.yaml`` for every sensor.
+    serials : sequence of str
+        Of the sensors that are measured.
+
+    Raises
+    ------
+    UsageError
+        It is missing, the procedure takes none, or it is of another sensor.
+    InputError
+        Anything in it is wrong.
+    """
+    determines = procedure.determines
+    if path is None:
+        if determines.completes:
+            raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor")
+        return {}
+    if procedure.rotation is not None or determines.axes:
+        raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
+    path = Path(path)
+    if path.is_dir():
+        files = {serial: path / f"{serial}.yaml" for serial in serials}
+    elif len(serials) == 1:
+        files = {serials[0]: path}
+    else:
+        raise UsageError(f"{path} is one file for {len(serials)} sensors: name the folder that has SERIAL.yaml of each")
+    bases = {serial: BaseFile(read_text(file), file.name) for serial, file in files.items()}
+    for serial, file in files.items():
+        base = bases[serial].calibration
+        if base.sensor.serial != serial:
+            raise UsageError(f"{file} is of {base.sensor.serial}, and the sensor to measure is {serial}")
+        if base.coefficients.mounting is not None and not determines.completes:
+            raise UsageError(f"{file} has a mounting, which {procedure.name} would drop: name the file from before it")
+    return bases
