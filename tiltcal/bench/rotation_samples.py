@@ -191,7 +191,7 @@ class RotationSamples:
 
     def online(self) -> dict[str, PairCoefficients]:
         """Return p and q so far, by the name of the pair; pairs without an estimate are left out."""
-        found = {pair.name: PairCoefficients(one.p, one.q, one.u_p, one.u_q) for pair, one in self._online.items()}
+        found = {pair.name: PairCoefficients(one.p, one.q, *one.uncertainty()) for pair, one in self._online.items()}
         return {name: one for name, one in found.items() if isfinite(one.u_p) and isfinite(one.u_q)}
 
     def known_to(self, uncertainty: float) -> bool:

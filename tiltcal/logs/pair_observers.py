@@ -74,7 +74,7 @@ class PairObserver:
             raise EstimateError(online.refused)
         if not loops:
             recursive = online.recursive
-            return PairCoefficients(recursive.p, recursive.q, recursive.u_p, recursive.u_q)
+            return PairCoefficients(recursive.p, recursive.q, *recursive.uncertainty())
         # A loop that is trimmed wanders by its noise and by what it has still to go.
         late = np.array([course.loops for course in online.course[-_LAST_TURNS:]])
         u_p, u_q = (np.std(late, axis=0) if len(late) > 1 else np.zeros(2)).tolist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import tracemalloc
 from itertools import chain
 from pathlib import Path
@@ -11,8 +12,10 @@ import pytest
 from support import accelerometer_disk as disk
 from support.stage_bench import A1_A2, A3_A4, Attendant, Line, line, lines, regressed, turned
 
+from tiltcal.bench.operators.operator import StageTurn
 from tiltcal.bench.rotation_runner import ALL_TURNS, CONVERGED, STOPPED
 from tiltcal.core.pair.matching import Matching
+from tiltcal.core.pair.online import Recursive
 from tiltcal.errors import BusError, HardwareError, JournalError, Stopped
 
 # 100 lines a turn at 50 a second.
@@ -271,24 +274,27 @@ def test_a_journal_that_breaks_off_is_no_session(tmp_path: Path) -> None:
         turned([], Attendant(), turns=3, journal=journal, replay=True)
 
 
-class Forgetful(Attendant):
-    """Keeps nothing of the turns."""
+class Weighing(Attendant):
+    """Keeps nothing of the turns but the memory that is held after some of them, bytes."""
 
-    def turned(self, turn: object) -> None:
-        pass
+    def __init__(self) -> None:
+        super().__init__()
+        self.held: dict[int, int] = {}
+
+    def turn_completed(self, turn: StageTurn) -> None:
+        if turn.number % 60 == 0:
+            gc.collect()
+            self.held[turn.number] = tracemalloc.get_traced_memory()[0]
 
 
 def test_memory_does_not_grow_with_the_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Less than 100 bytes a turn, once there are as many as the recursive estimators and the regression keep."""
     monkeypatch.setattr("tiltcal.core.pair.demodulate.MOST_BLOCKS", 16)
-    printed = lines(disk.record(seconds=1000.0, rate=8.0, spin=0.5))
-
-    def peak(turns: int) -> int:
-        tracemalloc.start()
-        turned(iter(printed), Forgetful(), turns=turns)
-        _, highest = tracemalloc.get_traced_memory()
+    monkeypatch.setattr(Recursive.__init__, "__defaults__", (10.0,))
+    printed, attendant = lines(disk.record(seconds=400.0, rate=8.0, spin=0.5)), Weighing()
+    tracemalloc.start()
+    try:
+        turned(iter(printed), attendant, turns=180)
+    finally:
         tracemalloc.stop()
-        return highest
-
-    # The first one also loads what is loaded when it is needed; the recursive estimators remember 200 turns.
-    _, short, long = peak(60), peak(220), peak(460)
-    assert long < 1.3 * short
+    assert attendant.held[180] - attendant.held[60] < 100 * 120

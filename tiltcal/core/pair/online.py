@@ -21,11 +21,19 @@ from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import regress
 from tiltcal.core.pair.matching import PairCoefficients, solve
 from tiltcal.core.pair.model import Pair, sum_weights
-from tiltcal.core.pair.sectors import HARMONICS, SECTORS, Notice, Sector, SectorStream, later, moved
+from tiltcal.core.pair.sectors import (
+    DRIFT,
+    HARMONICS,
+    ONE,
+    READINGS,
+    SECTORS,
+    Notice,
+    Sector,
+    SectorStream,
+    moved,
+)
 from tiltcal.errors import EstimateError
 
-_ONE, _DRIFT, _READINGS = 2 * HARMONICS, 2 * HARMONICS + 1, 2 * HARMONICS + 2
-"""Where they stand among the products of a sector."""
 MEMORY = 100.0
 """Turns after which a row counts 1/e."""
 _SETTLED = 1e-3
@@ -119,7 +127,7 @@ class Loops:
         self.p = self.q = 0.0
         self.in_phase = self.quadrature = float("nan")
         self._trims = [Controller(gains or LoopGains(), 1.0 / SECTORS) for _ in range(2)]
-        self._where = [_READINGS + channels.index(channel) for channel in pair.channels]
+        self._where = [READINGS + channels.index(channel) for channel in pair.channels]
         self._pair = pair
         self._turn: deque[tuple[Array, int, Array]] = deque(maxlen=SECTORS)
         self._slopes = np.zeros(3)
@@ -139,9 +147,9 @@ class Loops:
             self._turn.clear()
             for trim in self._trims:
                 trim.forget()
-        table = sector.products[: 2 * HARMONICS + 2]
+        table = sector.products[:READINGS]
         readings = table[:, self._where]
-        self._turn.append((np.hstack([table[:, :_READINGS], readings]), sector.end, sum_weights(self.p, self.q)))
+        self._turn.append((np.hstack([table[:, :READINGS], readings]), sector.end, sum_weights(self.p, self.q)))
         if len(self._turn) == SECTORS:
             self._trim(sector.end)
 
@@ -166,21 +174,21 @@ class Loops:
 
     def _demodulated(self, end: int) -> Array:
         """Coefficients of the trimmed sum and the three channels over the last turn, less their drift."""
-        tables = [later(table, end - of) for table, of, _ in self._turn]
-        whole = np.sum(tables, axis=0)
-        columns, readings = whole[:, :_READINGS], whole[:, _READINGS:]
-        line = np.linalg.solve(columns, readings)[[_ONE, _DRIFT]]
+        tables = moved(np.stack([table for table, _, _ in self._turn]), end - np.array([of for _, of, _ in self._turn]))
+        whole = tables.sum(axis=0)
+        columns, readings = whole[:, :READINGS], whole[:, READINGS:]
+        line = np.linalg.solve(columns, readings)[[ONE, DRIFT]]
         now = sum_weights(self.p, self.q)
         # What the trimmed hardware would have put out, with p and q as they were in each sector; a change of them steps
         # the signal and not the offset that the readings may have.
         trimmed = readings @ now
         for table, (_, _, weights) in zip(tables, self._turn, strict=True):
-            trimmed += (table[:, _READINGS:] - table[:, [_ONE, _DRIFT]] @ line) @ (weights - now)
+            trimmed += (table[:, READINGS:] - table[:, [ONE, DRIFT]] @ line) @ (weights - now)
         self._sectors += 1
         self._slopes = self._slopes + (line[1] - self._slopes) / min(self._sectors, _DRIFT_MEMORY)
-        drifts = np.outer(columns[:, _DRIFT], [self._slopes @ now, *self._slopes])
+        drifts = np.outer(columns[:, DRIFT], [self._slopes @ now, *self._slopes])
         against = np.column_stack([trimmed, readings]) - drifts
-        return np.linalg.solve(columns[:_DRIFT, :_DRIFT], against[:_DRIFT])
+        return np.linalg.solve(columns[:DRIFT, :DRIFT], against[:DRIFT])
 
 
 class Recursive:
@@ -215,12 +223,17 @@ class Recursive:
     @property
     def u_p(self) -> float:
         """Standard uncertainty of p; infinite before the first estimate."""
-        return self._white[0] * sqrt(self._colour())
+        return self.uncertainty()[0]
 
     @property
     def u_q(self) -> float:
         """Standard uncertainty of q."""
-        return self._white[1] * sqrt(self._colour())
+        return self.uncertainty()[1]
+
+    def uncertainty(self) -> tuple[float, float]:
+        """Return the standard uncertainties of p and q."""
+        colour = sqrt(self._colour())
+        return self._white[0] * colour, self._white[1] * colour
 
     def update(self, sector: Sector) -> None:
         """Go on by one sector.
@@ -230,7 +243,7 @@ class Recursive:
         EstimateError
             The sums cannot determine p and q; they stay as they are.
         """
-        rows = float(sector.products[_ONE, _ONE])
+        rows = float(sector.products[ONE, ONE])
         if self._products is None:
             self._products = sector.products.copy()
         else:
@@ -243,7 +256,7 @@ class Recursive:
             return
         found = self._solved()
         # Faded rows carry less of the mean than whole ones would, and have less noise in it too.
-        fading = sqrt(self._squared_weights / float(self._products[_ONE, _ONE]))
+        fading = sqrt(self._squared_weights / float(self._products[ONE, ONE]))
         self.p, self.q = found.p, found.q
         self._white = found.u_p * fading, found.u_q * fading
 
@@ -263,8 +276,10 @@ class Recursive:
         """Noise power at the turning over that of all frequencies."""
         if len(self._turns) < 2:
             return 1.0
-        blocks = np.stack([moved(products, self._end - end) for products, end in self._turns])
-        recent = regress(blocks, self._channels, HARMONICS)
+        blocks = np.stack([products for products, _ in self._turns])
+        recent = regress(
+            moved(blocks, self._end - np.array([end for _, end in self._turns])), self._channels, HARMONICS
+        )
         return recent.colour(recent.mix(dict(zip(self._pair.channels, (1.0 - self.p, 1.0, self.q), strict=True))))
 
 

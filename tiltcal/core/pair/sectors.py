@@ -34,6 +34,8 @@ COARSE = (
 SECTORS = 8
 """Of a turn."""
 HARMONICS = 2
+ONE, DRIFT, READINGS = 2 * HARMONICS, 2 * HARMONICS + 1, 2 * HARMONICS + 2
+"""Where they stand among the products of a sector."""
 
 _TYPICAL = 16
 _STANDING = 4.0
@@ -118,7 +120,7 @@ class SectorStream:
         self.missing = 0
         self.turns = 0.0
         self.why = "the stage has not turned yet"
-        self._size = 2 * HARMONICS + 2 + channels
+        self._size = READINGS + channels
         self._stage = AngleTracker()
         self._pilot: Array | None = None
         self._open: _Open | None = None
@@ -270,22 +272,17 @@ class SectorStream:
         self.why = why
 
 
-def moved(products: Array, rows: int) -> Array:
-    """Products in which rows are counted from a row that is so many rows later."""
-    shift = _shift(len(products), rows)
-    return np.asarray(shift @ products @ shift.T)
+def moved(products: Array, rows: int | Rows) -> Array:
+    """Return products of the demodulating columns in which rows are counted from a row that is so many rows later.
 
-
-def later(table: Array, rows: int) -> Array:
-    """Return the same for products of the demodulating columns with themselves and some signals, side by side."""
-    shift = _shift(len(table), rows)
-    table = shift @ table
-    table[:, : len(shift)] = table[:, : len(shift)] @ shift.T
-    return np.asarray(table)
-
-
-def _shift(size: int, rows: int) -> Array:
-    one = 2 * HARMONICS
-    shift = np.eye(size)
-    shift[one + 1, one] = -float(rows)
-    return shift
+    Parameters
+    ----------
+    products : ndarray, shape (..., n, m)
+        With the columns first, and what else is multiplied by them behind.
+    rows : int or ndarray, shape (...)
+    """
+    found = products.copy()
+    back = np.asarray(rows, float)[..., None]
+    found[..., DRIFT, :] -= back * found[..., ONE, :]
+    found[..., :, DRIFT] -= back * found[..., :, ONE]
+    return found
