@@ -17,7 +17,7 @@ from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
 from tiltcal.core.mounting import UNKNOWN_ANGLE, mounting_matrix
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, rotation_vector, solve_mounting
+from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, mounting_rotation, rotation_vector, solve_mounting
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
@@ -56,7 +56,8 @@ def mount(
     """
     known = np.array([measurement.gravity for measurement in measurements])
     found, side = _best(base.coefficients, measurements, known, jig)
-    joint = _joined(base, found, lambda c: _solved(_directions(c, measurements) * side, known, jig))
+    sigma = _sigma(known, jig)
+    joint = _joined(base, found, lambda c: mounting_rotation(_directions(c, measurements) * side, known, sigma))
     mounting, u = _rounded(found, joint)
     locked = found.gimbal_lock or u.get("roll") == significant(degrees(UNKNOWN_ANGLE), 4)
     return replace(
@@ -88,18 +89,15 @@ def _best(
     """Return the mounting and the side of z: a sensor of two axes may hang upside down; the better one is taken."""
     read = _directions(coefficients, measurements)
     sides = [np.ones(3)] if len(coefficients.channels) == 3 else [np.ones(3), np.array([1.0, 1.0, -1.0])]
-    found = [(_solved(read * side, known, jig), side) for side in sides]
+    found = [(solve_mounting(read * side, known, _sigma(known, jig)), side) for side in sides]
     return min(found, key=lambda one: float(np.sum(one[0].residuals ** 2)))
 
 
-def _solved(read: Array, known: Array, jig: float | None) -> MountingEstimate:
-    sigma = None if jig is None else np.full(len(known), max(radians(jig), 1e-6))
-    return solve_mounting(read, known, sigma)
+def _sigma(known: Array, jig: float | None) -> Array | None:
+    return None if jig is None else np.full(len(known), max(radians(jig), 1e-6))
 
 
-def _joined(
-    base: CalibrationRecord, found: MountingEstimate, solve: Callable[[Coefficients], MountingEstimate]
-) -> _Joint:
+def _joined(base: CalibrationRecord, found: MountingEstimate, rotation: Callable[[Coefficients], Array]) -> _Joint:
     """Propagate the uncertainty of the base into the mounting that was found with it, with their covariance."""
     coefficients = replace(base.coefficients, mounting=None)
     names, covariance, factors = _own(base.uncertainty, coefficients)
@@ -107,10 +105,7 @@ def _joined(
     moved = np.zeros((3, len(names)))
     for k in np.flatnonzero(u > 0.0):
         step = np.where(np.arange(len(names)) == k, u[k], 0.0)
-        ends = [
-            mounting_matrix(solve(with_vector(coefficients, names, vector + side * step)).mounting)
-            for side in (1.0, -1.0)
-        ]
+        ends = [rotation(with_vector(coefficients, names, vector + side * step)) for side in (1.0, -1.0)]
         moved[:, k] = rotation_vector(ends[0] @ ends[1].T) / (2.0 * u[k])
     all_moved = np.vstack([np.eye(len(names)), moved])
     joint = all_moved @ covariance @ all_moved.T

@@ -52,6 +52,11 @@ class MountingEstimate:
     stated: bool
 
 
+def mounting_rotation(read: Array, known: Array, sigma: Array | None = None) -> Array:
+    """Return the rotation matrix of :func:`solve_mounting` alone, with its arguments and errors."""
+    return _aligned(*_directions(read, known), _weights(known, sigma))
+
+
 def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> MountingEstimate:
     """Return the rotation that takes directions in the sensor's frame to those in the application's.
 
@@ -73,19 +78,9 @@ def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> Mou
     EstimateError
         All directions lie on one line: the turn about it is undetermined.
     """
-    from scipy.spatial.transform import Rotation
-
-    read = read / np.linalg.norm(read, axis=1, keepdims=True)
-    known = known / np.linalg.norm(known, axis=1, keepdims=True)
-    spread = np.linalg.svd(known, compute_uv=False)
-    if len(known) < 2 or spread[1] < ONE_LINE * spread[0]:
-        raise EstimateError(
-            "gravity has the same line in every position, so the rotation about it is undetermined: add a position in "
-            "which another axis points up"
-        )
-    weights = np.ones(len(known)) if sigma is None else 1.0 / np.maximum(sigma, 1e-12) ** 2
-    rotation, _ = Rotation.align_vectors(known, read, weights=weights)
-    matrix = rotation.as_matrix()
+    read, known = _directions(read, known)
+    weights = _weights(known, sigma)
+    matrix = _aligned(read, known, weights)
     turned = read @ matrix.T
     residuals = np.arctan2(np.linalg.norm(np.cross(turned, known), axis=1), np.sum(turned * known, axis=1))
     dof = 2 * len(known) - 3
@@ -97,6 +92,30 @@ def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> Mou
     u = None if angles.gimbal_lock else angle_uncertainty(matrix, covariance)
     locked = u is None or u.roll == UNKNOWN_ANGLE
     return MountingEstimate(angles.mounting, locked, covariance, u, residuals, dof, stated)
+
+
+def _directions(read: Array, known: Array) -> tuple[Array, Array]:
+    """Return both as unit vectors; refuse those that leave a rotation undetermined."""
+    read = read / np.linalg.norm(read, axis=1, keepdims=True)
+    known = known / np.linalg.norm(known, axis=1, keepdims=True)
+    spread = np.linalg.svd(known, compute_uv=False)
+    if len(known) < 2 or spread[1] < ONE_LINE * spread[0]:
+        raise EstimateError(
+            "gravity has the same line in every position, so the rotation about it is undetermined: add a position in "
+            "which another axis points up"
+        )
+    return read, known
+
+
+def _weights(known: Array, sigma: Array | None) -> Array:
+    return np.ones(len(known)) if sigma is None else 1.0 / np.maximum(sigma, 1e-12) ** 2
+
+
+def _aligned(read: Array, known: Array, weights: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    rotation, _ = Rotation.align_vectors(known, read, weights=weights)
+    return np.asarray(rotation.as_matrix())
 
 
 def angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
