@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -43,7 +45,7 @@ class Interrupt:
 sys.meta_path.insert(0, Interrupt())
 main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])
 """
-    (tmp_path / "log.csv").write_text("x,y\n1024,1024\n")
+    (tmp_path / "log.csv").write_text('x,y,note\n1024,1024,"quotes take the engine"\n')
     done = started([sys.executable, "-c", script], tmp_path)
     assert (done.returncode, done.stderr.strip()) == (130, "tiltcal: interrupted")
     assert not (tmp_path / "out.csv").exists()
@@ -66,6 +68,31 @@ def test_ctrl_c_in_the_middle_of_a_log(end: str, tmp_path: Path) -> None:
     said = process.communicate(timeout=60)[1]
     assert (process.returncode, said.splitlines()[-1]) == (130, "tiltcal: interrupted")
     assert not (tmp_path / f"out.{end}").exists()
+
+
+def test_ctrl_c_in_the_middle_of_several_logs(tmp_path: Path) -> None:
+    logs = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    for log in logs:
+        os.mkfifo(log)
+    (tmp_path / "tilt").mkdir()
+    script = f"""
+import tiltcal.cli.apply_tasks as tasks
+from tiltcal.__main__ import main
+tasks.WORTH_PROCESSES = -1
+main(["apply", {CAL!r}, "a.csv", "b.csv", "-o", "tilt", "--jobs", "2"])
+"""
+    process = subprocess.Popen([sys.executable, "-c", script], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    with ExitStack() as stack:
+        pipes = [stack.enter_context(open(log, "wb", buffering=0)) for log in logs]  # waits for a worker to open it
+        for pipe in pipes:
+            pipe.write(b"x,y,temperature\n" + b"1024,1030,15\n" * 1000)
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=60)[1]
+        assert (process.returncode, said.strip()) == (130, "tiltcal: interrupted")
+        assert list((tmp_path / "tilt").iterdir()) == []
+        for pipe in pipes:
+            with pytest.raises(BrokenPipeError):  # no worker is left to read it
+                pipe.write(b"1024,1030,15\n")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")

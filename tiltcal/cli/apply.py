@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from tiltcal.cli.progress import progress_bar
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
 if TYPE_CHECKING:
@@ -68,6 +69,15 @@ Examples:
     "replaces the mounting of CALIBRATION and counts as exact.",
 )
 @click.option(
+    "--jobs",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Process at most N of several logs at a time [the number of processor cores].",
+)
+@click.option(
+    "--force", is_flag=True, help="Of several logs process those too whose results in the folder -o are up to date."
+)
+@click.option(
     "--scheduler",
     metavar="ADDRESS",
     help="Process each log on a worker of this dask scheduler, such as tcp://10.0.0.1:8786; the workers must see the "
@@ -89,6 +99,8 @@ def command(
     uncertainty: bool,
     reading_noise: float | None,
     mounting: str,
+    jobs: int | None,
+    force: bool,
     scheduler: str | None,
     as_json: bool,
 ) -> int:
@@ -101,8 +113,9 @@ def command(
     range, 4 reading at the rail, 8 tilt outside the calibrated range, 16 temperature missing, 32 not a number. OUT is
     written whole or not at all.
 
-    Several logs are processed one after another into the folder -o, or with --scheduler on the workers of a cluster.
-    If a log fails, it is named, and the others are processed.
+    Several logs are processed into the folder -o, --jobs at a time, or with --scheduler on the workers of a cluster. If
+    a log fails, it is named, and the others are processed. A log is skipped where its result is in the folder already,
+    made of the same log and calibration with the same options and version of tiltcal; --force processes it again.
 
     --uncertainty adds, in degrees, u_tilt_x (standard uncertainty, k = 1) and U95_tilt_x (the true tilt is within
     tilt_x ± U95_tilt_x in 95 % of all cases) of every angle, from the covariance of the calibration, the noise of a
@@ -120,8 +133,9 @@ def command(
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
         tasks = tasks_of(calibration, options, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
         prepare_file(calibration, options, _say)  # an error of the calibration is raised once
-        return _each(tasks, scheduler, as_json)
-    summary = ApplyTask(calibration, options, logs[0], output, columns, skip_bad_rows).run(_say)
+        return _each(tasks, jobs, force, scheduler, as_json)
+    with progress_bar("apply") as progress:
+        summary = ApplyTask(calibration, options, logs[0], output, columns, skip_bad_rows).run(_say, progress)
     if as_json:
         click.echo(json.dumps(summary.as_data()), err=output == "-")
     else:
@@ -129,12 +143,12 @@ def command(
     return 0
 
 
-def _each(tasks: Sequence[ApplyTask], scheduler: str | None, as_json: bool) -> int:
+def _each(tasks: Sequence[ApplyTask], jobs: int | None, force: bool, scheduler: str | None, as_json: bool) -> int:
     """Process several logs, report each one, and raise an error at the end if one failed."""
     from tiltcal.cli.apply_tasks import done_here, done_on
 
     told = {}
-    for task, outcome in done_here(tasks) if scheduler is None else done_on(scheduler, tasks):
+    for task, outcome in done_here(tasks, jobs, force) if scheduler is None else done_on(scheduler, tasks, force):
         if isinstance(outcome, TiltcalError):
             _say(f"{task.log} failed and is left out: {outcome}")
             continue

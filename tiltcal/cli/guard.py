@@ -78,7 +78,7 @@ def _ends(name: str, suffixes: Sequence[str]) -> bool:
 
 def _watched(child: int, loopable: Sequence[str], interruption: _Interruption) -> int:
     """Wait for a child, and return its exit code, or the negative number of its signal."""
-    progress = _Progress(child, loopable)
+    progress: dict[int, _Progress] = {}
     while True:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
@@ -88,9 +88,18 @@ def _watched(child: int, loopable: Sequence[str], interruption: _Interruption) -
             os.kill(child, signal.SIGKILL)
         elif waited > 2 * _LOOK:
             interruption.hand_on()
-        elif progress.stalled():
-            os.kill(child, signal.SIGXCPU)
+        elif loopable:
+            for process in (child, *_children(child)):
+                if progress.setdefault(process, _Progress(process, loopable)).stalled():
+                    os.kill(process, signal.SIGXCPU)
         time.sleep(_LOOK)
+
+
+def _children(process: int) -> list[int]:
+    """Return the processes that work through several files for a child."""
+    with suppress(OSError), open(f"/proc/{process}/task/{process}/children", "rb") as line:
+        return [int(number) for number in line.read().split()]
+    return []
 
 
 class _Interruption:
@@ -157,8 +166,6 @@ class _Progress:
 
     def stalled(self) -> bool:
         """Return whether the process computes without I/O."""
-        if not self._files:
-            return False
         try:
             with open(f"{self._folder}/io", "rb") as counts:
                 moved = tuple(counts.read().split()[1:8:2])
