@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tiltcal.bench.measure import measure, open_sensor
     from tiltcal.bench.plan import plan
     from tiltcal.calibration.calibration import Calibration, read
+    from tiltcal.calibration.calibration_library import CalibrationLibrary, open_calibrations
     from tiltcal.calibration.comparison import compare
     from tiltcal.calibration.pair_calibration import PairCalibration
     from tiltcal.logs.apply import apply_log
@@ -38,6 +39,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Calibration": "tiltcal.calibration.calibration",
+    "CalibrationLibrary": "tiltcal.calibration.calibration_library",
     "PairCalibration": "tiltcal.calibration.pair_calibration",
     "apply_log": "tiltcal.logs.apply",
     "compare": "tiltcal.calibration.comparison",
@@ -45,6 +47,7 @@ _HOME = {
     "match": "tiltcal.logs.match",
     "measure": "tiltcal.bench.measure",
     "noise": "tiltcal.logs.noise",
+    "open_calibrations": "tiltcal.calibration.calibration_library",
     "open_sensor": "tiltcal.bench.measure",
     "plan": "tiltcal.bench.plan",
     "read": "tiltcal.calibration.calibration",
@@ -54,6 +57,7 @@ _HOME = {
 __all__ = [
     "BusError",
     "Calibration",
+    "CalibrationLibrary",
     "DeviceFault",
     "EstimateError",
     "HardwareError",
@@ -71,6 +75,7 @@ __all__ = [
     "match",
     "measure",
     "noise",
+    "open_calibrations",
     "open_sensor",
     "plan",
     "read",

@@ -110,8 +110,8 @@ def test_what_is_added_says_what_it_is() -> None:
             4: "fail",
             9: "missing",
         }
-        assert reason["flag_masks"].tolist() == [1, 2, 4, 8, 16, 32]
-        assert len(reason["flag_meanings"].split()) == 6
+        assert reason["flag_masks"].tolist() == [1, 2, 4, 8, 16, 32, 64]
+        assert len(reason["flag_meanings"].split()) == 7
         assert all(found[name].attrs["long_name"] for name in set(found.variables) - {*OWN, "site"})
         first, second = found.attrs["history"].split("\n")
         assert first == "2026-05-01 recorded"

@@ -11,6 +11,7 @@ import tiltcal
 NAMES = [
     "BusError",
     "Calibration",
+    "CalibrationLibrary",
     "DeviceFault",
     "EstimateError",
     "HardwareError",
@@ -28,6 +29,7 @@ NAMES = [
     "match",
     "measure",
     "noise",
+    "open_calibrations",
     "open_sensor",
     "plan",
     "read",

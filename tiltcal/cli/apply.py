@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from tiltcal.cli.apply_tasks import ApplyTask
 
+CALIBRATION_SUFFIXES = (".yaml", ".yml")
+
 _EXAMPLE = """\b
 Examples:
   tiltcal apply S-0042.yaml night.csv -o night-tilt.csv
@@ -24,14 +26,35 @@ Examples:
   tiltcal apply S-0042.yaml night.parquet -o night-tilt.parquet
   tiltcal apply S-0042.yaml night.csv --columns x=VoutX,y=VoutY,temperature=T -o night-tilt.csv
   tiltcal apply S-0042.yaml may-*.parquet -o tilt
+  tiltcal apply --calibrations calibrations night.csv --serial S-0042 -o night-tilt.csv
   tiltcal apply S-0042.yaml night.csv --mounting roll=180 -o hanging.csv
   zcat night.csv.gz | tiltcal apply S-0042.yaml - | gzip > night-tilt.csv.gz
 """
 
 
 @click.command(epilog=_EXAMPLE)
-@click.argument("calibration", type=click.Path(path_type=Path))
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True)
+@click.argument("files", metavar="CALIBRATION LOG...", nargs=-1, required=True)
+@click.option(
+    "--calibrations",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    metavar="DIR",
+    help="In place of CALIBRATION: a folder of calibrations, of which each row takes that of its sensor and its time.",
+)
+@click.option(
+    "--serial", metavar="S", help="With --calibrations: the sensor, where neither LOG nor its columns (S_x) name it."
+)
+@click.option(
+    "--stability",
+    type=click.FloatRange(0.0),
+    metavar="MG",
+    help="With --calibrations --uncertainty: how far the offset wanders in one day, as a standard deviation in mg "
+    "(over n days √n times as far), instead of the estimate from the calibrations of the sensor or its fleet.",
+)
+@click.option(
+    "--start",
+    metavar="TIME",
+    help="With --calibrations: when the time of LOG is 0, such as 2026-05-01T12:00:00Z, where it is relative.",
+)
 @click.option(
     "-o",
     "--output",
@@ -90,8 +113,11 @@ Examples:
     help="Print the summary as JSON: on stdout, or on stderr if the rows go to stdout.",
 )
 def command(
-    calibration: Path,
-    logs: tuple[str, ...],
+    files: tuple[str, ...],
+    calibrations: Path | None,
+    serial: str | None,
+    stability: float | None,
+    start: str | None,
     output: str,
     columns: str,
     skip_bad_rows: bool,
@@ -110,8 +136,8 @@ def command(
     of OUT selects its format; a NetCDF log stays NetCDF. OUT has the columns of LOG unchanged, then g_x and tilt_x
     (degrees) of each axis (with three axes also pitch, roll and inclination), then flag and reason. flag: 1 pass, 3
     suspect, 4 fail, 9 missing. reason is a sum: 1 arcsine argument beyond ±1, 2 temperature outside the calibrated
-    range, 4 reading at the rail, 8 tilt outside the calibrated range, 16 temperature missing, 32 not a number. OUT is
-    written whole or not at all.
+    range, 4 reading at the rail, 8 tilt outside the calibrated range, 16 temperature missing, 32 not a number, 64
+    outside the time of --calibrations. OUT is written whole or not at all.
 
     Several logs are processed into the folder -o, --jobs at a time, or with --scheduler on the workers of a cluster. If
     a log fails, it is named, and the others are processed. A log is skipped where its result is in the folder already,
@@ -121,18 +147,32 @@ def command(
     tilt_x ± U95_tilt_x in 95 % of all cases) of every angle, from the covariance of the calibration, the noise of a
     reading and the thermometer.
 
+    With --calibrations each row takes the calibration of its time: between two calibrations of the sensor their
+    coefficients are interpolated linearly, and before the first and after the last one the nearest is taken and the
+    row has flag 3 and reason 64. The serial number is that of --serial, of the log's metadata, or of its columns: in a
+    log of several sensors S-1_x gives S-1_tilt_x, all sensors in one pass. --uncertainty then includes how far the
+    coefficients wander.
+
     If CALIBRATION contains accelerometer pairs (from `tiltcal match`), the new columns are the matched sum of each pair
     and, with two pairs, the gradient signal and its components at twice the spin frequency over the previous turn.
     """
     from tiltcal.cli.apply_tasks import ApplyTask, tasks_of
-    from tiltcal.logs.prepared import ApplyOptions, prepare_file
+    from tiltcal.logs.apply import prepare_any
+    from tiltcal.logs.prepared import ApplyOptions
 
+    calibration, logs = (Path(files[0]), files[1:]) if calibrations is None else (calibrations, files)
+    if not logs:
+        raise UsageError(f"no LOG is given behind {calibration}; see `tiltcal apply --help`")
+    if calibrations is not None and len(logs) > 1 and logs[0].lower().endswith(CALIBRATION_SUFFIXES):
+        raise UsageError(f"{logs[0]} is a calibration, and --calibrations names a folder of them: leave one out")
+    if stability is not None and not uncertainty:
+        raise UsageError("--stability needs --uncertainty")
     if reading_noise is not None and not uncertainty:
         raise UsageError("--reading-noise needs --uncertainty")
-    options = ApplyOptions(first_order, uncertainty, reading_noise, mounting)
+    options = ApplyOptions(first_order, uncertainty, reading_noise, mounting, serial, stability, start)
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
         tasks = tasks_of(calibration, options, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
-        prepare_file(calibration, options, _say)  # an error of the calibration is raised once
+        prepare_any(calibration, options, _say)  # an error of the calibration is raised once
         return _each(tasks, jobs, force, scheduler, as_json)
     with progress_bar("apply") as progress:
         summary = ApplyTask(calibration, options, logs[0], output, columns, skip_bad_rows).run(_say, progress)

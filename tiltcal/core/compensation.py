@@ -36,6 +36,7 @@ PASS, SUSPECT, FAIL, MISSING = 1, 3, 4, 9
 """QARTOD flags, worst last."""
 
 CLIPPED, TEMPERATURE_RANGE, RAIL, TILT_RANGE, NO_TEMPERATURE, NOT_A_NUMBER = 1, 2, 4, 8, 16, 32
+OUTSIDE_TIME = 64
 """Bits of a reason."""
 
 FLAGS = {PASS: "pass", SUSPECT: "suspect", FAIL: "fail", MISSING: "missing"}
@@ -46,6 +47,7 @@ REASONS = {
     TILT_RANGE: "tilt outside the calibrated range",
     NO_TEMPERATURE: "temperature missing",
     NOT_A_NUMBER: "not a number",
+    OUTSIDE_TIME: "outside the time of the calibrations",
 }
 
 CLIP_LIMIT = 1.02

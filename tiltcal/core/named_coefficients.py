@@ -105,11 +105,11 @@ def known(
     for name, own, stretch in zip(values(coefficients), u.tolist(), stretched.tolist(), strict=True):
         if own > 0.0:
             factor = NORMAL_FACTOR * stretch / own
-            found[name] = KnownCoefficient(own, _dof(factor))
+            found[name] = KnownCoefficient(own, degrees_of_freedom(factor))
     return found
 
 
-def _dof(factor: float) -> float:
+def degrees_of_freedom(factor: float) -> float:
     """Return the degrees of freedom with which Student's t gives a coverage factor; infinite for the normal one."""
     if factor <= NORMAL_FACTOR * (1.0 + NEGLIGIBLE):
         return inf

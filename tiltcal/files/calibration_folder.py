@@ -89,7 +89,7 @@ def index_folder(folder: str | Path) -> FolderIndex:
             continue
         if found is not None:
             files.append(found)
-    return FolderIndex(tuple(sorted(files, key=itemgetter(0, 1))), tuple(problems))
+    return FolderIndex(tuple(sorted(files, key=itemgetter(0, 1, 4))), tuple(problems))
 
 
 def date_of(record: CalibrationRecord, path: str | Path) -> tuple[str, datetime]:

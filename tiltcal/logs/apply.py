@@ -25,11 +25,12 @@ NO_TIME = (
 
 if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration
+    from tiltcal.calibration.calibration_library import CalibrationLibrary
     from tiltcal.calibration.pair_calibration import PairCalibration
 
 
 def apply_log(
-    calibration: Calibration | PairCalibration | str | Path,
+    calibration: Calibration | PairCalibration | CalibrationLibrary | str | Path,
     log: str | Path,
     output: str | Path,
     *,
@@ -38,6 +39,9 @@ def apply_log(
     first_order: bool = False,
     reading_noise: float | None = None,
     mounting: Mapping[str, float] | str = "",
+    serial: str | None = None,
+    stability: float | None = None,
+    start: str | None = None,
     skip_bad_rows: bool = False,
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
@@ -46,8 +50,8 @@ def apply_log(
 
     Parameters
     ----------
-    calibration : Calibration, PairCalibration, str or Path
-        A calibration, or its file.
+    calibration : Calibration, PairCalibration, CalibrationLibrary, str or Path
+        A calibration, or its file; or a folder of calibrations, of which each row takes that of its time.
     log : str or Path
         CSV, Parquet or NetCDF-4, by the end of its name; ``-`` is CSV on standard input.
     output : str or Path
@@ -62,6 +66,12 @@ def apply_log(
         Standard uncertainty of a reading of the log, in its unit, in place of that of a sample at the bench.
     mounting : mapping of str to float, or str
         How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of its own mounting.
+    serial : str, optional
+        With a folder: of the sensor; else that of the log's metadata, or of its column names (``SERIAL_x``).
+    stability : float, optional
+        With a folder: the standard deviation of the offset's change in one day, mg, in place of an estimate.
+    start : str, optional
+        With a folder: when the time of the log is 0, ISO 8601, where its time is relative.
     skip_bad_rows : bool
         Keep rows that cannot be parsed, with flag 9, instead of raising.
     say : callable
@@ -82,13 +92,10 @@ def apply_log(
         The calibration or the log is wrong, or a column is not there; the message names file and line.
     """
     require_way(log, output)
-    options = ApplyOptions(first_order, uncertainty, reading_noise, mounting)
-    prepared = (
-        prepare_file(calibration, options, say)
-        if isinstance(calibration, str | Path)
-        else prepare(calibration, options, say)
-    )
+    options = ApplyOptions(first_order, uncertainty, reading_noise, mounting, serial, stability, start)
+    ready = prepare_any(calibration, options, say)
     with open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as reader:
+        prepared = ready(reader, columns)
         rows = CompensatedLog.of(reader, prepared, columns)
         if TIME in prepared.optional_roles and TIME not in rows.roles:
             say(NO_TIME)
@@ -96,6 +103,37 @@ def apply_log(
             writer = create_log(output, sink, reader, prepared.kernel.columns, prepared.origin)
             writer.write(rows.blocks(frames=writer.frames))
     return rows.summary
+
+
+def prepare_any(
+    calibration: Calibration | PairCalibration | CalibrationLibrary | str | Path,
+    options: ApplyOptions,
+    say: Callable[[str], None] = lambda line: None,
+) -> Callable[[LogReader, Mapping[str, str] | str], PreparedCalibration]:
+    """Make a calibration, its file or a folder ready; what is returned takes the log and its columns.
+
+    Raises
+    ------
+    UsageError
+        The options are not for this calibration.
+    InputError
+        The calibration is wrong.
+    """
+    if not isinstance(calibration, str | Path) or Path(calibration).is_dir():
+        from tiltcal.calibration.calibration_library import CalibrationLibrary, open_calibrations
+        from tiltcal.logs.apply_library import prepare_library
+
+        found = open_calibrations(calibration) if isinstance(calibration, str | Path) else calibration
+        if isinstance(found, CalibrationLibrary):
+            return lambda log, columns: prepare_library(found, log, options, columns, say)
+        calibration = found
+    options.require_file()
+    prepared = (
+        prepare_file(calibration, options, say)
+        if isinstance(calibration, str | Path)
+        else prepare(calibration, options, say)
+    )
+    return lambda log, columns: prepared
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,9 @@ class ApplySummary:
         Rows that could not be parsed and were kept as missing.
     widths : dict of str to ColumnWidths
         The columns that were to be watched, half widths of 95 % intervals in degrees.
+    sensors : dict of str to ApplySummary
+        Of each sensor, by serial number, where the log has several; the whole then counts the worst flag of a row, and
+        every reason of it.
     """
 
     rows: int = 0
@@ -71,6 +74,7 @@ class ApplySummary:
     reasons: Counter[int] = field(default_factory=Counter)
     bad_rows: int = 0
     widths: dict[str, ColumnWidths] = field(default_factory=dict)
+    sensors: dict[str, ApplySummary] = field(default_factory=dict)
 
     @classmethod
     def watching(cls, columns: Sequence[str]) -> ApplySummary:
@@ -79,6 +83,8 @@ class ApplySummary:
 
     def add(self, table: Table, bad_rows: int = 0) -> None:
         """Count some rows, and those of them that could not be parsed."""
+        if "flag" not in table:
+            table = {**table, **self._worst(table)}
         flag, reason = (np.asarray(table[name], np.uint8) for name in ("flag", "reason"))
         for name, widths in self.widths.items():
             widths.add(np.asarray(table[name], dtype=float))
@@ -86,22 +92,44 @@ class ApplySummary:
         self.bad_rows += bad_rows
         count_flags(self.flags, self.reasons, flag, reason)
 
+    def _worst(self, table: Table) -> Table:
+        """Count the rows of each of several sensors; return the worst flag of each row and all its reasons."""
+        worst: dict[str, NDArray[np.uint8]] = {}
+        for lead in (name.removesuffix("flag") for name in table if name.endswith("_flag")):
+            flag, reason = (np.asarray(table[lead + name], np.uint8) for name in ("flag", "reason"))
+            self.sensors.setdefault(lead.removesuffix("_"), ApplySummary()).add({"flag": flag, "reason": reason})
+            worst["flag"] = np.maximum(worst.get("flag", flag), flag)
+            worst["reason"] = worst.get("reason", reason) | reason
+        return worst
+
     def as_data(self) -> dict[str, object]:
         """Return the counts as plain data, every flag and reason that occurred."""
         widths = {name: {"median": one.median, "largest": one.largest} for name, one in self.widths.items()}
         return {
             "rows": self.rows,
-            "flags": {str(flag): self.flags[flag] for flag in FLAGS if self.flags[flag]},
-            "reasons": {str(bit): self.reasons[bit] for bit in REASONS if self.reasons[bit]},
+            **self._counts(),
             "bad_rows": self.bad_rows,
             **({"uncertainty": widths} if widths else {}),
+            **({"sensors": {serial: one._counts() for serial, one in self.sensors.items()}} if self.sensors else {}),
+        }
+
+    def _counts(self) -> dict[str, dict[str, int]]:
+        return {
+            "flags": {str(flag): self.flags[flag] for flag in FLAGS if self.flags[flag]},
+            "reasons": {str(bit): self.reasons[bit] for bit in REASONS if self.reasons[bit]},
         }
 
     def as_text(self) -> str:
         """Return the counts in words, one line for each."""
         lines = [_counted(self.rows, "row")]
-        lines += [f"  flag {flag} {name}: {self.flags[flag]}" for flag, name in FLAGS.items() if self.flags[flag]]
-        lines += [f"  reason {bit} {why}: {self.reasons[bit]}" for bit, why in REASONS.items() if self.reasons[bit]]
+        for serial, one in (self.sensors or {"": self}).items():
+            lead = f"{serial} " if serial else ""
+            lines += [
+                f"  {lead}flag {flag} {name}: {one.flags[flag]}" for flag, name in FLAGS.items() if one.flags[flag]
+            ]
+            lines += [
+                f"  {lead}reason {bit} {why}: {one.reasons[bit]}" for bit, why in REASONS.items() if one.reasons[bit]
+            ]
         if self.bad_rows:
             lines.append(f"  {_counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
         if self.widths:

@@ -15,10 +15,13 @@ from tiltcal.core.compensation import (
     FLAGS,
     NO_TEMPERATURE,
     NOT_A_NUMBER,
+    OUTSIDE_TIME,
     RAIL,
     TEMPERATURE_RANGE,
     TILT_RANGE,
 )
+from tiltcal.core.model import Array
+from tiltcal.errors import InputError
 
 _MEANINGS = {
     CLIPPED: "arcsine_argument_beyond_1",
@@ -27,6 +30,7 @@ _MEANINGS = {
     TILT_RANGE: "tilt_outside_calibrated_range",
     NO_TEMPERATURE: "temperature_missing",
     NOT_A_NUMBER: "not_a_number",
+    OUTSIDE_TIME: "outside_time_of_calibrations",
 }
 _JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
     "flag": {
@@ -56,9 +60,21 @@ _DIMENSIONLESS = ("", "1")
 """Units that fit every count and ratio, and say nothing."""
 
 
-def seconds_of_unit(unit: str | None) -> float:
-    """Return the seconds in one of the units that a time is counted in."""
-    return _SECONDS.get((unit or "").partition(" since ")[0], 1.0)
+def seconds_since_1970(time: Array, unit: str | None) -> Array:
+    """Return a time as seconds since 1970 where its unit names a moment, such as ``days since 2026-05-01``.
+
+    Without one it is in seconds since the moment that it counts from.
+    """
+    name, _, since = (unit or "").partition(" since ")
+    seconds = time * _SECONDS.get(name.strip(), 1.0)
+    if not since:
+        return np.asarray(seconds)
+    from tiltcal.files.calibration_folder import moment
+
+    try:
+        return np.asarray(seconds + moment(since.strip().removesuffix(" UTC")).timestamp())
+    except InputError:
+        return np.asarray(seconds)
 
 
 def same_unit(one: str, other: str) -> bool:
@@ -73,7 +89,7 @@ def _spelt(unit: str) -> str:
 
 def is_judgement(name: str) -> bool:
     """Return whether a column holds flags or reasons, which are whole numbers."""
-    return name in _JUDGEMENTS
+    return name.rpartition("_")[2] in _JUDGEMENTS
 
 
 def describe(name: str, added: Sequence[str], like: Mapping[str, Any]) -> dict[str, Any]:
@@ -88,6 +104,13 @@ def describe(name: str, added: Sequence[str], like: Mapping[str, Any]) -> dict[s
         The attributes of a reading, whose unit the matched sum of a pair has.
     """
     place = {key: like[key] for key in ("coordinates",) if key in like}
+    sensors = [one.removesuffix("flag") for one in added if one.endswith("_flag")]
+    if lead := next((one for one in sensors if name.startswith(one)), ""):
+        own = describe(name.removeprefix(lead), [one.removeprefix(lead) for one in added if one.startswith(lead)], like)
+        own["long_name"] += f", of {lead.removesuffix('_')}"
+        if "ancillary_variables" in own:
+            own["ancillary_variables"] = " ".join(lead + one for one in own["ancillary_variables"].split())
+        return own
     if name in _JUDGEMENTS:
         return {**_JUDGEMENTS[name], **place}
     beside = [one for one in ("flag", "reason", _STANDARD + name, _EXPANDED + name) if one in added]

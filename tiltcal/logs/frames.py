@@ -14,18 +14,19 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.apply import CompensatedLog
-from tiltcal.logs.cf_attributes import describe, same_unit, seconds_of_unit
+from tiltcal.logs.apply import CompensatedLog, prepare_any
+from tiltcal.logs.cf_attributes import describe, same_unit, seconds_since_1970
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
-from tiltcal.logs.prepared import ApplyOptions, prepare
+from tiltcal.logs.prepared import ApplyOptions
 
 if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration
+    from tiltcal.calibration.calibration_library import CalibrationLibrary
     from tiltcal.calibration.pair_calibration import PairCalibration
 
 
 def apply_frame(
-    calibration: Calibration | PairCalibration,
+    calibration: Calibration | PairCalibration | CalibrationLibrary,
     frame: Any,
     *,
     columns: Mapping[str, str] | str = "",
@@ -33,13 +34,16 @@ def apply_frame(
     first_order: bool = False,
     reading_noise: float | None = None,
     mounting: Mapping[str, float] | str = "",
+    serial: str | None = None,
+    stability: float | None = None,
+    start: str | None = None,
     unit: str | None = None,
 ) -> Any:
     """Apply a calibration to a frame.
 
     Parameters
     ----------
-    calibration : Calibration or PairCalibration
+    calibration : Calibration, PairCalibration or CalibrationLibrary
     frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
         A column for each reading, and for the temperature in °C where there is one.
     columns : mapping of str to str, or str
@@ -52,6 +56,8 @@ def apply_frame(
         Standard uncertainty of a reading of the frame, in its unit, in place of that of a sample at the bench.
     mounting : mapping of str to float, or str
         How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of its own mounting.
+    serial, stability, start
+        With a folder of calibrations; see :meth:`CalibrationLibrary.apply`.
     unit : str, optional
         Of the readings; an xarray Dataset states it itself.
 
@@ -67,8 +73,9 @@ def apply_frame(
     InputError
         A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
     """
-    prepared = prepare(calibration, ApplyOptions(first_order, uncertainty, reading_noise, mounting))
+    options = ApplyOptions(first_order, uncertainty, reading_noise, mounting, serial, stability, start)
     reader = FrameReader(frame, unit=unit)
+    prepared = prepare_any(calibration, options)(reader, columns)
     log = CompensatedLog.of(reader, prepared, columns)
     ((_block, table),) = log.blocks()
     return reader.with_columns(table, log.channels)
@@ -98,6 +105,7 @@ class FrameReader(LogReader):
         self._frame = _columns_of(frame, name)
         self._unit = unit
         self.names = self._frame.names
+        self.notes = {str(key): str(note) for key, note in dict(getattr(frame, "attrs", None) or {}).items()}
 
     def unit(self, column: int) -> str | None:
         stated = self._frame.unit(self.names[column])
@@ -286,7 +294,7 @@ class _Dataset:
 
     def times(self, name: str) -> Array | None:
         found = _timed(self._along_one(name))
-        return None if found is None else found * seconds_of_unit(self.unit(name))
+        return None if found is None else seconds_since_1970(found, self.unit(name))
 
     def _along_one(self, name: str) -> NDArray[Any]:
         variable = self._data[name]

@@ -35,12 +35,32 @@ class ApplyOptions:
         Standard uncertainty of a reading of the log, in its unit; None for that of a sample at the bench.
     mounting : mapping of str to float or str
         Roll, pitch and yaw in place of the calibration's, degrees; empty for its own.
+    serial : str or None
+        With a folder of calibrations: of the sensor, where the log does not state it.
+    stability : float or None
+        With a folder: the standard deviation of the offset's change in one day, mg; None to estimate it.
+    start : str or None
+        With a folder: when the time of the log is 0, ISO 8601; None where its time counts from 1970 or is a date.
     """
 
     first_order: bool = False
     uncertainty: bool = False
     reading_noise: float | None = None
     mounting: Mapping[str, float] | str = ""
+    serial: str | None = None
+    stability: float | None = None
+    start: str | None = None
+
+    def require_file(self) -> None:
+        """Refuse what is for a folder of calibrations.
+
+        Raises
+        ------
+        UsageError
+        """
+        for name in ("serial", "stability", "start"):
+            if getattr(self, name) is not None:
+                raise UsageError(f"--{name} is for a folder of calibrations (--calibrations)")
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, TiltcalError, UsageError
-from tiltcal.logs.cf_attributes import describe, is_judgement, seconds_of_unit
+from tiltcal.logs.cf_attributes import describe, is_judgement, seconds_since_1970
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
 from tiltcal.logs.streams import interrupts_held
 
@@ -79,6 +79,7 @@ class NetcdfReader(LogReader):
                 create_default_indexes=False,
             )
         self.names = tuple(str(name) for name in self._data.variables)
+        self.notes = {str(name): str(note) for name, note in self._data.attrs.items()}
 
     def _require_own_data(self) -> None:
         """Refuse a file whose data stand in other files, which HDF5 would read wherever they are."""
@@ -141,7 +142,7 @@ class NetcdfReader(LogReader):
             with self._refusing_damage():
                 values = {index: self._numbers(self.names[index], {dimension: rows}) for index in columns}
             if time is not None:
-                values[time] = values[time] * seconds_of_unit(self.unit(time))
+                values[time] = seconds_since_1970(values[time], self.unit(time))
             self.bytes_read = (self.source.size or 0) * rows.stop // total
             yield LogBlock(values)
 

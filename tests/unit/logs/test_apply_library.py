@@ -1,0 +1,156 @@
+"""A folder of calibrations applied to a log: which calibration a row takes, and what is uncertain about it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support import FIXTURES
+
+import tiltcal
+from tiltcal.core.model import Array
+from tiltcal.errors import InputError, UsageError
+from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
+from tiltcal.files.records import Provenance
+from tiltcal.files.uncertainty import Uncertainty
+
+LEVEL = read_calibration(FIXTURES / "zero-45.yaml")
+START = datetime(2026, 1, 1, tzinfo=UTC)
+SCALE = 819.0
+
+
+def stamp(days: float) -> str:
+    return (START + timedelta(days=days)).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def calibrated(days: float, offset: tuple[float, float], u: float = 1.0, serial: str = "S-1") -> CalibrationRecord:
+    """Return a calibration whose offset alone is uncertain, and whose readings have no noise."""
+    coefficients = replace(LEVEL.coefficients, offset=np.array(offset), sensitivity=SCALE * np.eye(2))
+    uncertainty = Uncertainty({"offset.x": u, "offset.y": u}, {"x": 0.0, "y": 0.0})
+    return replace(
+        LEVEL,
+        sensor=replace(LEVEL.sensor, serial=serial),
+        coefficients=coefficients,
+        uncertainty=uncertainty,
+        provenance=Provenance(started=stamp(days - 0.01), ended=stamp(days)),
+    )
+
+
+def kept(folder: Path, *records: CalibrationRecord) -> Path:
+    for number, record in enumerate(records):
+        write_calibration(folder / f"{record.sensor.serial}-{number}.yaml", record)
+    return folder
+
+
+def seconds(days: Any) -> Array:
+    return START.timestamp() + 86400.0 * np.asarray(days, dtype=float)
+
+
+def test_between_two_the_offset_lies_on_the_line_and_outside_the_nearest_holds(tmp_path: Path) -> None:
+    """100 days, 10 counts: at 25 days 2.5 counts of 819; the row before and the row behind are flagged."""
+    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
+    days = [-5.0, 0.0, 25.0, 99.99, 100.0, 130.0]
+    frame = {"time": seconds(days), "x": np.full(6, 1100.0), "y": np.full(6, 1000.0)}
+    found = library.apply(frame)
+    offset = np.array([1000.0, 1000.0, 1002.5, 1009.999, 1010.0, 1010.0])
+    assert found["g_x"] == pytest.approx((1100.0 - offset) / SCALE, abs=1e-9)
+    assert found["flag"].tolist() == [3, 1, 1, 1, 1, 3]
+    assert found["reason"].tolist() == [64, 0, 0, 0, 0, 64]
+
+
+def test_a_row_has_the_same_result_wherever_its_block_begins(tmp_path: Path) -> None:
+    first, last = calibrated(0, (1000, 990)), calibrated(100, (1010, 1000))
+    library = tiltcal.open_calibrations(kept(tmp_path, first, last))
+    days = np.linspace(-10.0, 110.0, 1201)
+    frame = {"time": seconds(days), "x": np.linspace(500.0, 1500.0, 1201), "y": np.full(1201, 1100.0)}
+    whole = library.apply(frame, uncertainty=True)
+    for row in (0, 100, 101, 700, 1200):
+        alone = library.apply({name: column[row : row + 1] for name, column in frame.items()}, uncertainty=True)
+        assert {name: column[0] for name, column in alone.items()} == {name: whole[name][row] for name in whole}
+
+
+def test_the_uncertainty_is_that_of_both_calibrations_and_of_a_stated_walk(tmp_path: Path) -> None:
+    """At the middle of 100 days: half of each variance, and 0.5² mg² times 25; 20 days outside 0.5² mg² times 20."""
+    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
+    frame = {"time": seconds([50.0, 120.0]), "x": np.full(2, 1005.0), "y": np.full(2, 1000.0)}
+    u = library.apply(frame, uncertainty=True, stability=0.5)["u_tilt_y"]
+    middle = np.hypot(np.sqrt(0.5) / SCALE, 0.0005 * 5.0)
+    outside = np.hypot(1.0 / SCALE, 0.0005 * np.sqrt(20.0))
+    assert u == pytest.approx(np.degrees([middle, outside]), rel=0.05)
+    assert u[0] == pytest.approx(np.degrees(middle), rel=0.002)
+
+
+@pytest.mark.parametrize("truth", ["walk", "line"])
+def test_the_tilt_between_two_calibrations_is_within_its_interval(tmp_path: Path, truth: str) -> None:
+    """Twenty units with four calibrations each; the change of a year is twice their standard uncertainty."""
+    draw = np.random.default_rng(7)
+    days, at = np.array([0.0, 300.0, 700.0, 1000.0]), np.linspace(700.0, 1000.0, 6)[1:-1]
+    every = np.sort(np.concatenate([days, at]))
+    steps = draw.normal(size=(20, 2, len(every) - 1)) * np.sqrt(np.diff(every) / 365.0)
+    walk = np.concatenate([np.zeros((20, 2, 1)), np.cumsum(steps, axis=2)], axis=2)
+    zero = 1024.0 + 2.0 * (walk if truth == "walk" else draw.normal(size=(20, 2, 1)) * every / 365.0)
+    measured = zero[:, :, np.searchsorted(every, days)] + draw.normal(0.0, 1.0, (20, 2, 4))
+    for unit, offsets in enumerate(measured):
+        of_unit = [calibrated(d, tuple(offset), serial=f"U{unit}") for d, offset in zip(days, offsets.T, strict=True)]
+        kept(tmp_path, *of_unit)
+    library = tiltcal.open_calibrations(tmp_path)
+    inside = []
+    for unit in range(20):
+        true = zero[unit][:, np.searchsorted(every, at)]
+        frame = {"time": seconds(at), "x": true[0] + 100.0, "y": true[1] - 50.0}
+        found = library.apply(frame, serial=f"U{unit}", uncertainty=True)
+        for axis, reading in (("x", 100.0), ("y", -50.0)):
+            error = found[f"tilt_{axis}"] - np.degrees(np.arcsin(reading / SCALE))
+            inside.append(np.abs(error) <= found[f"U95_tilt_{axis}"])
+    assert 0.91 < np.mean(inside) < 0.985  # forty independent histories of four rows
+
+
+def test_all_sensors_of_a_bench_log_are_compensated_in_one_pass(tmp_path: Path) -> None:
+    kept(tmp_path, calibrated(0, (1000, 1000), serial="A"), calibrated(0, (1010, 1020), serial="B-2"))
+    time = seconds([1.0, 2.0])
+    bench = {"time": time, "A_x": [1100.0, 1200.0], "A_y": [1000.0, np.nan], "B-2_x": [1110.0, 1210.0]}
+    bench |= {"B-2_y": [1020.0, 1020.0], "C_x": [0.0, 0.0], "C_y": [0.0, 0.0]}
+    library = tiltcal.open_calibrations(tmp_path)
+    found = library.apply({name: np.asarray(column) for name, column in bench.items()})
+    alone = library.apply(
+        {"time": time, "x": np.array([1110.0, 1210.0]), "y": np.array([1020.0, 1020.0])}, serial="B-2"
+    )
+    for name in ("g_x", "tilt_y", "flag", "reason"):
+        assert found[f"B-2_{name}"] == pytest.approx(alone[name])
+    assert found["A_flag"].tolist() == [3, 9]
+    assert "C_flag" not in found
+
+
+def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
+    kept(tmp_path, calibrated(0, (1000, 1000), serial="A"), calibrated(0, (1010, 1020), serial="B"))
+    library = tiltcal.open_calibrations(tmp_path)
+    frame = {"time": np.array([0.0, 1.0]), "x": np.full(2, 1000.0), "y": np.full(2, 1000.0)}
+    with pytest.raises(UsageError, match=r"names no sensor of .*: name it with --serial; the folder has .* A, B"):
+        library.apply(frame)
+    with pytest.raises(UsageError, match="has no calibration of 'C'"):
+        library.apply(frame, serial="C")
+    with pytest.raises(InputError, match="no count of seconds since 1970: state when the log began with --start"):
+        library.apply(frame, serial="A")
+    placed = library.apply(frame, serial="A", start=stamp(1.0))
+    assert placed["reason"].tolist() == [64, 64]
+    del frame["time"]
+    with pytest.raises(InputError, match="there is no column 'time'"):
+        library.apply(frame, serial="A")
+    assert library.apply(frame, serial="A", start=stamp(0.0))["reason"].tolist() == [0, 0]
+
+
+def test_files_that_contradict_are_named(tmp_path: Path) -> None:
+    kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(0, (1001, 1000)))
+    with pytest.raises(InputError, match=r"S-1-1\.yaml: .*S-1-0\.yaml has the same date, 2026-01-01"):
+        tiltcal.open_calibrations(tmp_path).at("S-1", stamp(1))
+    (tmp_path / "S-1-1.yaml").unlink()
+    other = calibrated(5, (1000, 1000))
+    kept(tmp_path, replace(other, sensor=replace(other.sensor, model="sca100t-d01")))
+    kept(tmp_path / ".", calibrated(0, (1000, 1000), serial="S-2"))
+    write_calibration(tmp_path / "S-1-9.yaml", calibrated(9, (1000, 1000)))
+    with pytest.raises(InputError, match="its model is sca100t-d01 in one and sca100t-d02 in the other"):
+        tiltcal.open_calibrations(tmp_path).at("S-1", stamp(1))

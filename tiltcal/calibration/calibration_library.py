@@ -1,0 +1,232 @@
+"""A folder of calibrations: the library's ``open_calibrations``, and the calibration of a sensor at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from difflib import get_close_matches
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.interpolation import Stability, extrapolate, interpolate
+from tiltcal.calibration.sensor_history import (
+    DAY,
+    DatedCalibration,
+    SensorHistory,
+    estimated_stability,
+    stated_stability,
+)
+from tiltcal.errors import InputError, UsageError
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
+
+FLEET = 50
+"""Most other sensors that are read to estimate how far one wanders."""
+
+
+class CalibrationLibrary:
+    """The calibrations in a folder, by serial number and date.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Its files and those of the folders below it are indexed at once, and each is read when it is needed.
+
+    Raises
+    ------
+    UsageError
+        It is no folder.
+
+    Examples
+    --------
+    >>> library = tiltcal.open_calibrations(".")
+    >>> cal = library.at("SIM-42", "2000-01-01T12:00:00Z")
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        self._histories: dict[str, SensorHistory] = {}
+
+    @cached_property
+    def index(self) -> FolderIndex:
+        """The files, without their content."""
+        return index_folder(self.folder)
+
+    @cached_property
+    def _files(self) -> dict[str, list[CalibrationFile]]:
+        found: dict[str, list[CalibrationFile]] = {}
+        for one in self.index.files:
+            found.setdefault(one.serial, []).append(one)
+        return found
+
+    @property
+    def serials(self) -> tuple[str, ...]:
+        """The serial numbers, in order."""
+        return tuple(self._files)
+
+    def history(self, serial: str) -> SensorHistory:
+        """Return the calibrations of a sensor.
+
+        Raises
+        ------
+        UsageError
+            The folder has none of this serial number.
+        InputError
+            A file is wrong, or two contradict each other.
+        """
+        if serial not in self._histories:
+            if serial not in self._files:
+                raise UsageError(self._unknown(serial))
+            self._histories[serial] = SensorHistory.of([_dated(one) for one in self._files[serial]])
+        return self._histories[serial]
+
+    def stability(self, serial: str, stated: float | None = None) -> Stability:
+        """Return how far a sensor wanders.
+
+        Parameters
+        ----------
+        serial : str
+        stated : float, optional
+            The standard deviation of the offset's change in one day, mg, in place of an estimate.
+        """
+        history = self.history(serial)
+        if stated is not None:
+            return stated_stability(history, stated)
+        return estimated_stability(history, [history, *self._fleet(history)])
+
+    def at(self, serial: str, time: str | datetime, *, stability: float | None = None) -> Calibration:
+        """Return the calibration of a sensor at a time: between two of them, or the nearest one.
+
+        Parameters
+        ----------
+        serial : str
+        time : str or datetime
+            ISO 8601; UTC where it names no zone.
+        stability : float, optional
+            The standard deviation of the offset's change in one day, mg, in place of an estimate.
+
+        Raises
+        ------
+        UsageError
+            The folder has no calibration of this sensor.
+        InputError
+            The time is none, a file is wrong, or two contradict each other.
+        """
+        from tiltcal.files.calibration_folder import moment
+
+        when = moment(time) if isinstance(time, str) else time if time.tzinfo else time.replace(tzinfo=UTC)
+        return calibration_at(self.history(serial), when.timestamp(), self.stability(serial, stability))
+
+    def apply(
+        self,
+        frame: Any,
+        *,
+        serial: str | None = None,
+        stability: float | None = None,
+        start: str | None = None,
+        columns: Mapping[str, str] | str = "",
+        uncertainty: bool = False,
+        first_order: bool = False,
+        reading_noise: float | None = None,
+        unit: str | None = None,
+    ) -> Any:
+        """Turn the raw readings of a frame into tilt, as ``tiltcal apply --calibrations`` does with a log.
+
+        Parameters
+        ----------
+        frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
+            Columns for the readings, the time, and the temperature in °C where there is one.
+        serial : str, optional
+            Of the sensor; else that of the frame's attributes, or of its column names (``SERIAL_x``).
+        stability : float, optional
+            The standard deviation of the offset's change in one day, mg, in place of an estimate.
+        start : str, optional
+            When the time of the frame is 0, ISO 8601, where its time is relative.
+        columns, uncertainty, first_order, reading_noise, unit
+            As those of :meth:`Calibration.apply`.
+
+        Returns
+        -------
+        frame
+            The same kind, with the columns of :meth:`Calibration.apply`.
+
+        Raises
+        ------
+        UsageError, InputError
+            As :meth:`Calibration.apply`, and where no calibration fits the frame.
+        """
+        from tiltcal.logs.frames import apply_frame
+
+        return apply_frame(
+            *(self, frame),
+            serial=serial,
+            stability=stability,
+            start=start,
+            columns=columns,
+            uncertainty=uncertainty,
+            first_order=first_order,
+            reading_noise=reading_noise,
+            unit=unit,
+        )
+
+    def _fleet(self, history: SensorHistory) -> list[SensorHistory]:
+        """Return the histories of other sensors of the same model and unit that have several calibrations."""
+        sensor = history.sensor
+        found: list[SensorHistory] = []
+        others = sorted(self._files.items(), key=lambda one: -len(one[1]))
+        for serial, files in others:
+            if serial == sensor.serial or files[0].model != sensor.model or len(files) < 2 or len(found) == FLEET:
+                continue
+            try:
+                other = self.history(serial)
+            except InputError:  # it is named where that sensor is asked for
+                continue
+            if (other.sensor.unit, other.sensor.channels) == (sensor.unit, sensor.channels):
+                found.append(other)
+        return found
+
+    def _unknown(self, serial: str) -> str:
+        near = get_close_matches(serial, self._files, n=1)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        listed = ", ".join(self.serials[:12]) + (" ..." if len(self._files) > 12 else "")
+        return f"{self.folder} has no calibration of {serial!r}{hint}; it has {listed or 'none at all'}"
+
+
+def open_calibrations(folder: str | Path) -> CalibrationLibrary:
+    """Open a folder of calibration files.
+
+    Raises
+    ------
+    UsageError
+        It is no folder.
+
+    Examples
+    --------
+    >>> tilted = tiltcal.open_calibrations(".").serials
+    """
+    library = CalibrationLibrary(folder)
+    library.index  # noqa: B018  (what is no folder is refused here)
+    return library
+
+
+def calibration_at(history: SensorHistory, time: float, stability: Stability | None = None) -> Calibration:
+    """Return the calibration of a sensor at a time, seconds since 1970."""
+    dated = history.calibrations
+    times = [one.date.timestamp() for one in dated]
+    if time <= times[0]:
+        return Calibration(extrapolate(dated[0].record, (times[0] - time) / DAY, stability))
+    if time >= times[-1]:
+        return Calibration(extrapolate(dated[-1].record, (time - times[-1]) / DAY, stability))
+    k = max(i for i, one in enumerate(times) if one <= time)
+    span = times[k + 1] - times[k]
+    return Calibration(
+        interpolate(dated[k].record, dated[k + 1].record, (time - times[k]) / span, span / DAY, stability)
+    )
+
+
+def _dated(file: CalibrationFile) -> DatedCalibration:
+    record = read_calibration(file.path)
+    started, date = date_of(record, file.path)
+    return DatedCalibration(record, date, started, file.path)

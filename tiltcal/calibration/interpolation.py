@@ -1,0 +1,259 @@
+"""The calibration of a sensor at a time between two of its calibrations, or beyond the last one.
+
+Between two, each coefficient lies on the line that joins them::
+
+    c(t) = (1 - s) c_before + s c_after        s = (t - t_before) / (t_after - t_before)
+
+and its covariance is ``(1 - s)² C_before + s² C_after`` with the bridge of its random walk added to the diagonal: the
+errors of two calibrations are independent. Beyond, it is the nearest calibration, and the walk adds to its variance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import degrees, inf
+
+import numpy as np
+
+from tiltcal.core.angle_uncertainty import TURN, UncertaintyInputs
+from tiltcal.core.budget import NORMAL_FACTOR, coverage_factor, welch_satterthwaite
+from tiltcal.core.instrumental_drift import RandomWalk
+from tiltcal.core.model import Array, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
+from tiltcal.core.mounting import mounting_angles, mounting_matrix
+from tiltcal.core.named_coefficients import degrees_of_freedom, referred, values
+from tiltcal.errors import EstimateError, UsageError
+from tiltcal.files.calibration import CalibrationRecord, require_same_sensor
+from tiltcal.files.records import FitRecord, ProcedureRecord, Provenance
+from tiltcal.files.uncertainty import Covariance, Uncertainty, stated_uncertainty
+
+
+@dataclass(frozen=True)
+class Stability:
+    """How far the coefficients of a sensor wander.
+
+    Attributes
+    ----------
+    between : mapping of str to RandomWalk
+        By the dotted name of a coefficient: between two calibrations.
+    beyond : mapping of str to RandomWalk
+        Before the first and after the last one, where no other calibration shows a steady change.
+    source : str
+        What it is estimated from.
+    """
+
+    between: Mapping[str, RandomWalk] = field(default_factory=dict)
+    beyond: Mapping[str, RandomWalk] = field(default_factory=dict)
+    source: str = ""
+
+
+def interpolate(
+    before: CalibrationRecord, after: CalibrationRecord, share: float, days: float, stability: Stability | None = None
+) -> CalibrationRecord:
+    """Return the calibration at a time between two.
+
+    Parameters
+    ----------
+    before, after : CalibrationRecord
+    share : float
+        Of the time between them that has passed, 0 to 1.
+    days : float
+        The time between them, d.
+    stability : Stability, optional
+        Without it, the calibrations alone are uncertain.
+
+    Raises
+    ------
+    UsageError
+        They are not of one sensor, or only one of them has temperature terms or a mounting.
+    """
+    require_same_sensor(before, after)
+    for what in ("axes", "thermal", "mounting"):
+        one, other = getattr(before.coefficients, what), getattr(after.coefficients, what)
+        if (one != other) if what == "axes" else ((one is None) != (other is None)):
+            named = {"thermal": "temperature terms", "mounting": "a mounting"}.get(what, "other axes")
+            raise UsageError(
+                f"one of two calibrations has {named} and the other has not: give both the same coefficients, such as "
+                "with `tiltcal combine`"
+            )
+    reference = None if after.coefficients.thermal is None else after.coefficients.thermal.reference
+    parts = [_Part.of(one, reference, weight) for one, weight in ((before, 1.0 - share), (after, share))]
+    coefficients = _blended([part.coefficients for part in parts], share)
+    bridge = {
+        name: (walk.rate * days * share * (1.0 - share), walk.dof)
+        for name, walk in (stability or Stability()).between.items()
+    }
+    readings = (before.uncertainty.single_reading, after.uncertainty.single_reading)
+    single = {name: (1.0 - share) * readings[0].get(name, u) + share * u for name, u in readings[1].items()}
+    return _at(after, coefficients, _limits(before.limits, after.limits), _joined(parts, bridge, single))
+
+
+def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | None = None) -> CalibrationRecord:
+    """Return the nearest calibration with what its coefficients may have wandered since, or before.
+
+    Parameters
+    ----------
+    nearest : CalibrationRecord
+    days : float
+        How far away it is, d.
+    stability : Stability, optional
+        Without it, the calibration alone is uncertain.
+    """
+    grown = {name: (walk.rate * days, walk.dof) for name, walk in (stability or Stability()).beyond.items()}
+    part = _Part.of(nearest, None, 1.0)
+    uncertainty = _joined([part], grown, nearest.uncertainty.single_reading) if grown else nearest.uncertainty
+    return _at(nearest, nearest.coefficients, nearest.limits, uncertainty)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One calibration's share: its coefficients at the common reference, and their weighted covariance."""
+
+    coefficients: Coefficients
+    names: tuple[str, ...]
+    covariance: Array
+    dof: Array
+
+    @classmethod
+    def of(cls, record: CalibrationRecord, reference: float | None, weight: float) -> _Part:
+        coefficients = record.coefficients
+        moved = coefficients if reference is None else referred(coefficients, reference)
+        try:
+            stated = stated_uncertainty(record.uncertainty, coefficients).inputs
+        except EstimateError:
+            return cls(moved, (), np.zeros((0, 0)), np.zeros(0))
+        names, covariance = stated.names, stated.covariance
+        dof = {name: degrees_of_freedom(factor) for name, factor in zip(names, stated.factors, strict=True)}
+        if reference is not None and moved is not coefficients:
+            names, jacobian = _referring(coefficients, stated, reference)
+            covariance = jacobian @ covariance @ jacobian.T
+        return cls(moved, names, covariance * weight**2, np.array([dof.get(name, inf) for name in names]))
+
+
+def _referring(
+    coefficients: Coefficients, stated: UncertaintyInputs, reference: float
+) -> tuple[tuple[str, ...], Array]:
+    """Return the names and the derivatives of coefficients at another reference temperature by the stated ones."""
+    own = [name for name in stated.names if not name.startswith(TURN)]
+    turns = [name for name in stated.names if name.startswith(TURN)]
+    names = list(values(coefficients))
+    vector = vector_of(coefficients, own)
+    step = 1e-4 * np.sqrt(np.diag(stated.covariance))[: len(own)]
+
+    def at(moved: Array) -> Array:
+        return vector_of(referred(with_vector(coefficients, own, moved), reference), names)
+
+    jacobian = np.zeros((len(names) + len(turns), len(stated.names)))
+    for column, (name, size) in enumerate(zip(own, step, strict=True)):
+        if size > 0.0:
+            shift = np.zeros(len(own))
+            shift[column] = size
+            jacobian[: len(names), stated.names.index(name)] = (at(vector + shift) - at(vector - shift)) / (2.0 * size)
+    for row, name in enumerate(turns, start=len(names)):
+        jacobian[row, stated.names.index(name)] = 1.0
+    kept = np.flatnonzero(jacobian.any(axis=1))
+    return tuple(np.array([*names, *turns], dtype=object)[kept]), jacobian[kept]
+
+
+def _joined(
+    parts: Sequence[_Part], walked: Mapping[str, tuple[float, float]], single: Mapping[str, float]
+) -> Uncertainty:
+    """Return the sum of weighted covariances and of what each coefficient may have wandered (variance, dof)."""
+    names = tuple(dict.fromkeys([name for part in parts for name in part.names] + [*walked]))
+    if not any(part.names for part in parts):
+        return Uncertainty({}, single)
+    covariance = np.zeros((len(names), len(names)))
+    sources: list[tuple[Array, float]] = []
+    for part in parts:
+        rows = [names.index(name) for name in part.names]
+        covariance[np.ix_(rows, rows)] += part.covariance
+        for row, variance, dof in zip(rows, np.diag(part.covariance), part.dof, strict=True):
+            sources.append((_only(row, float(variance), len(names)), float(dof)))
+    for name, (variance, dof) in walked.items():
+        row = names.index(name)
+        covariance[row, row] += variance
+        sources.append((_only(row, variance, len(names)), dof))
+    factors = coverage_factor(welch_satterthwaite(np.diag(covariance).copy(), sources))
+    scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in names])
+    matrix = covariance * np.outer(scale, scale)
+    u = np.sqrt(np.diag(matrix))
+    return Uncertainty(
+        {name: float(one) for name, one in zip(names, u, strict=True) if not name.startswith(TURN)},
+        single,
+        {name: float(k) for name, k in zip(names, factors, strict=True) if k > NORMAL_FACTOR * 1.001},
+        Covariance(parameters=names, matrix=tuple(tuple(row) for row in matrix.tolist())),
+    )
+
+
+def _only(row: int, value: float, size: int) -> Array:
+    alone = np.zeros(size)
+    alone[row] = value
+    return alone
+
+
+def _blended(both: Sequence[Coefficients], share: float) -> Coefficients:
+    """Return the coefficients between two at one reference temperature."""
+
+    def line(before: Array, after: Array) -> Array:
+        columns = max(before.shape[-1], after.shape[-1])
+        first, last = (
+            np.pad(one, [(0, 0)] * (one.ndim - 1) + [(0, columns - one.shape[-1])]) for one in (before, after)
+        )
+        return np.asarray((1.0 - share) * first + share * last)
+
+    before, after = both
+    thermal, shares = after.thermal, after.nonlinearity
+    if thermal is not None and before.thermal is not None:
+        known = _overlap(before.thermal.range, thermal.range)
+        thermal = Thermal(
+            thermal.reference,
+            known,
+            line(before.thermal.drift, thermal.drift),
+            line(before.thermal.gain, thermal.gain),
+        )
+    if shares is not None or before.nonlinearity is not None:
+        none = np.zeros((len(after.channels), 1))
+        shares = line(*(none if one.nonlinearity is None else one.nonlinearity for one in both))
+    return replace(
+        after,
+        offset=line(before.offset, after.offset),
+        sensitivity=line(before.sensitivity, after.sensitivity),
+        thermal=thermal,
+        nonlinearity=shares,
+        mounting=_mounting(before.mounting, after.mounting, share),
+    )
+
+
+def _mounting(before: Mounting | None, after: Mounting | None, share: float) -> Mounting | None:
+    if before is None or after is None or before == after:
+        return after
+    middle = (1.0 - share) * mounting_matrix(before) + share * mounting_matrix(after)
+    left, _, right = np.linalg.svd(middle)
+    return mounting_angles(left @ right).mounting
+
+
+def _limits(before: Limits, after: Limits) -> Limits:
+    """Return the ranges that both calibrations cover."""
+    tilt = {axis: _overlap(before.tilt.get(axis), one) or one for axis, one in after.tilt.items()}
+    return Limits(tilt, _overlap(before.temperature, after.temperature), after.reading)
+
+
+def _overlap(one: tuple[float, float] | None, other: tuple[float, float] | None) -> tuple[float, float] | None:
+    known = [given for given in (one, other) if given is not None]
+    return (max(low for low, _ in known), min(high for _, high in known)) if known else None
+
+
+def _at(
+    nearest: CalibrationRecord, coefficients: Coefficients, limits: Limits, uncertainty: Uncertainty
+) -> CalibrationRecord:
+    """Return a record without what was measured for one of the calibrations alone."""
+    return replace(
+        nearest,
+        coefficients=coefficients,
+        limits=limits,
+        uncertainty=uncertainty,
+        fit=FitRecord(),
+        procedure=ProcedureRecord(),
+        positions=(),
+        provenance=Provenance(software=nearest.provenance.software),
+    )

@@ -1,0 +1,202 @@
+"""The dated calibrations of one sensor, how far it wanders between them, and its calibration at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from functools import cached_property
+from itertools import pairwise
+from math import inf
+from pathlib import Path
+
+import numpy as np
+
+from tiltcal.calibration.comparison import Comparison, compare_records
+from tiltcal.calibration.interpolation import Stability
+from tiltcal.core.instrumental_drift import RandomWalk, WalkContrasts, estimate_walk, walk_contrasts
+from tiltcal.core.model import Array
+from tiltcal.core.named_coefficients import referred, values
+from tiltcal.errors import InputError, UsageError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor
+from tiltcal.files.calibration_folder import moment
+from tiltcal.files.uncertainty import known_coefficients
+
+DAY = 86_400.0
+"""Seconds."""
+
+WANDERING = ("offset", "sensitivity")
+"""What may wander, by the first part of its dotted name; temperature coefficients change along a line."""
+
+STEADY_CONTRASTS = 4
+"""Fewest contrasts without their part along a steady change from which a walk is estimated; with fewer it is kept."""
+
+OWN_CONTRASTS = 10
+"""Fewest contrasts of a sensor's own offsets with which its fleet is not asked."""
+
+
+@dataclass(frozen=True)
+class DatedCalibration:
+    """A calibration file with its date.
+
+    Attributes
+    ----------
+    record : CalibrationRecord
+    date : datetime
+        When it ended, UTC.
+    started : str
+        When it began.
+    path : str
+    """
+
+    record: CalibrationRecord
+    date: datetime
+    started: str
+    path: str
+
+    @property
+    def name(self) -> str:
+        """The name of its file."""
+        return Path(self.path).name
+
+
+@dataclass(frozen=True)
+class SensorHistory:
+    """The calibrations of one sensor, in the order of time.
+
+    Attributes
+    ----------
+    calibrations : tuple of DatedCalibration
+    remarks : tuple of str
+        Sessions that overlap, and files that are copies.
+    """
+
+    calibrations: tuple[DatedCalibration, ...]
+    remarks: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, found: Sequence[DatedCalibration]) -> SensorHistory:
+        """Put the calibrations of one sensor in order, copies left out.
+
+        Raises
+        ------
+        InputError
+            Two files contradict each other: another model, unit or channels, or one date and other coefficients.
+        """
+        kept: list[DatedCalibration] = []
+        remarks: list[str] = []
+        for one in sorted(found, key=lambda one: one.date):
+            if not kept:
+                kept.append(one)
+                continue
+            before = kept[-1]
+            try:
+                require_same_sensor(before.record, one.record)
+            except UsageError as failure:
+                raise InputError(
+                    f"{one.record.sensor.serial} is {failure}, in {before.path}: give each sensor a serial number of "
+                    "its own, or move one of the files",
+                    file=one.path,
+                ) from None
+            if before.date == one.date:
+                if values(before.record.coefficients) != values(one.record.coefficients):
+                    raise InputError(
+                        f"{before.path} has the same date, {one.date:%Y-%m-%dT%H:%M:%SZ}, and other coefficients of "
+                        f"{one.record.sensor.serial}: keep one of them in the folder",
+                        file=one.path,
+                    )
+                remarks.append(f"{one.name} is a copy of {before.name}")
+                continue
+            if moment(one.started, one.path) < before.date:
+                remarks.append(f"the sessions of {before.name} and {one.name} overlap")
+            kept.append(one)
+        return cls(tuple(kept), tuple(remarks))
+
+    @property
+    def sensor(self) -> SensorIdentity:
+        """The sensor."""
+        return self.calibrations[-1].record.sensor
+
+    @cached_property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """How each calibration but the first differs from the one before it."""
+        return tuple(compare_records(a.record, b.record) for a, b in pairwise(self.calibrations))
+
+    def due(self, interval: timedelta) -> datetime:
+        """Return when the next calibration is due."""
+        return self.calibrations[-1].date + interval
+
+    def gaps(self, interval: timedelta) -> list[tuple[DatedCalibration, DatedCalibration]]:
+        """Return the neighbours that are further apart than the interval."""
+        return [(a, b) for a, b in pairwise(self.calibrations) if b.date - a.date > interval]
+
+    @cached_property
+    def series(self) -> dict[str, tuple[Array, ...]]:
+        """Days, values and standard uncertainties of each coefficient that all have, at the last one's reference."""
+        last = self.calibrations[-1].record.coefficients
+        reference = None if last.thermal is None else last.thermal.reference
+        found = []
+        for one in self.calibrations:
+            coefficients = one.record.coefficients
+            moved = coefficients if reference is None else referred(coefficients, reference)
+            known = known_coefficients(one.record.uncertainty, coefficients, reference)
+            day = one.date.timestamp() / DAY
+            found.append({name: (day, value, known[name].u) for name, value in values(moved).items() if name in known})
+        common = [name for name in found[-1] if all(name in one for one in found)]
+        return {name: tuple(np.array([one[name] for one in found]).T) for name in common}
+
+    def contrasts(self, kind: str, *, steady: bool) -> WalkContrasts:
+        """Return the contrasts of all coefficients of a kind, such as ``offset``."""
+        if len(self.calibrations) < 2:
+            return WalkContrasts.joined([])
+        return WalkContrasts.joined(
+            [
+                walk_contrasts(*series, steady=steady)
+                for name, series in self.series.items()
+                if name.partition(".")[0] == kind
+            ]
+        )
+
+    @property
+    def wandering(self) -> list[str]:
+        """The coefficients that may wander, by dotted name."""
+        return [name for name in values(self.calibrations[-1].record.coefficients) if name.split(".")[0] in WANDERING]
+
+
+def stated_stability(history: SensorHistory, milligravity: float) -> Stability:
+    """Return a stated stability: the offset wanders by so many mg in a day, as a standard deviation."""
+    coefficients = history.calibrations[-1].record.coefficients
+    walks = {}
+    for i, channel in enumerate(coefficients.channels):
+        own = coefficients.sensitivity[i, coefficients.axes.index(channel)]
+        walks[f"offset.{channel}"] = RandomWalk(float((own * milligravity / 1000.0) ** 2), inf)
+    return Stability(walks, walks, "as stated")
+
+
+def estimated_stability(history: SensorHistory, fleet: Sequence[SensorHistory]) -> Stability:
+    """Estimate how far a sensor wanders, from its own history where that is long enough, or with its fleet's.
+
+    Parameters
+    ----------
+    history : SensorHistory
+    fleet : sequence of SensorHistory
+        Sensors of the same model and unit, itself among them.
+    """
+    own = len(history.contrasts("offset", steady=True)) >= OWN_CONTRASTS
+    asked = [history] if own else fleet
+    source = "its own history" if own else f"the history of {len(fleet)} {history.sensor.model}"
+    if len(fleet) < 2:
+        source = "its own history"
+    between: dict[str, RandomWalk] = {}
+    beyond: dict[str, RandomWalk] = {}
+    for kind in WANDERING:
+        free = WalkContrasts.joined([one.contrasts(kind, steady=False) for one in asked])
+        steady = WalkContrasts.joined([one.contrasts(kind, steady=True) for one in asked])
+        walk = estimate_walk(free)
+        if walk is None:
+            continue
+        names = [name for name in history.wandering if name.partition(".")[0] == kind]
+        inner = estimate_walk(steady) if len(steady) >= STEADY_CONTRASTS else walk
+        between |= dict.fromkeys(names, inner or walk)
+        beyond |= dict.fromkeys(names, walk)
+    return Stability(between, beyond, source if beyond else "")

@@ -1,0 +1,362 @@
+"""A folder of calibrations, applied to a log: for each row the calibration that holds at its time.
+
+The time between two calibrations is divided into 64 steps, each with a compensation of its own; within a step the
+offset and its temperature drift follow their line row by row, so that nothing jumps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.calibration.calibration_library import calibration_at
+from tiltcal.core.compensation import MISSING, OUTSIDE_TIME, SUSPECT
+from tiltcal.core.model import Array, polynomial
+from tiltcal.core.named_coefficients import referred
+from tiltcal.errors import InputError, UsageError
+from tiltcal.files.calibration_folder import moment
+from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
+from tiltcal.logs.kernel import Kernel, RoleValues
+from tiltcal.logs.log import LogReader, Table
+from tiltcal.logs.prepared import ApplyOptions, PreparedCalibration, prepare
+from tiltcal.logs.streams import sha256_of
+
+if TYPE_CHECKING:
+    from tiltcal.calibration.calibration_library import CalibrationLibrary
+    from tiltcal.calibration.interpolation import Stability
+    from tiltcal.calibration.sensor_history import SensorHistory
+
+STEPS = 64
+"""Of the time between two calibrations."""
+
+SERIAL_NOTES = ("serial", "serial_number", "sensor_serial_number", "instrument_serial_number")
+"""The attributes or metadata of a log that may state its sensor."""
+
+_FIRST_MOMENT = 1e8  # seconds since 1970: what counts fewer of them is no moment
+_LAST_MOMENT = 1e11
+_OUTSIDE = 1 << 16  # steps before the first calibration and after the last one are counted from here
+_GROWTH = 8  # steps of the time outside, for each doubling of it
+
+
+@dataclass(frozen=True)
+class _Sensor:
+    """A sensor of a log: its history, and what its columns begin with."""
+
+    serial: str
+    history: SensorHistory
+    lead: str
+
+
+def prepare_library(
+    library: CalibrationLibrary,
+    log: LogReader,
+    options: ApplyOptions,
+    columns: Mapping[str, str] | str = "",
+    say: Callable[[str], None] = lambda line: None,
+) -> PreparedCalibration:
+    """Find the calibrations of a log's sensors and make them ready.
+
+    Raises
+    ------
+    UsageError
+        The log and the options do not name a sensor of the folder, or name different ones.
+    InputError
+        A calibration is wrong, or two contradict each other.
+    """
+    start = None if options.start is None else moment(options.start).timestamp()
+    sensors = [_Sensor(serial, library.history(serial), lead) for serial, lead in _serials(library, log, options, say)]
+    parts = []
+    for sensor in sensors:
+        for remark in sensor.history.remarks:
+            say(f"note: {remark}")
+        stability = library.stability(sensor.serial, options.stability) if options.uncertainty else None
+        _say_stability(sensor.history, stability, say)
+        parts.append(_prepare_sensor(sensor, stability, options, start, log.name, say))
+    named = named_columns(columns, [name for part in parts for name in part.channels])
+    roles = () if start is not None and named.get(TIME, TIME) not in log.names else (TIME,)
+    if len(sensors) == 1 and not sensors[0].lead:
+        return replace(parts[0], roles=roles)
+    return _bench(sensors, parts, log.names, roles)
+
+
+def _serials(
+    library: CalibrationLibrary, log: LogReader, options: ApplyOptions, say: Callable[[str], None]
+) -> list[tuple[str, str]]:
+    """Return the serial number of each sensor of a log, and what the names of its columns begin with."""
+    noted = next((str(log.notes[key]) for key in SERIAL_NOTES if key in log.notes), None)
+    serial = options.serial
+    if serial and noted and serial != noted:
+        raise UsageError(f"{log.name} states the serial number {noted!r}, and --serial says {serial!r}: leave one out")
+    if serial or noted:
+        found = str(serial or noted)
+        return [(found, f"{found}_" if f"{found}_x" in log.names or f"{found}_y" in log.names else "")]
+    columns = {name[:-2] for name in log.names if name[-2:] in ("_x", "_y", "_z")}
+    known = [one for one in dict.fromkeys(name[:-2] for name in log.names) if one in columns & {*library.serials}]
+    if known:
+        for other in sorted(columns - {*known}):
+            say(f"note: {library.folder} has no calibration of {other!r}: its columns are left as they are")
+        return [(one, f"{one}_") for one in known]
+    if len(library.serials) == 1 and not columns:
+        say(f"note: {log.name} names no sensor; {library.folder} has calibrations of {library.serials[0]} alone")
+        return [(library.serials[0], "")]
+    listed = ", ".join(library.serials[:12]) + (" ..." if len(library.serials) > 12 else "")
+    raise UsageError(
+        f"{log.name} names no sensor of {library.folder}: name it with --serial; the folder has calibrations of "
+        f"{listed or 'none'}"
+    )
+
+
+def _say_stability(history: SensorHistory, stability: Stability | None, say: Callable[[str], None]) -> None:
+    if stability is None:
+        return
+    serial = history.sensor.serial
+    if not stability.beyond:
+        say(
+            f"note: how far {serial} wanders is unknown, because no sensor has two calibrations: outside their time "
+            "the uncertainty is that of the nearest one alone (--stability)"
+        )
+        return
+    coefficients = history.calibrations[-1].record.coefficients
+    told = []
+    for i, channel in enumerate(coefficients.channels):
+        walk = stability.between.get(f"offset.{channel}")
+        if walk is not None and channel in coefficients.axes:
+            own = abs(coefficients.sensitivity[i, coefficients.axes.index(channel)])
+            told.append(f"{channel} {1000.0 * walk.rate**0.5 / own:.2g}")
+    say(f"note: the offset of {serial} wanders by {', '.join(told)} mg/√d, {_source(stability)}")
+
+
+def _source(stability: Stability) -> str:
+    return stability.source if stability.source == "as stated" else f"from {stability.source}"
+
+
+def _prepare_sensor(
+    sensor: _Sensor,
+    stability: Stability | None,
+    options: ApplyOptions,
+    start: float | None,
+    log: str,
+    say: Callable[[str], None],
+) -> PreparedCalibration:
+    calibrations = sensor.history.calibrations
+    origin = {
+        "calibration": ", ".join(one.name for one in calibrations),
+        "sha256": ", ".join(sha256_of(one.path) for one in calibrations),
+    }
+    from tiltcal.calibration.calibration import Calibration
+
+    template = prepare(Calibration(calibrations[-1].record), options, say, origin=origin)
+    kernel = LibraryKernel(sensor.history, stability, options, template.kernel.columns, start, log)
+    return replace(template, kernel=kernel)
+
+
+class LibraryKernel:
+    """The compensation of a sensor by the calibration that holds at the time of each row.
+
+    Parameters
+    ----------
+    history : SensorHistory
+    stability : Stability or None
+        None where no uncertainty is asked for.
+    options : ApplyOptions
+    columns : tuple of str
+        What each compensation gives.
+    start : float or None
+        When the time of the log is 0, seconds since 1970; None where its time counts from 1970.
+    log : str
+        For messages.
+    """
+
+    def __init__(
+        self,
+        history: SensorHistory,
+        stability: Stability | None,
+        options: ApplyOptions,
+        columns: tuple[str, ...],
+        start: float | None,
+        log: str,
+    ) -> None:
+        self.columns = columns
+        self._history, self._stability, self._options = history, stability, options
+        self._start, self._log = start, log
+        self._dates = np.array([one.date.timestamp() for one in history.calibrations])
+        self._kernels: dict[int, tuple[Kernel, float]] = {}
+        self._last = float(self._dates[-1])
+
+    def __call__(self, values: RoleValues) -> Table:
+        time = self._times(values)
+        steps = self._steps(time)
+        first, last = int(steps.min()), int(steps.max())
+        if first == last:
+            return self._flagged(self._of_step(first, values, time), first)
+        table: dict[str, NDArray[np.generic]] = {}
+        for step in np.unique(steps).tolist():
+            rows = np.flatnonzero(steps == step)
+            part = self._flagged(self._of_step(step, _taken(values, rows), time[rows]), step)
+            for name, column in part.items():
+                table.setdefault(name, np.empty(len(time), column.dtype))[rows] = column
+        return table  # type: ignore[return-value]
+
+    def _times(self, values: RoleValues) -> Array:
+        """Return the time of each row, seconds since 1970; a row without one has that of the row before."""
+        if values.time is None:
+            return np.full(len(values), self._start or 0.0)
+        time = np.asarray(values.time, dtype=float) + (self._start or 0.0)
+        known = np.isfinite(time)
+        if not known.all():
+            place = np.maximum.accumulate(np.where(known, np.arange(len(time)), -1))
+            time = np.where(place < 0, self._last, time[place])
+        if not _FIRST_MOMENT < time[0] < _LAST_MOMENT:
+            raise InputError(
+                f"the time {time[0]:g} is not a date and no count of seconds since 1970: state when the log began with "
+                "--start, such as --start 2026-05-01T12:00:00Z",
+                file=self._log,
+            )
+        self._last = float(time[-1])
+        return time
+
+    def _steps(self, time: Array) -> NDArray[np.int64]:
+        """Return the number of the step in which each row lies; below 0 before the first calibration."""
+        low, high = float(time.min()), float(time.max())
+        dates = self._dates
+        k = int(np.searchsorted(dates, low, "right")) - 1
+        if 0 <= k < len(dates) - 1 and high < dates[k + 1]:  # the usual log
+            share = (time - dates[k]) * (STEPS / (dates[k + 1] - dates[k]))
+            return np.asarray(k * STEPS + share.astype(np.int64))
+        position = np.interp(time, dates, np.arange(len(dates)) * float(STEPS))
+        steps: NDArray[np.int64] = np.minimum(position.astype(np.int64), max(0, len(dates) - 1) * STEPS - 1)
+        early, late = time < dates[0], time > dates[-1]
+        steps[early] = -1 - self._grown(dates[0] - time[early])
+        steps[late] = _OUTSIDE + self._grown(time[late] - dates[-1])
+        if len(dates) == 1:  # one calibration has no step; its own moment is no time outside
+            steps[~early & ~late] = _OUTSIDE
+        return steps
+
+    def _grown(self, seconds: Array) -> NDArray[np.int64]:
+        """Return how far outside a row lies, in steps that grow with it; all alike without an uncertainty."""
+        if self._stability is None:
+            return np.ones(len(seconds), np.int64)
+        return np.asarray(np.ceil(_GROWTH * np.log2(1.0 + seconds / 3600.0)), np.int64)
+
+    def _of_step(self, step: int, values: RoleValues, time: Array) -> Table:
+        if step not in self._kernels:
+            middle = self._middle(step)
+            calibration = calibration_at(self._history, middle, self._stability)
+            self._kernels[step] = prepare(calibration, self._options).kernel, middle
+        kernel, middle = self._kernels[step]
+        if 0 <= step < _OUTSIDE and len(self._dates) > 1:
+            values = replace(values, readings=self._on_line(step // STEPS, values, time - middle))
+        return kernel(values)
+
+    def _middle(self, step: int) -> float:
+        """Return the time for which the compensation of a step is made, seconds since 1970."""
+        if 0 <= step < _OUTSIDE:
+            k, part = divmod(step, STEPS)
+            return float(self._dates[k] + (part + 0.5) / STEPS * (self._dates[k + 1] - self._dates[k]))
+        grown = (step - _OUTSIDE) if step >= _OUTSIDE else -1 - step
+        seconds = 3600.0 * (2.0 ** (grown / _GROWTH) - 1.0)
+        return float(self._dates[-1] + seconds if step >= _OUTSIDE else self._dates[0] - seconds)
+
+    def _on_line(self, k: int, values: RoleValues, seconds: Array) -> Array:
+        """Return the readings less what offset and drift have changed since the middle of the step."""
+        before, after = (self._history.calibrations[i].record for i in (k, k + 1))
+        late = after.coefficients
+        early = before.coefficients if late.thermal is None else referred(before.coefficients, late.thermal.reference)
+        share = seconds / (self._dates[k + 1] - self._dates[k])
+        shifted = np.empty(values.readings.shape[::-1]).T
+        for i, channel in enumerate(late.channels):
+            change: Array | float = float(late.offset[i] - early.offset[i])
+            if late.thermal is not None and early.thermal is not None and values.temperature is not None:
+                dt = np.nan_to_num(values.temperature - late.thermal.reference)
+                change = change + polynomial(late.thermal.drift[i], dt) - polynomial(early.thermal.drift[i], dt)
+            reading = values.readings[:, i]
+            np.subtract(reading, share * change, out=shifted[:, i])
+            if channel in after.limits.reading:  # what is at the rail stays there
+                low, high = after.limits.reading[channel]
+                stuck = (reading <= low) | (reading >= high)
+                if stuck.any():
+                    shifted[stuck, i] = reading[stuck]
+        return shifted
+
+    def _flagged(self, table: Table, step: int) -> Table:
+        if 0 <= step < _OUTSIDE or step == _OUTSIDE:
+            return table
+        flag, reason = (np.asarray(table[name], np.uint8) for name in ("flag", "reason"))
+        there = flag != MISSING
+        return {
+            **table,
+            "flag": np.where(there, np.maximum(flag, SUSPECT), flag).astype(np.uint8),
+            "reason": np.where(there, reason | OUTSIDE_TIME, reason).astype(np.uint8),
+        }
+
+
+@dataclass(frozen=True)
+class BenchKernel:
+    """The compensation of several sensors whose readings stand side by side in one log.
+
+    Attributes
+    ----------
+    parts : sequence of (str, Kernel, sequence of int, int or None)
+        Of each sensor what its columns begin with, its compensation, and where its readings and its own temperature
+        stand among the readings.
+    columns : tuple of str
+    """
+
+    parts: Sequence[tuple[str, Kernel, Sequence[int], int | None]]
+    columns: tuple[str, ...]
+
+    def __call__(self, values: RoleValues) -> Table:
+        table = {}
+        for lead, kernel, channels, temperature in self.parts:
+            own = values.readings.T
+            part = replace(
+                values,
+                readings=own[list(channels)].T,
+                temperature=values.temperature if temperature is None else own[temperature],
+            )
+            table.update({f"{lead}{name}": column for name, column in kernel(part).items()})
+        return table
+
+
+def _bench(
+    sensors: Sequence[_Sensor], parts: Sequence[PreparedCalibration], names: Sequence[str], roles: tuple[str, ...]
+) -> PreparedCalibration:
+    """Return the calibrations of several sensors as one."""
+    kernels: list[tuple[str, Kernel, Sequence[int], int | None]] = []
+    channels: list[str] = []
+    for sensor, part in zip(sensors, parts, strict=True):
+        first = len(channels)
+        channels += [f"{sensor.lead}{channel}" for channel in part.channels]
+        own = range(first, len(channels))
+        thermometer = f"{sensor.lead}{TEMPERATURE}"
+        if thermometer in names:
+            channels.append(thermometer)
+        kernels.append((sensor.lead, part.kernel, own, len(channels) - 1 if thermometer in names else None))
+
+    def led(wanted: Callable[[PreparedCalibration], Sequence[str]]) -> tuple[str, ...]:
+        return tuple(
+            f"{sensor.lead}{name}" for sensor, part in zip(sensors, parts, strict=True) for name in wanted(part)
+        )
+
+    return PreparedCalibration(
+        BenchKernel(kernels, led(lambda part: part.kernel.columns)),
+        tuple(channels),
+        None,
+        led(lambda part: part.angles),
+        led(lambda part: part.watched),
+        {
+            "software": parts[0].origin["software"],
+            **{key: ", ".join(part.origin[key] for part in parts) for key in ("calibration", "sha256", "serial")},
+        },
+        roles,
+    )
+
+
+def _taken(values: RoleValues, rows: NDArray[np.intp]) -> RoleValues:
+    """Return some of the rows."""
+    others = {name: column for name, column in vars(values).items() if name != "readings" and column is not None}
+    return RoleValues(values.readings.T[:, rows].T, **{name: column[rows] for name, column in others.items()})
