@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.errors import UsageError
-from tiltcal.logs.streams import sha256_of
+from tiltcal.logs.streams import read_ahead, sha256_of
 
 if TYPE_CHECKING:
     import polars as pl
@@ -151,10 +151,16 @@ class LogReader(ABC):
             A row cannot be parsed, a needed column holds no numbers, or the file is damaged; once the iterator comes
             to it.
         """
-        for block in self._blocks(tuple(columns), time, frames):
+        blocks = self._blocks(tuple(columns), time, frames)
+        for block in read_ahead(blocks) if self._reads_ahead else blocks:
             yield block
             if self._progress is not None:
                 self._progress(self.bytes_read, self.source.size)
+
+    @property
+    def _reads_ahead(self) -> bool:
+        """Whether a thread reads and parses the next blocks meanwhile, which only a source that never waits may do."""
+        return False
 
     @abstractmethod
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]: ...

@@ -9,19 +9,23 @@ import signal
 import stat
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from hashlib import file_digest, sha256
 from pathlib import Path
 from select import select
 from tempfile import SpooledTemporaryFile
 from types import FrameType
-from typing import TYPE_CHECKING, BinaryIO, Protocol, cast
+from typing import TYPE_CHECKING, BinaryIO, Protocol, TypeVar, cast
 
 from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
     import io
+
+T = TypeVar("T")
 
 STANDARD = "-"
 """The name of standard input and standard output."""
@@ -145,6 +149,22 @@ def interrupts_held() -> Iterator[Callable[[], None]]:
     finally:
         signal.signal(signal.SIGINT, before)
     check()
+
+
+def read_ahead(items: Iterator[T], count: int = 2) -> Iterator[T]:
+    """Yield the items of an iterator, which runs in a thread of its own and is up to ``count`` items ahead.
+
+    What the iterator raises is raised here. Its thread ends with the iterator, or when this one is closed.
+    """
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="read-ahead") as thread:
+        expected = deque(thread.submit(next, items, None) for _ in range(count))
+        try:
+            while (item := expected.popleft().result()) is not None:
+                expected.append(thread.submit(next, items, None))
+                yield item
+        finally:
+            for future in expected:
+                future.cancel()
 
 
 class HashingReader:

@@ -99,6 +99,10 @@ class CsvReader(LogReader):
     def interrupted(self) -> bool:
         return bool(getattr(self.source.stream, "interrupted", False))
 
+    @property
+    def _reads_ahead(self) -> bool:
+        return self.source.size is not None and self.source.size > self._block
+
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         if not frames:
             short = time is None and self.source.size is not None and self.source.size <= SHORT

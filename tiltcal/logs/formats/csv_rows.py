@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
 
 Positions = NDArray[np.intp]
 
-_LF, _COMMA, _CR, _NUL, _POINT, _ZERO, _NINE = b"\n,\r\0.09"
+_LF, _COMMA, _QUOTE, _CR, _NUL, _POINT, _ZERO, _NINE = b'\n,"\r\0.09'
+_PIECE = 1 << 16  # bytes: as many as stay in the cache with what is made of them
 _TORN = "the last row is cut short"
 _UNUSED = "\x1f\x1e\x1d\x1c\x01\x02\x03\x04\x05\x06\x0e\x0f\x10\x11\x12\x13\x14\x15\x16\x17"
 
@@ -101,39 +103,39 @@ def parse_rows(
         Nothing is raised: what breaks a rule is in ``faults``.
     """
     data, encoding = _as_utf8(data)
-    starts: Sequence[int]
-    if b'"' in data:
-        wanted = [*columns, *texts]
-        lines, cells, faults, starts, rest = _split_quoted(data.decode(), len(names), wanted, unended)
-        series = _series(lines)
-        values = _parse_cells({index: cells[index] for index in columns}, names, faults, time)
-        words = {index: cells[index].replace("", None) for index in texts}
-        line_count = data.count(b"\n") - rest.count("\n")
-    else:
-        if b"\r" in data:
-            data = data.replace(b"\r\n", b"\n")
-        faults = _plain_faults(data, len(names), unended)
-        numeric = data
-        if faults:
-            data, numeric = _repaired(data, faults, len(names))
-        series, values = _plain_lines(data), _plain_values(numeric, names, columns, faults, time)
-        words = _plain_texts(numeric, names, texts)
-        line_count, rest = len(series), ""
-        starts = range(line_count)
-    for column in values.values():
-        column[list(faults)] = np.nan
-    if words and faults:
-        words = _with_bad_rows(words, series, faults)
+    found = None if unended else _sound_rows(data, len(names), columns, time, texts)
+    if found is None:
+        found = (_rows_with_quotes if b'"' in data else _rows_without_quotes)(
+            data, names, columns, time, texts, unended
+        )
+    faults = found.faults
+    if faults:
+        for column in found.values.values():
+            column[list(faults)] = np.nan
+    words = _with_bad_rows(found.texts, found.lines, faults) if found.texts and faults else found.texts
     return CsvBlock(
-        values=values,
+        values=found.values,
         faults=faults,
-        lines=series,
-        starts=starts,
-        line_count=line_count,
+        lines=found.lines,
+        starts=found.starts,
+        line_count=found.line_count,
         encoding=encoding,
-        rest=rest.encode(encoding),
+        rest=found.rest.encode(encoding),
         texts=words,
     )
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows that are parsed; see :class:`CsvBlock`."""
+
+    lines: pl.Series
+    values: dict[int, Array]
+    texts: Mapping[int, pl.Series]
+    starts: Sequence[int]
+    line_count: int
+    faults: dict[int, str] = field(default_factory=dict)
+    rest: str = ""
 
 
 def _as_utf8(data: bytes) -> tuple[bytes, str]:
@@ -147,7 +149,115 @@ def _as_utf8(data: bytes) -> tuple[bytes, str]:
     return data, "utf-8"
 
 
+# ------------------------------------------------------------------------------------------------------- sound rows
+
+
+def _sound_rows(
+    data: bytes, fields: int, columns: Sequence[int], time: int | None, texts: Sequence[int]
+) -> _Rows | None:
+    """Parse rows that break no rule, as is seen without a look at single rows; None where one might.
+
+    The engine gives a short row null in its last field and leaves out what a long row has too much, without a word.
+    Where no last field is null and the commas are as many as the rows need, no row is short or long.
+    """
+    import polars as pl
+
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n")
+    quoted = b'"' in data
+    if b"\r" in data or b"\0" in data or _has_open_points(data):
+        return None
+    bare = _without_quoted(data) if quoted else data
+    if bare is None:
+        return None
+    rows = _count(bare, _LF)
+    if _count(bare, _COMMA) != rows * (fields - 1) or (quoted and _count(data, _LF) != rows):
+        return None
+    frame = _typed_columns(data, fields, columns, time, texts, '"' if quoted else None)
+    if frame is None or len(frame) != rows:
+        return None
+    if frame.to_series(-1).null_count() and (fields == 1 or not _is_rectangular(bare, fields)):
+        return None
+    values = {
+        index: seconds(column) if column.dtype == pl.String else column.fill_null(np.nan).to_numpy()
+        for index, column in ((index, frame[str(index)]) for index in columns)
+    }
+    words = {index: frame[str(index)] for index in texts}
+    if quoted:
+        words = {index: column.replace("", None) for index, column in words.items()}
+    return _Rows(_plain_lines(data), values, words, range(rows), rows)
+
+
+def _typed_columns(
+    data: bytes, fields: int, columns: Sequence[int], time: int | None, texts: Sequence[int], quote_char: str | None
+) -> pl.DataFrame | None:
+    """Read the needed columns as numbers, the time as text if it is none, and the last one; None if that fails."""
+    import polars as pl
+
+    # Moments are the one kind of text that is read as fast as numbers are.
+    for numeric in [columns] if time is None else [columns, [index for index in columns if index != time]]:
+        schema = {str(index): pl.Float64 if index in numeric else pl.String for index in range(fields)}
+        with suppress(pl.exceptions.PolarsError):
+            return _engine(data, schema=schema, columns=sorted({*columns, *texts, fields - 1}), quote_char=quote_char)
+    return None
+
+
+def _is_rectangular(data: bytes, fields: int) -> bool:
+    buffer = np.frombuffer(data, np.uint8)
+    return _field_counts(np.flatnonzero(buffer == _COMMA), np.flatnonzero(buffer == _LF), fields) is None
+
+
+def _pieces(data: bytes) -> Iterator[NDArray[np.uint8]]:
+    """Yield the bytes in pieces that stay in the cache, each with the first byte of the next one behind it."""
+    buffer = np.frombuffer(data, np.uint8)
+    return (buffer[start : start + _PIECE + 1] for start in range(0, len(data), _PIECE))
+
+
+def _count(data: bytes, code: int) -> int:
+    return sum(int(np.count_nonzero(piece[:_PIECE] == code)) for piece in _pieces(data))
+
+
+def _has_open_points(data: bytes) -> bool:
+    """Return whether a decimal point is followed by no digit, which the engine would take for a number."""
+    return any(
+        bool(((piece[:-1] == _POINT) & ((piece[1:] - np.uint8(_ZERO)) > _NINE - _ZERO)).any())
+        for piece in _pieces(data)
+    )
+
+
+def _without_quoted(data: bytes) -> bytes | None:
+    """Return the bytes with quotes in place of all that is inside quotes; None unless these enclose whole fields."""
+    buffer = np.frombuffer(data, np.uint8)
+    quotes = buffer == _QUOTE
+    places = np.flatnonzero(quotes)
+    if len(places) % 2 or np.diff(places).max() > csv.field_size_limit():
+        return None
+    # The first byte follows a line end, as the last one is a line end. A quote beside a quote is a doubled one.
+    beside = np.concatenate([buffer[places[::2] - 1], buffer[places[1::2] + 1]])
+    if not ((beside == _COMMA) | (beside == _LF) | (beside == _QUOTE)).all():
+        return None
+    inside = np.bitwise_xor.accumulate(quotes.view(np.uint8)).view(bool)
+    return np.where(inside, np.uint8(_QUOTE), buffer).tobytes()
+
+
 # ------------------------------------------------------------------------------------------------ rows without quotes
+
+
+def _rows_without_quotes(
+    data: bytes, names: Sequence[str], columns: Sequence[int], time: int | None, texts: Sequence[int], unended: bool
+) -> _Rows:
+    import polars as pl
+
+    data = data.replace(b"\r\n", b"\n")
+    faults = _plain_faults(data, len(names), unended)
+    numeric = data
+    if faults:
+        data, numeric = _repaired(data, faults, len(names))
+    lines = _plain_lines(data)
+    wanted = sorted({*columns, *texts})
+    cells = _engine(numeric, schema={str(index): pl.String for index in range(len(names))}, columns=wanted)
+    values = _parse_cells({index: cells[str(index)] for index in columns}, names, faults, time)
+    return _Rows(lines, values, {index: cells[str(index)] for index in texts}, range(len(lines)), len(lines), faults)
 
 
 def _plain_faults(data: bytes, fields: int, unended: bool) -> dict[int, str]:
@@ -204,7 +314,7 @@ def _plain_lines(data: bytes) -> pl.Series:
     return _engine(data, separator=separator, schema={"": pl.String})[""]
 
 
-def _engine(data: bytes, **options: Any) -> pl.DataFrame:
+def _engine(data: bytes, *, quote_char: str | None = None, **options: Any) -> pl.DataFrame:
     """Read rows without quotes.
 
     The engine takes bytes that begin as a compressed file does (a cell ``x`` and a control character will do) for one;
@@ -212,52 +322,19 @@ def _engine(data: bytes, **options: Any) -> pl.DataFrame:
     """
     import polars as pl
 
-    return pl.read_csv(b"\n" + data, skip_lines=1, has_header=False, quote_char=None, **options)
-
-
-def _plain_values(
-    data: bytes, names: Sequence[str], columns: Sequence[int], faults: dict[int, str], time: int | None
-) -> dict[int, Array]:
-    """Numbers straight from the bytes; by way of their text where the engine's rule could differ from ours."""
-    import polars as pl
-
-    def read(numeric: Sequence[int]) -> pl.DataFrame:
-        schema = {str(index): pl.Float64 if index in numeric else pl.String for index in range(len(names))}
-        wanted = sorted(set(columns))
-        return _engine(data, schema=schema, columns=wanted)
-
-    # Moments are the one kind of text that is read as fast as numbers are.
-    tries = [columns] if time is None else [columns, [index for index in columns if index != time]]
-    for numeric in [] if _has_open_points(data) else tries:
-        try:
-            frame = read(numeric)
-        except pl.exceptions.ComputeError:
-            continue
-        values = {index: frame[str(index)].fill_null(np.nan).to_numpy(writable=True) for index in numeric}
-        if time is not None and time not in values:
-            values[time] = seconds(frame[str(time)])
-        return values
-    texts = read([])
-    return _parse_cells({index: texts[str(index)] for index in columns}, names, faults, time)
-
-
-def _plain_texts(data: bytes, names: Sequence[str], texts: Sequence[int]) -> dict[int, pl.Series]:
-    import polars as pl
-
-    if not texts:
-        return {}
-    frame = _engine(data, schema={str(index): pl.String for index in range(len(names))}, columns=sorted(set(texts)))
-    return {index: frame[str(index)] for index in texts}
-
-
-def _has_open_points(data: bytes) -> bool:
-    """Return whether a decimal point lacks a digit behind it, which the engine would take for a number."""
-    buffer = np.frombuffer(data, np.uint8)
-    behind = buffer[np.flatnonzero(buffer == _POINT) + 1]
-    return bool(((behind < _ZERO) | (behind > _NINE)).any())
+    return pl.read_csv(b"\n" + data, skip_lines=1, has_header=False, quote_char=quote_char, **options)
 
 
 # --------------------------------------------------------------------------------------------------- rows with quotes
+
+
+def _rows_with_quotes(
+    data: bytes, names: Sequence[str], columns: Sequence[int], time: int | None, texts: Sequence[int], unended: bool
+) -> _Rows:
+    lines, cells, faults, starts, rest = _split_quoted(data.decode(), len(names), [*columns, *texts], unended)
+    values = _parse_cells({index: cells[index] for index in columns}, names, faults, time)
+    words = {index: cells[index].replace("", None) for index in texts}
+    return _Rows(_series(lines), values, words, starts, data.count(b"\n") - rest.count("\n"), faults, rest)
 
 
 def _split_quoted(
