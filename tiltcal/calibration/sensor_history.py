@@ -127,8 +127,8 @@ class SensorHistory:
         return self.calibrations[-1].date + interval
 
     def gaps(self, interval: timedelta) -> list[tuple[DatedCalibration, DatedCalibration]]:
-        """Return the neighbours that are further apart than the interval."""
-        return [(a, b) for a, b in pairwise(self.calibrations) if b.date - a.date > interval]
+        """Return the neighbours that are further apart than the interval and a tenth of it."""
+        return [(a, b) for a, b in pairwise(self.calibrations) if b.date - a.date > 1.1 * interval]
 
     @cached_property
     def series(self) -> dict[str, tuple[Array, ...]]:

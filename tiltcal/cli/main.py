@@ -20,6 +20,7 @@ COMMANDS = {
     "record": "record the readings of a sensor or a bench",
     "verify": "compare a calibration with positions that it was not fitted to",
     "diff": "compare two calibrations of one sensor",
+    "history": "show the calibrations of a folder: dates, changes, what is due, outliers",
     "replay": "repeat a recorded session without hardware",
     "fit": "calibrate from a recorded log",
     "apply": "convert a log of readings to compensated tilt",

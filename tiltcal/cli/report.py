@@ -22,6 +22,7 @@ Examples:
   tiltcal report S-0042.yaml -o S-0042.html
   tiltcal report S-0042.yaml night-tilt.csv -o S-0042.html
   tiltcal report S-0042-spring.yaml S-0042-autumn.yaml -o S-0042.html
+  tiltcal report calibrations -o fleet.html
 """
 
 _CALIBRATIONS = (".yaml", ".yml")
@@ -46,7 +47,8 @@ def command(files: tuple[str, ...], output: Path, columns: str, skip_bad_rows: b
     uncertainty and its sources, the residuals, and the range in which the calibration holds. A LOG, raw or as `tiltcal
     apply` wrote it, adds its flags and its tilt over time. With several calibrations of one sensor, oldest first, the
     page is about the last one and shows the changes since each of the others. For pairs (from `tiltcal match`) it shows
-    the components before and after, and with the LOG their spectra.
+    the components before and after, and with the LOG their spectra. For a folder it shows what `tiltcal history`
+    prints, with figures of the distributions.
     """
     write_report(files, output, columns=columns, skip_bad_rows=skip_bad_rows)
     click.echo(f"wrote {output}", err=True)
@@ -67,6 +69,12 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
 
     require_extra()
     check_writable(output)
+    if len(files) == 1 and Path(files[0]).is_dir():
+        from tiltcal.cli.history import read_history
+        from tiltcal.report.fleet_page import fleet_page
+
+        write_whole(output, fleet_page(read_history(Path(files[0]))))
+        return
     calibrations = [name for name in files if name.lower().endswith(_CALIBRATIONS)]
     logs = [name for name in files if name not in calibrations]
     if not calibrations:

@@ -1,0 +1,82 @@
+"""``tiltcal history`` and the page of a folder: dates, changes, what is due, and outliers of the fleet."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import FIXTURES
+from support.command import tiltcal
+from support.html_page import Page
+
+MAVS = (FIXTURES / "mavs.yaml").read_text(encoding="utf-8")
+ODD = "U-7"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twenty units with the temperature coefficients of the paper's figure 7 in count/°C, one of them far off."""
+    folder = tmp_path_factory.mktemp("calibrations")
+    drift = np.random.default_rng(2).normal(1.0, 0.7, 20)
+    drift[7] = 9.0
+    for unit, of_unit in enumerate(drift):
+        text = MAVS.replace("SIM-42", f"U-{unit}").replace("x: [2.54933]", f"x: [{of_unit:.5f}]")
+        (folder / f"U-{unit}-a.yaml").write_text(text.replace("2000-01-01", "2020-03-01"))
+    later = MAVS.replace("SIM-42", "U-0").replace("x: [2.54933]", f"x: [{drift[0]:.5f}]").replace("2000", "2021")
+    later = later.replace("noise alone: no jig is stated, and no position is left over", "the stated jig")
+    (folder / "U-0-b.yaml").write_text(later.replace("x: 1030.0062", "x: 1042.0062"))
+    (folder / "torn.yaml").write_text(MAVS[:300])
+    return folder
+
+
+def test_dates_changes_and_outliers(folder: Path) -> None:
+    """12 counts of 0.7 sqrt(2) standard uncertainty are a change; one file of noise alone leaves it undecided."""
+    found = json.loads(tiltcal("history", folder, "--json").stdout)
+    sensors = {one["serial"]: one for one in found["sensors"]}
+    assert len(sensors) == 20
+    twice = sensors["U-0"]
+    assert [one["date"] for one in twice["calibrations"]] == ["2020-03-01T00:04:00Z", "2021-01-01T00:04:00Z"]
+    (change,) = twice["changes"]
+    diff = json.loads(tiltcal("diff", folder / "U-0-a.yaml", folder / "U-0-b.yaml", "--json").stdout)
+    assert {name: change[name] for name in diff} == diff
+    assert change["days"] == pytest.approx(306.0)
+    due = datetime.fromisoformat("2021-01-01T00:04:00Z") + timedelta(days=365)
+    assert twice["due"] == due.strftime("%Y-%m-%dT%H:%M:%SZ")
+    assert twice["is_due"]
+    (fleet,) = found["fleets"]
+    outliers = {one["name"]: one["outliers"] for one in fleet["coefficients"]}
+    assert outliers["temperature.offset.x.1"] == [ODD]
+    drift = next(one for one in fleet["coefficients"] if one["name"] == "temperature.offset.x.1")
+    assert drift["median"] == pytest.approx(np.median(list(drift["values"].values())))
+    assert drift["n"] == 20
+    (problem,) = found["problems"]
+    assert "torn.yaml" in problem
+
+
+def test_the_text_names_what_the_json_holds(folder: Path) -> None:
+    done = tiltcal("history", folder, "--interval", "9000d")
+    assert done.returncode == 0
+    lines = done.stdout.splitlines()
+    assert "sca100t-d02 U-0: due 2045-08-23" in lines
+    assert "  2021-01-01  U-0-b.yaml  unknown" in lines
+    assert any(line.startswith("  temperature.offset.x.1") and line.endswith(f"   {ODD}") for line in lines)
+    assert any(line.startswith("problem: ") and "torn.yaml" in line for line in lines)
+
+
+def test_a_page_of_the_folder(folder: Path, tmp_path: Path) -> None:
+    output = tmp_path / "fleet.html"
+    done = tiltcal("report", folder, "-o", output)
+    assert done.returncode == 0, done.stderr
+    text = output.read_text(encoding="utf-8")
+    Page(text)
+    assert text.count("<svg") >= 2
+    assert "torn.yaml" in text
+    assert ODD in text
+
+
+def test_a_folder_without_calibrations_and_a_wrong_interval_are_refused(folder: Path, tmp_path: Path) -> None:
+    assert "has no calibration files" in tiltcal("history", tmp_path).stderr
+    assert "'a year' is no number of days" in tiltcal("history", folder, "--interval", "a year").stderr

@@ -1,0 +1,249 @@
+"""A fleet: all sensors of a folder, how each has changed, and how their coefficients are distributed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from statistics import mode
+from typing import Any
+
+import numpy as np
+
+from tiltcal.calibration.calibration_library import CalibrationLibrary
+from tiltcal.calibration.sensor_history import SensorHistory
+from tiltcal.calibration.verdict import Verdict
+from tiltcal.core.budget import COVERAGE
+from tiltcal.core.named_coefficients import referred, values
+from tiltcal.core.outlier_test import extreme_values
+from tiltcal.errors import InputError
+
+FEWEST = 3
+"""Sensors of one model that make a distribution."""
+
+
+@dataclass(frozen=True)
+class CoefficientDistribution:
+    """The distribution of a coefficient over the sensors of one model, each with its last calibration.
+
+    Attributes
+    ----------
+    name : str
+        Dotted.
+    values : mapping of str to float
+        By serial number, ascending in value.
+    outliers : tuple of str
+        Serial numbers, the most extreme first.
+    """
+
+    name: str
+    values: Mapping[str, float]
+    outliers: tuple[str, ...]
+
+    @property
+    def median(self) -> float:
+        """The median."""
+        return float(np.median(list(self.values.values())))
+
+    @property
+    def spread(self) -> float:
+        """The standard deviation; from the quartiles, so that outliers do not count (0.7413 times their distance)."""
+        low, high = np.quantile(list(self.values.values()), [0.25, 0.75])
+        return float(0.7413 * (high - low))
+
+    @property
+    def line(self) -> str:
+        """The distribution as a line of a table."""
+        numbers = list(self.values.values())
+        told = f"  {self.name:<26} {self.median:>12.6g} {self.spread:>12.4g} {numbers[0]:>12.6g} {numbers[-1]:>12.6g}"
+        return f"{told}   {', '.join(self.outliers)}".rstrip()
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the distribution as plain data."""
+        numbers = list(self.values.values())
+        return {
+            "name": self.name,
+            "n": len(numbers),
+            "median": self.median,
+            "spread": self.spread,
+            "range": [numbers[0], numbers[-1]],
+            "outliers": list(self.outliers),
+            "values": dict(self.values),
+        }
+
+
+@dataclass(frozen=True)
+class ModelFleet:
+    """The sensors of one model and unit.
+
+    Attributes
+    ----------
+    model, unit : str
+    reference : float or None
+        The reference temperature of all coefficients, °C: that of most calibrations.
+    histories : tuple of SensorHistory
+    distributions : tuple of CoefficientDistribution
+        Of each coefficient that three sensors have. Of a fleet without outliers, 5 % have one named.
+    """
+
+    model: str
+    unit: str
+    reference: float | None
+    histories: tuple[SensorHistory, ...]
+    distributions: tuple[CoefficientDistribution, ...]
+
+
+@dataclass(frozen=True)
+class FleetHistory:
+    """The history of a folder.
+
+    Attributes
+    ----------
+    folder : str
+    interval : timedelta
+        In which each sensor is calibrated again.
+    now : datetime
+        UTC.
+    histories : tuple of SensorHistory
+    models : tuple of ModelFleet
+    problems : tuple of str
+        Files that cannot be used, or contradict each other.
+    """
+
+    folder: str
+    interval: timedelta
+    now: datetime
+    histories: tuple[SensorHistory, ...]
+    models: tuple[ModelFleet, ...]
+    problems: tuple[str, ...]
+
+    def is_due(self, history: SensorHistory) -> bool:
+        """Whether the next calibration of a sensor is due."""
+        return history.due(self.interval) <= self.now
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the history as plain data."""
+        return {
+            "folder": self.folder,
+            "interval_days": self.interval / timedelta(days=1),
+            "sensors": [self._sensor(one) for one in self.histories],
+            "fleets": [
+                {
+                    "model": fleet.model,
+                    "unit": fleet.unit,
+                    "reference": fleet.reference,
+                    "coefficients": [one.as_data() for one in fleet.distributions],
+                }
+                for fleet in self.models
+            ],
+            "problems": list(self.problems),
+        }
+
+    def _sensor(self, history: SensorHistory) -> dict[str, Any]:
+        dated = history.calibrations
+        return {
+            "serial": history.sensor.serial,
+            "model": history.sensor.model,
+            "unit": history.sensor.unit,
+            "calibrations": [{"file": one.path, "date": written(one.date)} for one in dated],
+            "changes": [
+                {"before": a.name, "after": b.name, "days": (b.date - a.date) / timedelta(days=1)} | found.as_data()
+                for a, b, found in zip(dated, dated[1:], history.comparisons, strict=False)
+            ],
+            "due": written(history.due(self.interval)),
+            "is_due": self.is_due(history),
+            "gaps": [[written(a.date), written(b.date)] for a, b in history.gaps(self.interval)],
+            "remarks": list(history.remarks),
+        }
+
+    def __str__(self) -> str:
+        lines = []
+        for history in self.histories:
+            due = history.due(self.interval)
+            word = "was due" if self.is_due(history) else "due"
+            lines.append(f"{history.sensor.model} {history.sensor.serial}: {word} {due:%Y-%m-%d}")
+            for place, one in enumerate(history.calibrations):
+                told = "" if not place else _changed(history.comparisons[place - 1].verdict)
+                lines.append(f"  {one.date:%Y-%m-%d}  {one.name}{told}")
+            for a, b in history.gaps(self.interval):
+                lines.append(f"  gap: {(b.date - a.date).days} days from {a.date:%Y-%m-%d} to {b.date:%Y-%m-%d}")
+            lines += [f"  note: {remark}" for remark in history.remarks]
+        for fleet in self.models:
+            at = "" if fleet.reference is None else f" at {fleet.reference:g} °C"
+            lines += ["", f"{len(fleet.histories)} {fleet.model}, {fleet.unit}{at}"]
+            lines.append(f"  {'':<26} {'median':>12} {'spread':>12} {'least':>12} {'most':>12}   outliers")
+            lines += [found.line for found in fleet.distributions]
+        lines += ["", *(f"problem: {one}" for one in self.problems)] if self.problems else []
+        return "\n".join(lines)
+
+
+def written(moment: datetime) -> str:
+    """Return a moment in ISO 8601, to the second."""
+    return f"{moment:%Y-%m-%dT%H:%M:%SZ}"
+
+
+def fleet_history(library: CalibrationLibrary, interval: timedelta, now: datetime) -> FleetHistory:
+    """Return the history of all sensors of a folder.
+
+    Parameters
+    ----------
+    library : CalibrationLibrary
+    interval : timedelta
+        In which each sensor is calibrated again.
+    now : datetime
+        UTC.
+    """
+    histories, problems = [], [str(problem) for problem in library.index.problems]
+    for serial in library.serials:
+        try:
+            history = library.history(serial)
+            history.comparisons  # noqa: B018  (files that cannot be compared are problems)
+        except InputError as problem:
+            problems.append(str(problem))
+            continue
+        histories.append(history)
+    kinds = dict.fromkeys((one.sensor.model, one.sensor.unit, one.sensor.channels) for one in histories)
+    models = [
+        _of_model([one for one in histories if (one.sensor.model, one.sensor.unit, one.sensor.channels) == kind])
+        for kind in kinds
+    ]
+    return FleetHistory(
+        str(library.folder),
+        interval,
+        now,
+        tuple(histories),
+        tuple(one for one in models if one.distributions),
+        tuple(problems),
+    )
+
+
+def _of_model(histories: Sequence[SensorHistory]) -> ModelFleet:
+    last = {one.sensor.serial: one.calibrations[-1].record.coefficients for one in histories}
+    references = [one.thermal.reference for one in last.values() if one.thermal is not None]
+    reference = mode(references) if references else None
+    named = {serial: values(one if reference is None else referred(one, reference)) for serial, one in last.items()}
+    names = dict.fromkeys(name for one in named.values() for name in one)
+    sets = {name: {serial: one[name] for serial, one in named.items() if name in one} for name in names}
+    sets = {name: found for name, found in sets.items() if len(found) >= FEWEST}
+    rate = 1.0 - COVERAGE ** (1.0 / max(1, len(sets)))
+    sensor = histories[0].sensor
+    return ModelFleet(
+        sensor.model,
+        sensor.unit,
+        reference,
+        tuple(histories),
+        tuple(_distribution(name, found, rate) for name, found in sets.items()),
+    )
+
+
+def _distribution(name: str, found: Mapping[str, float], rate: float) -> CoefficientDistribution:
+    serials = sorted(found, key=lambda serial: found[serial])
+    numbers = np.array([found[serial] for serial in serials])
+    outliers = tuple(serials[place] for place in extreme_values(numbers, rate))
+    return CoefficientDistribution(name, {serial: found[serial] for serial in serials}, outliers)
+
+
+def _changed(verdict: Verdict) -> str:
+    if verdict.word == "changed":
+        return f"  changed: {', '.join(verdict.changed)}"
+    return f"  {verdict.word}"

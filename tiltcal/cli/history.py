@@ -1,0 +1,59 @@
+"""``tiltcal history``"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from tiltcal.errors import UsageError
+
+if TYPE_CHECKING:
+    from tiltcal.calibration.fleet import FleetHistory
+
+_EXAMPLE = """\b
+Examples:
+  tiltcal history calibrations
+  tiltcal history calibrations --interval 180d --json
+"""
+
+
+@click.command(epilog=_EXAMPLE)
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.option("--interval", default="365d", metavar="DAYS", help="Time from one calibration to the next [365d].")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
+def command(folder: Path, interval: str, as_json: bool) -> None:
+    """Show the calibrations of all sensors in a folder, what changed, and when the next one is due.
+
+    Each calibration is compared with the one before it, as `tiltcal diff` does. Then follows, for each model with three
+    sensors or more, the distribution of every coefficient over the last calibrations, at one reference temperature, and
+    the sensors that lie outside it (generalised ESD test: of a fleet without outliers, 5 % have one named). Files that
+    cannot be used, or that contradict each other, are named. `tiltcal report DIR` makes a page of it.
+    """
+    found = read_history(folder, interval)
+    click.echo(json.dumps(found.as_data()) if as_json else str(found))
+
+
+def read_history(folder: Path, interval: str = "365d") -> FleetHistory:
+    """Return the history of a folder at this moment.
+
+    Raises
+    ------
+    UsageError
+        It is no folder, it has no calibration, or the interval is none.
+    """
+    from datetime import UTC, datetime, timedelta
+
+    from tiltcal.calibration.calibration_library import open_calibrations
+    from tiltcal.calibration.fleet import fleet_history
+
+    try:
+        between = timedelta(days=float(interval.removesuffix("d")))
+    except ValueError:
+        raise UsageError(f"--interval: {interval!r} is no number of days; write it as 365d") from None
+    library = open_calibrations(folder)
+    if not library.serials and not library.index.problems:
+        raise UsageError(f"{folder} has no calibration files")
+    return fleet_history(library, between, datetime.now(UTC))

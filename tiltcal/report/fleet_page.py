@@ -1,0 +1,123 @@
+"""The page of a fleet: the calibrations of a folder, what is due, and how the coefficients are distributed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tiltcal.calibration.fleet import FleetHistory, ModelFleet
+from tiltcal.calibration.labels import symbol, unit_of, words
+from tiltcal.calibration.sensor_history import SensorHistory
+from tiltcal.report.figure import SvgFigure
+from tiltcal.report.fleet_figures import distribution_figure, drift_figure
+from tiltcal.report.number_format import AlignedNumber, column, plain
+from tiltcal.report.page import render
+from tiltcal.report.provenance import Fact
+
+
+@dataclass(frozen=True)
+class SensorRow:
+    """One sensor of the table."""
+
+    serial: str
+    model: str
+    calibrations: int
+    first: str
+    last: str
+    change: str
+    due: str
+    is_due: bool
+
+
+@dataclass(frozen=True)
+class DistributionRow:
+    """One coefficient of a model."""
+
+    words: str
+    symbol: tuple[str, str]
+    numbers: Sequence[AlignedNumber]
+    unit: str
+    outliers: str
+
+
+@dataclass(frozen=True)
+class ModelSection:
+    """The distributions of one model."""
+
+    heading: str
+    rows: Sequence[DistributionRow]
+    distribution: SvgFigure | None
+    drift: SvgFigure | None
+
+
+def fleet_page(history: FleetHistory) -> str:
+    """Return one HTML page that needs no other file.
+
+    Raises
+    ------
+    UsageError
+        The libraries of the extra ``report`` are not installed.
+    """
+    rows = [_sensor_row(history, one) for one in history.histories]
+    days = history.interval.days
+    return render(
+        "fleet.html.j2",
+        folder=history.folder,
+        facts=[
+            Fact("Folder", history.folder),
+            Fact("Sensors", str(len(rows))),
+            Fact("Calibrations", str(sum(row.calibrations for row in rows))),
+            Fact("Interval", f"{days} days"),
+            Fact("Due", f"{sum(row.is_due for row in rows)} on {history.now:%Y-%m-%d}"),
+        ],
+        sensors=rows,
+        models=[_model_section(one, number) for number, one in enumerate(history.models, start=1)],
+        remarks=[
+            *(f"{one.sensor.serial}: {remark}" for one in history.histories for remark in one.remarks),
+            *(
+                f"{one.sensor.serial}: no calibration for {(b.date - a.date).days} days, from {a.date:%Y-%m-%d}"
+                for one in history.histories
+                for a, b in one.gaps(history.interval)
+            ),
+        ],
+        problems=history.problems,
+    )
+
+
+def _sensor_row(history: FleetHistory, one: SensorHistory) -> SensorRow:
+    verdict = one.comparisons[-1].verdict if one.comparisons else None
+    change = "" if verdict is None else verdict.word
+    if verdict is not None and verdict.word == "changed":
+        change = f"changed: {', '.join(words(name) for name in verdict.changed)}"
+    return SensorRow(
+        one.sensor.serial,
+        one.sensor.model,
+        len(one.calibrations),
+        f"{one.calibrations[0].date:%Y-%m-%d}",
+        f"{one.calibrations[-1].date:%Y-%m-%d}",
+        change,
+        f"{one.due(history.interval):%Y-%m-%d}",
+        history.is_due(one),
+    )
+
+
+def _model_section(fleet: ModelFleet, number: int) -> ModelSection:
+    found = fleet.distributions
+    numbers = [
+        column(plain(value, 4) for value in values)
+        for values in (
+            [one.median for one in found],
+            [one.spread for one in found],
+            [min(one.values.values()) for one in found],
+            [max(one.values.values()) for one in found],
+        )
+    ]
+    rows = [
+        DistributionRow(
+            words(one.name), symbol(one.name), cells, unit_of(one.name, fleet.unit), ", ".join(one.outliers)
+        )
+        for one, cells in zip(found, zip(*numbers, strict=True), strict=True)
+    ]
+    at = "" if fleet.reference is None else f", at {fleet.reference:g} °C"
+    heading = f"{len(fleet.histories)} {fleet.model}{at}"
+    return ModelSection(heading, rows, distribution_figure(fleet, number), drift_figure(fleet, number))
