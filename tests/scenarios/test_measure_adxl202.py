@@ -19,7 +19,7 @@ def led(address: str, folder: Path, take: Callable[[Event], Event]) -> Session:
     """Lead ``mavs`` with a part at an address."""
     session = lead(
         *("measure", "mavs", "--sensor", "adxl202", "--serial", "A-1005", "--address", address),
-        *("--settle", "0.2", "--samples", "200", "-o", "A-1005.yaml"),
+        *("--settle", "0.2", "--samples", "80", "-o", "A-1005.yaml"),
         cwd=folder,
         answer=lambda message: take(message) if "ask" in message else None,
     )

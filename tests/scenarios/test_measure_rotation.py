@@ -6,6 +6,7 @@ import json
 import random
 import signal
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -193,7 +194,7 @@ def test_killed_at_a_random_moment_on_a_real_line(number: int, tmp_path: Path) -
             process.stdin.flush()
             journal = tmp_path / JOURNAL
             while process.poll() is None and not (journal.exists() and journal.stat().st_size >= size):
-                pass
+                time.sleep(0.0005)
             process.send_signal(signal.SIGKILL)
         resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path, said='{"answer": "ready"}\n')
     assert resumed.returncode == 0, resumed.stderr
@@ -404,7 +405,7 @@ def test_in_plain_lines_what_waits_for_the_last_question_is_left_for_it(tmp_path
 @pytest.mark.parametrize("key", ["s", "q"])
 def test_a_person_stops_it_with_a_key(key: str, tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text(OWN.replace("turns: 12", "turns: 100000"))
-    with on_a_pty(printed(disk.record(seconds=4000.0, rate=25.0, spin=0.5))) as path:
+    with on_a_pty(printed(disk.record(seconds=800.0, rate=25.0, spin=0.5))) as path:
         command, *arguments = [*TILTCAL, *options(serial(path))]
         person = pexpect.spawn(
             command, arguments, cwd=str(tmp_path), encoding="utf-8", timeout=60, dimensions=(24, 200)

@@ -30,7 +30,7 @@ def program(procedure: str, folder: Path, *options: str) -> list[str]:
     return [
         *(sys.executable, "-m", "tiltcal", "measure", procedure, "--sensor", "sca100t-d02"),
         *("--address", "spi:///dev/spidev0.0", "--serial", "S-0042", "-o", str(folder / "S-0042.yaml")),
-        *("--operator", "json", "--settle", "0.4", *options),
+        *("--operator", "json", "--settle", "0.4", "--samples", "30", *options),
     ]
 
 

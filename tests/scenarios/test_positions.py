@@ -142,12 +142,12 @@ def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone(bench: Path
 
 
 def test_a_slow_chamber_is_waited_for(bench: Path) -> None:
-    """From 24 °C to within 2 °C of 5.5 °C with a time constant of ten minutes takes 600 ln(18.5 / 2) = 1335 s; the
-    thermometer's step of 0.92 °C lets it be thought there half a step, 154 s, too early."""
-    twin_with("time_constant: 600.0")
+    """From 24 °C to within 2 °C of 5.5 °C with a time constant of two minutes takes 120 ln(18.5 / 2) = 267 s; the
+    thermometer's step of 0.92 °C lets it be thought there half a step, 31 s, too early."""
+    twin_with("time_constant: 120.0")
     calibration, _ = run("two-temperature")
     warm, cold = calibration.positions
-    assert _seconds(str(cold.time)) - _seconds(str(warm.time)) > 1335.0 - 154.0
+    assert _seconds(str(cold.time)) - _seconds(str(warm.time)) > 267.0 - 31.0
     assert cold.temperature == pytest.approx(5.5, abs=2.0 + 0.92)
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from tiltcal.errors import UsageError
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 EXTRA = "a report needs {}, which is not installed: pip install 'tiltcal[report]'"
 
@@ -37,6 +41,11 @@ def render(template: str, **content: Any) -> str:
     content
         What the template names; a name that is missing is an error.
     """
+    return _environment().get_template(template).render(**content)
+
+
+@cache
+def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
@@ -50,4 +59,4 @@ def render(template: str, **content: Any) -> str:
     )
     environment.filters["svg"] = lambda picture: Markup(picture.svg)
     environment.globals["KEPT"] = KEPT
-    return environment.get_template(template).render(**content)
+    return environment

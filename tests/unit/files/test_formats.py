@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -104,10 +105,11 @@ def reached(content: Any, path: tuple[Any, ...]) -> dict[str, Any] | None:
 
 @pytest.mark.parametrize("path", good_files(), ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_an_unknown_key_is_refused_by_both_wherever_it_stands(path: Path, tmp_path: Path) -> None:
-    kind = read_document(path).plain()["kind"]
+    whole = read_document(path).plain()
+    kind = whole["kind"]
     tried = 0
     for place in mapping_paths(schema(kind), schema(kind)):
-        content = read_document(path).plain()
+        content = deepcopy(whole)
         target = reached(content, place)
         if target is None:
             continue
@@ -126,7 +128,7 @@ def test_a_key_that_is_needed_is_needed_by_both(path: Path, tmp_path: Path) -> N
     kind = whole["kind"]
     inner = [(name, key) for name in SECTIONS if isinstance(whole.get(name), dict) for key in whole[name]]
     for *lead, last in [*((key,) for key in whole), *inner]:
-        content = read_document(path).plain()
+        content = deepcopy(whole)
         del (content[lead[0]] if lead else content)[last]
         (tmp_path / "less.yaml").write_text(json.dumps(content), encoding="utf-8")
         told = complaint(kind, tmp_path / "less.yaml")
