@@ -31,8 +31,11 @@ help:
 demo: $(STAMP)
 	@$(VENV)/bin/tiltcal demo demo
 
+# One worker more than cores, for many tests wait for a line or a clock; each takes its part of the tests in order, and
+# then half of what another has left. Hundreds of processes are started: let them find their byte code.
 test: $(STAMP)
-	@$(RUN) -m pytest -n auto --maxprocesses 4
+	@PYTHONDONTWRITEBYTECODE= $(RUN) -m pytest --dist worksteal \
+		-n $$($(RUN) -c 'import os; print(min((os.cpu_count() or 1) + 1, 5))')
 
 check: $(STAMP)
 	@$(RUN) -m ruff check .
