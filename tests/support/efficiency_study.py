@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
+from tiltcal.core.estimation.covariance import stated_budgets
 from tiltcal.core.estimation.design import Observation
-from tiltcal.core.estimation.equations import system_of
+from tiltcal.core.estimation.elimination import linearised
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.estimation.gauss_newton import linearised
+from tiltcal.core.estimation.fixture_equations import system_of
 
 Array = NDArray[np.float64]
 
@@ -81,7 +82,7 @@ def bound_of(plan: Plan, parts: list[Part]) -> Array:
     system = system_of(fixture(stated, design(plan, jig=plan.jig)))
     z = np.zeros(system.unknowns)
     z[: system.coefficients] = np.concatenate([one.truth for one in parts])
-    return np.asarray(np.sum(linearised(system, z).inverse[: system.coefficients] ** 2, axis=1).reshape(len(parts), -1))
+    return np.array([np.diag(budget.covariance) for budget in stated_budgets(linearised(system, z))])
 
 
 def beyond_bound(plan: Plan, parts: list[Part], seed: int) -> Array:

@@ -161,27 +161,35 @@ def polynomial(coefficients: Array, variable: Array) -> Array:
     Parameters
     ----------
     coefficients : ndarray, shape (order,)
-        Element k multiplies variable**(k+1).
+        Element k multiplies variable**(k+1). With shape (..., order) the result has a row for each polynomial.
     variable : ndarray, any shape
 
     Returns
     -------
     ndarray, the shape of ``variable``
     """
-    value = np.zeros_like(variable)
-    for coefficient in coefficients[::-1]:
-        value += coefficient
+    value = np.zeros(_polynomial_shape(coefficients, variable))
+    for power in range(coefficients.shape[-1], 0, -1):
+        value += _coefficient(coefficients, power)
         value *= variable
     return value
 
 
 def polynomial_slope(coefficients: Array, variable: Array) -> Array:
     """Evaluate the derivative of :func:`polynomial` by its variable."""
-    value = np.zeros_like(variable)
-    for power in range(len(coefficients), 0, -1):
+    value = np.zeros(_polynomial_shape(coefficients, variable))
+    for power in range(coefficients.shape[-1], 0, -1):
         value *= variable
-        value += power * coefficients[power - 1]
+        value += power * _coefficient(coefficients, power)
     return value
+
+
+def _coefficient(coefficients: Array, power: int) -> Array:
+    return coefficients[power - 1] if coefficients.ndim == 1 else coefficients[..., power - 1, None]
+
+
+def _polynomial_shape(coefficients: Array, variable: Array) -> tuple[int, ...]:
+    return variable.shape if coefficients.ndim == 1 else (*coefficients.shape[:-1], variable.shape[-1])
 
 
 def nonlinearity_slope(shares: Array, a: Array) -> Array:
@@ -191,18 +199,20 @@ def nonlinearity_slope(shares: Array, a: Array) -> Array:
 
 @frozen
 class ModelReading:
-    """What one channel reads in n positions.
+    """The readings that the model expects of a channel in n positions, or of several channels alike.
+
+    Several channels have one more axis in front, ``...`` below.
 
     Attributes
     ----------
-    value : ndarray, shape (n,)
+    value : ndarray, shape (..., n)
         In the sensor's unit.
-    by_coefficient : ndarray, shape (n, coefficients)
-    by_signal : ndarray, shape (n,)
+    by_coefficient : ndarray, shape (..., n, coefficients)
+    by_signal : ndarray, shape (..., n)
         By the signal S g, a ratio.
-    by_temperature : ndarray, shape (n,)
+    by_temperature : ndarray, shape (..., n)
         unit/°C.
-    sensitivity : ndarray, shape (3,)
+    sensitivity : ndarray, shape (..., 3)
         To x, y and z, 0 along an axis that was not determined, unit/g.
     """
 
@@ -214,8 +224,8 @@ class ModelReading:
 
     @property
     def by_gravity(self) -> Array:
-        """Derivatives by gravity, shape (n, 3), unit/g."""
-        return np.outer(self.by_signal, self.sensitivity)
+        """Derivatives by gravity, shape (..., n, 3), unit/g."""
+        return np.asarray(self.by_signal[..., None] * self.sensitivity[..., None, :])
 
 
 @frozen
@@ -249,10 +259,11 @@ class ChannelModel:
         )
 
     def split(self, theta: Array) -> tuple[Array, Array, Array, Array]:
-        """Return sensitivity, drift, gain and non-linearity of a vector of coefficients."""
-        ends = np.cumsum([1, len(self.axes), self.drift, self.gain])
-        sensitivity, drift, gain, shares = np.split(theta, ends)[1:]
-        return sensitivity, drift, gain, shares
+        """Return sensitivity, drift, gain and non-linearity of vectors of coefficients, shape (..., coefficients)."""
+        first = 1 + len(self.axes)
+        second = first + self.drift
+        third = second + self.gain
+        return theta[..., 1:first], theta[..., first:second], theta[..., second:third], theta[..., third:]
 
     def read(self, theta: Array, gravity: Array, dt: Array) -> ModelReading:
         """Compute the reading and its derivatives.
@@ -260,21 +271,25 @@ class ChannelModel:
         Parameters
         ----------
         theta : ndarray, shape (coefficients,)
+            Or shape (..., channels, coefficients), of channels that have no non-linearity and are alike but for their
+            names.
         gravity : ndarray, shape (n, 3)
-            Up in the sensor frame, g.
+            Up in the sensor frame, g; shape (..., n, 3) with several channels.
         dt : ndarray, shape (n,)
-            Temperature from the reference, °C.
+            Temperature from the reference, °C; shape (..., n) with several channels.
         """
         sensitivity, drift, gain, shares = self.split(theta)
         columns = [AXES.index(axis) for axis in self.axes]
-        along = gravity.T[columns]
+        along = np.swapaxes(gravity, -1, -2)[..., columns, :]
         signal = sensitivity @ along
+        if theta.ndim > 1:
+            along, dt = along[..., None, :, :], dt[..., None, :]
         scale = 1.0 + polynomial(gain, dt)
         by_signal = scale
-        table = np.empty((len(theta), len(dt)))
+        table = np.empty((*theta.shape, dt.shape[-1]))
         first = 1 + len(columns)
-        table[0] = 1.0
-        table[1:first] = along
+        table[..., 0, :] = 1.0
+        table[..., 1:first, :] = along
         if self.nonlinearity:
             place = self.axes.index(self.name)
             own = sensitivity[place]
@@ -286,28 +301,34 @@ class ChannelModel:
             table[1 + place] += a * (1.0 + polynomial(shares, a) - slope)
             table[-self.nonlinearity :] = own * scale
             _multiply_by_powers(table[-self.nonlinearity :], a, a)
+        value = theta[..., :1] + scale * signal
+        by_temperature = np.zeros_like(signal)
         if self.gain or self.nonlinearity:
-            table[1:first] *= scale
-        table[first : first + self.drift] = 1.0
-        table[first + self.drift : first + self.drift + self.gain] = signal
-        _multiply_by_powers(table[first : first + self.drift], dt)
-        _multiply_by_powers(table[first + self.drift : first + self.drift + self.gain], dt)
-        to_axes = np.zeros(3)
-        to_axes[columns] = sensitivity
+            table[..., 1:first, :] *= scale[..., None, :]
+        if self.drift or self.gain:
+            second = first + self.drift
+            table[..., first:second, :] = 1.0
+            table[..., second : second + self.gain, :] = signal[..., None, :]
+            _multiply_by_powers(table[..., first:second, :], dt)
+            _multiply_by_powers(table[..., second : second + self.gain, :], dt)
+            value += polynomial(drift, dt)
+            by_temperature = polynomial_slope(drift, dt) + polynomial_slope(gain, dt) * signal
+        to_axes = np.zeros((*theta.shape[:-1], 3))
+        to_axes[..., columns] = sensitivity
         return ModelReading(
-            value=theta[0] + polynomial(drift, dt) + scale * signal,
-            by_coefficient=table.T,
-            by_signal=by_signal,
-            by_temperature=polynomial_slope(drift, dt) + polynomial_slope(gain, dt) * signal,
+            value=value,
+            by_coefficient=np.swapaxes(table, -1, -2),
+            by_signal=np.broadcast_to(by_signal, signal.shape),
+            by_temperature=by_temperature,
             sensitivity=to_axes,
         )
 
 
 def _multiply_by_powers(table: Array, variable: Array, power: Array | float = 1.0) -> None:
     """Multiply row k by variable**(k+1), or by ``power`` times that."""
-    for row in table:
+    for k in range(table.shape[-2]):
         power = power * variable
-        row *= power
+        table[..., k, :] *= power
 
 
 def vector_of(coefficients: Coefficients, names: Sequence[str]) -> Array:

@@ -7,75 +7,61 @@ system.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isfinite
+
 import numpy as np
 
 from tiltcal.core.budget import Budget, welch_satterthwaite
-from tiltcal.core.estimation.equations import ADC, JIG, NOISE, System
-from tiltcal.core.estimation.gauss_newton import LinearSolution
+from tiltcal.core.estimation.elimination import LinearSolution, shared_table
+from tiltcal.core.estimation.equations import ADC, HEADING, JIG, NOISE, PRIOR, TABLE, THERMOMETER, EquationBlock
 from tiltcal.core.estimation.variance_components import VarianceComponents
 from tiltcal.core.model import Array
 
 KENWARD_ROGER = 2.0
 
 
-def stated_budget(system: System, near: LinearSolution, bias: Array | None = None) -> Budget:
-    """The coefficients' uncertainty where noise and bench are as they were stated.
+def stated_budgets(near: LinearSolution, bias: Array | None = None) -> list[Budget]:
+    """Return the uncertainty of each sensor's coefficients where noise and bench are as they were stated.
 
     Parameters
     ----------
-    system : System
     near : LinearSolution
     bias : ndarray, shape (coefficients,), optional
         What was taken off for the squares of the attitudes' errors.
     """
-    inverse = near.inverse[: system.coefficients]
-    squared = inverse**2
-    of_readings = squared[:, : system.readings]
-    adc = np.concatenate([(block.adc / block.u) ** 2 for block in system.blocks]).clip(0.0, 1.0)
-    variance = {NOISE: of_readings @ (1.0 - adc), ADC: of_readings @ adc}
-    for source in dict.fromkeys(system.sources):
-        rows = [system.readings + k for k, name in enumerate(system.sources) if name == source]
-        variance[source] = squared[:, rows].sum(axis=1)
-    covariance = inverse @ inverse.T
-    if bias is not None:
-        # The scatter of the squares is in the inverse, which was taken where the errors have led, but not that they all
-        # go one way: the correction counts as uncertain by its own size.
-        covariance = covariance + np.outer(bias, bias)
-        variance[JIG] = variance[JIG] + bias**2
-    parts = _noise_parts(system, of_readings * (1.0 - adc))
-    return Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), parts))
+    shares = _shares(near)
+    return [
+        Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), [(shares.estimated[own], 1.0)]))
+        for own, covariance, variance in _by_sensor(near, shares.variance, bias)
+    ]
 
 
-def scaled_budget(system: System, near: LinearSolution, scale: float, dof: float) -> Budget:
-    """The coefficients' uncertainty where nothing was stated and the residuals say the size of the noise.
+def scaled_budgets(near: LinearSolution, scale: float, dof: float) -> list[Budget]:
+    """Return the uncertainty of each sensor's coefficients where the residuals give the size of the noise.
 
     Parameters
     ----------
-    system : System
     near : LinearSolution
     scale : float
         Sum of squares over degrees of freedom.
     dof : float
     """
-    inverse = near.inverse[: system.coefficients]
-    covariance = scale * (inverse @ inverse.T)
-    return Budget(covariance, {NOISE: np.diag(covariance)}, np.full(len(inverse), float(dof)))
+    return [
+        Budget(scale * covariance, {NOISE: np.diag(scale * covariance)}, np.full(len(covariance), float(dof)))
+        for _, covariance, _ in _by_sensor(near, {}, None)
+    ]
 
 
-def estimated_jig_budget(
-    system: System, near: LinearSolution, components: VarianceComponents, attitude: Array, bias: Array | None
-) -> Budget:
-    """Return the coefficients' uncertainty where the jig was not stated and the residuals show it.
+def estimated_jig_budgets(near: LinearSolution, components: VarianceComponents, bias: Array | None) -> list[Budget]:
+    """Return the uncertainty of each sensor's coefficients where the jig was not stated and the residuals show it.
 
     Parameters
     ----------
-    system : System
-        With the jig and the noise that were found.
     near : LinearSolution
-        The system at its minimum.
+        With the jig and the noise that were found.
     components : VarianceComponents
-    attitude : ndarray, shape (readings, angles)
-        Sensitivity of each reading to the attitude angles, per radian.
     bias : ndarray, shape (coefficients,), optional
         What was taken off for the squares of the attitudes' errors.
 
@@ -85,45 +71,128 @@ def estimated_jig_budget(
     put right to first order by twice the covariance of what the weights' error does (Kenward and Roger, 1997). The
     degrees of freedom of the estimate go into Student's t (GUM, eq. G.2b).
     """
-    if not components.detectable:
-        budget = stated_budget(system, near, bias)
-        dof = np.full(system.coefficients, components.noise_dof)
-        return Budget(budget.covariance, budget.variance, dof)
-    stated = stated_budget(system, near, bias)
-    per_reading = near.inverse[: system.coefficients, : system.readings] / system.sigma
-    per_angle = per_reading @ attitude
-    angles = np.sum(per_angle**2, axis=1)
-    by_weights = 2.0 / components.information * per_angle @ components.precision @ per_angle.T
-    fewer = min(components.jig, 0.0)
-    covariance = stated.covariance + KENWARD_ROGER * by_weights + fewer * per_angle @ per_angle.T
-    # A q below zero shows that the noise, by chance, was less than measured; no jig takes uncertainty away.
-    variance = dict(stated.variance)
-    variance[NOISE] = variance[NOISE] + fewer * angles
-    variance[JIG] = variance.get(JIG, np.zeros_like(angles)) + KENWARD_ROGER * np.diag(by_weights)
-    # A part that goes with the square of the jig's variance is twice as uncertain as one that goes with it.
-    squares = 0.0 if bias is None else 2.0 * bias**2 / components.jig
-    parts = [(angles + squares, components.information)]
-    of_noise = per_reading**2 * system.sigma**2
-    if np.isfinite(components.noise_dof):
-        parts.append((of_noise.sum(axis=1), components.noise_dof))
-    else:
-        noise = of_noise.sum(axis=1)
-        kept = 1.0 - components.trade * angles / np.where(noise > 0.0, noise, 1.0)
-        parts += [(part * kept, dof) for part, dof in _noise_parts(system, of_noise)]
-    return Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), parts))
+    shares = _shares(near)
+    budgets = []
+    d2 = near.spectrum[1] ** 2
+    # Columns: what the error of each combination of the angles does to the coefficients.
+    by_angle = near.response[:, near.shared - near.angles :] * near.shown
+    for own, covariance, variance in _by_sensor(near, shares.variance, bias):
+        if not components.detectable:
+            budgets.append(Budget(covariance, variance, np.full(len(covariance), components.noise_dof)))
+            continue
+        per_angle = by_angle[own]
+        angles = np.sum(per_angle**2, axis=1)
+        by_weights = 2.0 / components.information * (per_angle * (d2 * near.shown)) @ per_angle.T
+        fewer = min(components.jig, 0.0)
+        covariance = covariance + KENWARD_ROGER * by_weights + fewer * per_angle @ per_angle.T
+        noise = variance[NOISE]
+        # A q below zero shows that the noise, by chance, was less than measured; no jig takes uncertainty away.
+        variance[NOISE] = noise + fewer * angles
+        variance[JIG] = variance.get(JIG, np.zeros_like(angles)) + KENWARD_ROGER * np.diag(by_weights)
+        # A part that goes with the square of the jig's variance is twice as uncertain as one that goes with it.
+        squares = 0.0 if bias is None else 2.0 * bias[own] ** 2 / components.jig
+        parts = [(angles + squares, components.information)]
+        if isfinite(components.noise_dof):
+            parts.append((noise, components.noise_dof))
+        else:
+            kept = 1.0 - components.trade * angles / np.where(noise > 0.0, noise, 1.0)
+            parts.append((shares.estimated[own] * kept, 1.0))
+        budgets.append(Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), parts)))
+    return budgets
 
 
-def _noise_parts(system: System, shares: Array) -> list[tuple[Array, float]]:
-    """Shares of the noise that were estimated together, each with its degrees of freedom.
+@dataclass(frozen=True)
+class _Shares:
+    """The sources of all coefficients' variances.
+
+    Attributes
+    ----------
+    variance : dict of str to ndarray, shape (coefficients,)
+        By source.
+    estimated : ndarray, shape (coefficients,)
+        A variance whose square is the sum of the squares of all estimated parts over their degrees of freedom.
+    """
+
+    variance: dict[str, Array]
+    estimated: Array
+
+
+def _by_sensor(
+    near: LinearSolution, variance: dict[str, Array], bias: Array | None
+) -> Iterator[tuple[slice, Array, dict[str, Array]]]:
+    """Each sensor's coefficients, their covariance, and its sources."""
+    for number, block in enumerate(near.system.blocks):
+        for columns, own in zip(block.columns, near.own_covariances(number), strict=True):
+            mine = slice(int(columns[0, 0]), int(columns[-1, -1]) + 1)
+            response = near.response[mine]
+            covariance = own + (response * near.variances) @ response.T
+            sources = {source: part[mine] for source, part in variance.items()}
+            if bias is not None:
+                # The scatter of the squares is in the covariance, which was taken where the errors have led, but not
+                # that they all go one way: the correction counts as uncertain by its own size.
+                covariance = covariance + np.outer(bias[mine], bias[mine])
+                sources[JIG] = sources[JIG] + bias[mine] ** 2
+            yield mine, covariance, sources
+
+
+def _shares(near: LinearSolution) -> _Shares:
+    """Separate the variances by their sources."""
+    system, count = near.system, near.system.coefficients
+    spread = near.response * near.variances
+    noise, adc, prior, warm, estimated = (np.zeros(count) for _ in range(5))
+    for block, equations, factor in zip(system.blocks, near.equations.blocks, near.elimination.factors, strict=True):
+        sets, rows, _ = factor.basis.shape
+        left = shared_table(equations, near.shared)[..., : near.shared] - factor.basis @ factor.follows
+        found = -spread @ (left.reshape(sets * rows, near.shared) @ near.directions).T
+        found = found.reshape(count, sets, rows)
+        own = factor.unknowns[0] < count
+        of_own = (factor.inverse @ factor.basis.swapaxes(1, 2))[:, own]
+        found[factor.unknowns[:, own], np.arange(sets)[:, None]] += of_own
+        found *= found
+        readings = found[..., : equations.readings].reshape(count, -1)
+        share = np.clip((block.adc / block.u) ** 2, 0.0, 1.0).ravel()
+        adc += readings @ share
+        noise += readings @ (1.0 - share)
+        known = found[..., equations.readings :].sum(axis=1)
+        prior += known[:, own].sum(axis=1)
+        warm += known[:, ~own].sum(axis=1)
+        estimated += _estimated(readings * (1.0 - share), block)
+    variance = {NOISE: noise, ADC: adc}
+    if system.assumed.any():
+        variance[PRIOR] = prior
+    known = {source: (columns, u) for source, columns, u in system.shared_priors}
+    by_shared = spread @ near.directions.T
+    for source in (JIG, TABLE, THERMOMETER, HEADING):
+        if source == THERMOMETER and system.local > count:
+            variance[source] = warm
+        if source not in known or (source == JIG and near.jig == 0.0):
+            continue
+        columns, u = known[source]
+        part = by_shared[:, columns.start - system.local : columns.stop - system.local]
+        part = part / (near.jig if source == JIG else u)
+        variance[source] = variance.get(source, np.zeros(count)) + np.sum(part**2, axis=1)
+    return _Shares(variance, np.sqrt(estimated))
+
+
+def _estimated(shares: Array, block: EquationBlock) -> Array:
+    """Sum the squares of the noise's parts that were estimated together, each over its degrees of freedom.
 
     Readings of one channel with the same uncertainty have it from one pooled estimate.
+
+    Parameters
+    ----------
+    shares : ndarray, shape (coefficients, readings)
+    block : EquationBlock
     """
-    parts = []
-    start = 0
-    for block in system.blocks:
-        stop = start + len(block.u)
-        for u, dof in sorted(set(zip(block.u.tolist(), block.dof.tolist(), strict=True))):
-            rows = start + np.flatnonzero((block.u == u) & (block.dof == dof))
-            parts.append((shares[:, rows].sum(axis=1), dof))
-        start = stop
-    return parts
+    if np.all(np.isinf(block.dof)):
+        return np.zeros(len(shares))
+    channel = np.broadcast_to(np.arange(block.u[..., 0].size).reshape(*block.u.shape[:2], 1), block.u.shape)
+    keys = (block.dof.ravel(), block.u.ravel(), channel.ravel())
+    order = np.lexsort(keys)
+    new = np.zeros(len(order), dtype=bool)
+    for key in keys:
+        new[1:] |= np.diff(key[order]) != 0.0
+    new[0] = True
+    starts = np.flatnonzero(new)
+    parts = np.add.reduceat(shares[:, order], starts, axis=1)
+    return np.asarray(parts**2 @ (1.0 / block.dof.ravel()[order][starts]))

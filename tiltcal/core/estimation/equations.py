@@ -1,7 +1,8 @@
 """The joint system: every reading of every sensor on a fixture, every unknown, every prior, as one weighted residual.
 
-The unknowns are the coefficients of all channels, two attitude angles for each stand of the fixture, the lean of the
-table and the error of each temperature. The equations are the readings, and what the bench states of itself::
+The unknowns are the coefficients of all channels, the error of each temperature, the lean of the table, the error of
+each heading and two attitude angles for each stand of the fixture. The equations are the readings, and what the bench
+states of itself::
 
     0 = (u - model(coefficients, attitude, temperature)) / sigma_noise      one for each reading
     0 = -attitude / jig,  -lean / table,  -temperature error / thermometer  one for each of the bench's own errors
@@ -9,58 +10,60 @@ table and the error of each temperature. The equations are the readings, and wha
 
 A perfect jig has no attitude angles and least squares remains. A jig of which nothing is known has no equations for
 them, and what remains is that gravity is a unit vector.
+
+A coefficient belongs to one channel, and the error of a thermometer that one sensor alone has belongs to that sensor.
+The sensors meet in the other unknowns, which come last: each reading depends on a few of them. The Jacobian is kept in
+these parts, and is never written out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf, radians
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.estimation.attitude import heading_rotations, tangent_basis, turned
-from tiltcal.core.estimation.design import SensorObservations
-from tiltcal.core.model import Array, ChannelModel
-from tiltcal.errors import EstimateError
+from tiltcal.core.model import Array, ChannelModel, ModelReading
 
 Indices = NDArray[np.intp]
-
-UNKNOWN_TABLE = 5.0
-"""Standard uncertainty of a lean of which nothing was said, degrees: no table that anyone works at leans more."""
-
-SAME = 1e-6
-"""How far two sensors' word on one position's direction may differ, g."""
 
 NOISE, ADC, JIG, TABLE, HEADING = "noise", "adc", "jig", "table", "heading"
 THERMOMETER, HYSTERESIS, PRIOR = "thermometer", "hysteresis", "assumed"
 """Where an uncertainty comes from."""
 
+_PER_LEAN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+
 
 @dataclass(frozen=True)
 class EquationBlock:
-    """The readings of one channel.
+    """The readings of some sensors that are alike: S sensors with C channels of k coefficients in n positions.
 
     Attributes
     ----------
-    model : ChannelModel
-    sensor : int
-    columns : slice
-        Of its coefficients among the unknowns.
-    places : ndarray of int, shape (n,)
+    models : tuple of ChannelModel
+        One for each channel.
+    sensors : ndarray of int, shape (S,)
+    columns : ndarray of int, shape (S, C, k)
+        Of the coefficients among the unknowns.
+    places : ndarray of int, shape (S, n)
         The position of each reading.
-    mean, u, adc, dof, dt : ndarray, shape (n,)
-        Reading, its standard uncertainty, the part that quantisation gives, degrees of freedom of the rest, and the
-        temperature from the reference.
-    temperatures : ndarray of int, shape (n,)
+    mean, u, adc, dof : ndarray, shape (S, C, n)
+        Reading, its standard uncertainty, the part that quantisation gives, and degrees of freedom of the rest.
+    dt : ndarray, shape (S, n)
+        Temperature from the reference, °C.
+    temperatures : ndarray of int, shape (S, n)
         Which of the temperature errors each reading shares.
+    own_thermometer : bool
+        Whether each sensor has its temperature errors for itself.
     """
 
-    model: ChannelModel
-    sensor: int
-    columns: slice
+    models: tuple[ChannelModel, ...]
+    sensors: Indices
+    columns: Indices
     places: Indices
     mean: Array
     u: Array
@@ -68,21 +71,78 @@ class EquationBlock:
     dof: Array
     dt: Array
     temperatures: Indices
+    own_thermometer: bool
+
+    def read(self, z: Array, gravity: Array, dt: Array) -> ModelReading:
+        """Compute what the model expects, gravity of shape (S, n, 3) in each sensor's frame."""
+        theta = z[self.columns]
+        if not self.models[0].nonlinearity:
+            return self.models[0].read(theta, gravity, dt)
+        found = [
+            [model.read(one, up, warm) for model, one in zip(self.models, sensor, strict=True)]
+            for sensor, up, warm in zip(theta, gravity, dt, strict=True)
+        ]
+        fields = ("value", "by_coefficient", "by_signal", "by_temperature", "sensitivity")
+        return ModelReading(
+            *(np.array([[getattr(one, name) for one in sensor] for sensor in found]) for name in fields)
+        )
 
 
 @dataclass(frozen=True)
-class Weighted:
-    """The equations at one point, each divided by its standard uncertainty.
+class LocalEquations:
+    """The equations of one block at one point, each divided by its standard uncertainty, B independent sets of them.
+
+    A set is a channel, or a sensor that has a thermometer of its own. In every set the readings come first, then an
+    equation for each local unknown: what is known of it, that it is held, or nothing.
 
     Attributes
     ----------
-    residual : ndarray, shape (equations,)
-    jacobian : ndarray, shape (equations, unknowns)
-        Of minus the residual.
+    unknowns : ndarray of int, shape (B, local)
+    residual : ndarray, shape (B, rows)
+    jacobian : ndarray, shape (B, rows, local)
+        Of minus the residual, by the local unknowns.
+    shared : ndarray, shape (B, readings, few)
+        The same by the shared unknowns on which each reading depends.
+    columns : ndarray of int, shape (B, readings, few)
+        Which of the shared unknowns these are.
+    held : ndarray of bool, shape (B, local)
     """
 
+    unknowns: Indices
     residual: Array
     jacobian: Array
+    shared: Array
+    columns: Indices
+    held: NDArray[np.bool_]
+
+    @property
+    def readings(self) -> int:
+        """How many equations of a set are readings."""
+        return int(self.shared.shape[1])
+
+
+@dataclass(frozen=True)
+class Equations:
+    """The equations at one point.
+
+    Attributes
+    ----------
+    blocks : tuple of LocalEquations
+    columns : ndarray of int, shape (priors,)
+        The shared unknown of each equation that is no reading; those of the attitudes come last.
+    weight, residual : ndarray, shape (priors,)
+        One over the standard uncertainty, and the residual in its units.
+    """
+
+    blocks: tuple[LocalEquations, ...]
+    columns: Indices
+    weight: Array
+    residual: Array
+
+    @cached_property
+    def cost(self) -> float:
+        """The sum of squares of all residuals."""
+        return sum(float(np.vdot(one, one)) for one in (self.residual, *(block.residual for block in self.blocks)))
 
 
 @dataclass(frozen=True)
@@ -92,6 +152,7 @@ class System:
     Attributes
     ----------
     blocks : tuple of EquationBlock
+        In the order of the sensors.
     orientations : ndarray, shape (sensors, 3, 3)
     gravity : ndarray, shape (places, 3)
         As set, in the fixture's frame.
@@ -104,7 +165,9 @@ class System:
     sensors : ndarray of int, shape (coefficients,)
         Whose they are.
     prior_value, prior_u : ndarray, shape (coefficients,)
-        What is known of them; infinite u for nothing.
+        What is known of them; infinite u for nothing, 0 for one that is held at its value.
+    own_temperatures, shared_temperatures : int
+        How many temperature errors belong to one sensor, and to several.
     jig, table : float
         Radians; a jig of 0 has no attitude angles.
     table_stated : bool
@@ -124,6 +187,8 @@ class System:
     sensors: Indices
     prior_value: Array
     prior_u: Array
+    own_temperatures: int
+    shared_temperatures: int
     jig: float
     table: float
     table_stated: bool
@@ -141,76 +206,81 @@ class System:
         return len(self.names)
 
     @cached_property
-    def attitudes(self) -> slice:
-        """Columns of the attitude angles."""
-        count = 2 * (int(self.stands.max()) + 1) if self.jig > 0 else 0
+    def temperature_errors(self) -> slice:
+        """Unknowns that are errors of a temperature, those of a single sensor first."""
+        count = self.own_temperatures + self.shared_temperatures if self.thermometer > 0 else 0
         return slice(self.coefficients, self.coefficients + count)
 
     @cached_property
+    def local(self) -> int:
+        """How many unknowns belong to one sensor; the others are shared."""
+        return self.coefficients + (self.own_temperatures if self.thermometer > 0 else 0)
+
+    @cached_property
     def lean(self) -> slice:
-        """Columns of the table's lean."""
-        start = self.attitudes.stop
+        """Unknowns that are the table's lean."""
+        start = self.temperature_errors.stop
         return slice(start, start + (2 if self.lean_rotations is not None else 0))
 
     @cached_property
-    def temperature_errors(self) -> slice:
-        """Columns of the temperature errors."""
-        start = self.lean.stop
-        count = 1 + max(int(block.temperatures.max()) for block in self.blocks) if self.thermometer > 0 else 0
-        return slice(start, start + count)
+    def heading_errors(self) -> slice:
+        """Unknowns that are heading errors, one for each stand."""
+        count = int(self.stands.max()) + 1 if self.heading > 0 and self.lean_rotations is not None else 0
+        return slice(self.lean.stop, self.lean.stop + count)
 
     @cached_property
-    def heading_errors(self) -> slice:
-        """Columns of the heading errors, one for each stand."""
-        start = self.temperature_errors.stop
-        count = int(self.stands.max()) + 1 if self.heading > 0 and self.lean_rotations is not None else 0
-        return slice(start, start + count)
+    def attitudes(self) -> slice:
+        """Unknowns that are attitude angles."""
+        count = 2 * (int(self.stands.max()) + 1) if self.jig > 0 else 0
+        return slice(self.heading_errors.stop, self.heading_errors.stop + count)
 
-    @property
+    @cached_property
     def unknowns(self) -> int:
-        """How many columns there are."""
-        return int(self.heading_errors.stop)
+        """How many unknowns there are."""
+        return int(self.attitudes.stop)
 
     @cached_property
     def readings(self) -> int:
         """How many equations are readings; the others are priors."""
-        return sum(len(block.mean) for block in self.blocks)
+        return sum(block.mean.size for block in self.blocks)
 
     @cached_property
     def sigma(self) -> Array:
         """Standard uncertainty of each reading, shape (readings,)."""
-        return np.concatenate([block.u for block in self.blocks])
+        return np.concatenate([block.u.ravel() for block in self.blocks])
+
+    @cached_property
+    def reach(self) -> float:
+        """The largest reading in units of its uncertainty."""
+        return max(float(np.max(np.abs(block.mean) / block.u)) for block in self.blocks)
 
     @cached_property
     def fixed(self) -> NDArray[np.bool_]:
-        """Which unknowns are held at their values, shape (unknowns,)."""
-        held = np.zeros(self.unknowns, dtype=bool)
-        held[: self.coefficients] = self.prior_u == 0.0
-        return held
+        """Which coefficients are held at their values, shape (coefficients,)."""
+        return np.asarray(self.prior_u == 0.0)
 
     @cached_property
-    def sources(self) -> tuple[str, ...]:
-        """Where the uncertainty of each equation comes from; a reading's is split between noise and ADC later."""
-        return tuple(source for source, _, _ in self.priors)
+    def assumed(self) -> NDArray[np.bool_]:
+        """Of which coefficients something uncertain is known, shape (coefficients,)."""
+        return np.asarray((self.prior_u > 0.0) & np.isfinite(self.prior_u))
 
     @cached_property
-    def priors(self) -> tuple[tuple[str, int, float], ...]:
-        """Source, unknown and standard uncertainty of each equation that is no reading."""
-        known = [(PRIOR, column, float(u)) for column, u in enumerate(self.prior_u) if 0.0 < u < inf]
-        for source, columns, u in (
-            (JIG, self.attitudes, self.jig),
+    def shared_priors(self) -> tuple[tuple[str, slice, float], ...]:
+        """Source, unknowns and standard uncertainty of what is known of the shared unknowns, the attitudes last."""
+        warm = slice(self.local, self.temperature_errors.stop)
+        known = (
+            (THERMOMETER, warm, self.thermometer),
             (TABLE, self.lean, self.table),
-            (THERMOMETER, self.temperature_errors, self.thermometer),
             (HEADING, self.heading_errors, self.heading),
-        ):
-            if u < inf:
-                known += [(source, column, u) for column in range(columns.start, columns.stop)]
-        return tuple(known)
+            (JIG, self.attitudes, self.jig),
+        )
+        return tuple((source, columns, u) for source, columns, u in known if u < inf and columns.stop > columns.start)
 
-    @cached_property
-    def assumed(self) -> Indices:
-        """Which coefficients something uncertain is known of, shape (assumed,)."""
-        return np.flatnonzero((self.prior_u > 0.0) & np.isfinite(self.prior_u))
+    @property
+    def priors(self) -> int:
+        """How many equations are no readings."""
+        own = self.local - self.coefficients
+        return int(self.assumed.sum() + own + sum(one.stop - one.start for _, one, _ in self.shared_priors))
 
     def start(self) -> Array:
         """Every unknown at what is known of it, shape (unknowns,)."""
@@ -220,6 +290,8 @@ class System:
 
     def directions(self, z: Array) -> tuple[Array, Array]:
         """Gravity in every place in the fixture's frame, and its derivative by the place's two angles."""
+        if not self.jig and self.lean_rotations is None:
+            return self.gravity, self.basis
         return turned(self.gravity, self.basis, self.angles(z))
 
     def angles(self, z: Array) -> Array:
@@ -236,190 +308,166 @@ class System:
         rotations = np.zeros((0, 2, 2)) if self.lean_rotations is None else self.lean_rotations
         if self.heading_errors.stop > self.heading_errors.start:
             rotations = heading_rotations(z[self.heading_errors][self.stands]) @ rotations
-        return rotations, np.array([[0.0, 1.0], [-1.0, 0.0]]) @ rotations
+        return rotations, _PER_LEAN @ rotations
 
-    def at(self, z: Array) -> Weighted:
+    def at(self, z: Array) -> Equations:
         """The equations at a point."""
         direction, derivative = self.directions(z)
-        rows = [self._block(block, z, direction, derivative) for block in self.blocks]
-        residual = np.concatenate([value for value, _ in rows]) / self.sigma
-        jacobian = np.concatenate([slopes for _, slopes in rows]) / self.sigma[:, None]
-        known, slopes = self._known(z)
-        return Weighted(np.concatenate([residual, known]), np.concatenate([jacobian, slopes]))
+        blocks = tuple(self._block(number, z, direction, derivative) for number in range(len(self.blocks)))
+        columns, weight = self._shared_known
+        return Equations(blocks, columns - self.local, weight, -z[columns] * weight)
 
     def unexplained(self, z: Array) -> Array:
         """Measured minus modelled, shape (readings,), in the sensors' units."""
         direction, _ = self.directions(z)
-        return np.concatenate([self._block(block, z, direction, None)[0] for block in self.blocks])
+        return np.concatenate([(block.mean - self.reading(block, z, direction).value).ravel() for block in self.blocks])
+
+    def reading(self, block: EquationBlock, z: Array, direction: Array) -> ModelReading:
+        """What a block's sensors read when gravity has these directions in the fixture's frame, shape (places, 3)."""
+        dt = block.dt + z[self.temperature_errors][block.temperatures] if self.thermometer > 0 else block.dt
+        return block.read(z, self.seen(block, direction), dt)
+
+    def seen(self, block: EquationBlock, direction: Array) -> Array:
+        """Directions in the frames of a block's sensors, shape (S, n, 3)."""
+        return np.asarray(direction[block.places] @ np.swapaxes(self.orientations[block.sensors], 1, 2))
 
     def as_set(self, z: Array) -> Array:
         """The same coefficients with a perfect jig, table and thermometer."""
-        perfect = z.copy()
-        perfect[self.coefficients :] = 0.0
+        perfect = np.zeros(self.unknowns)
+        perfect[: self.coefficients] = z[: self.coefficients]
         return perfect
 
-    def _block(self, block: EquationBlock, z: Array, direction: Array, derivative: Array | None) -> tuple[Array, Array]:
-        """Residual of one channel's readings, and derivatives of what is modelled."""
-        seen = self.orientations[block.sensor]
-        dt = block.dt + z[self.temperature_errors][block.temperatures] if self.thermometer > 0 else block.dt
-        reading = block.model.read(z[block.columns], direction[block.places] @ seen.T, dt)
-        residual = block.mean - reading.value
-        jacobian = np.zeros((len(residual), self.unknowns))
-        if derivative is None:
-            return residual, jacobian
-        rows = np.arange(len(residual))
-        jacobian[:, block.columns] = reading.by_coefficient
-        by_angle = np.einsum("ni,nij->nj", reading.by_gravity @ seen, derivative[block.places])
-        if self.jig > 0:
-            for axis in (0, 1):
-                jacobian[rows, self.attitudes.start + 2 * self.stands[block.places] + axis] = by_angle[:, axis]
-        if self.lean_rotations is not None:
-            rotations, slopes = (one[block.places] for one in self._lean(z))
-            jacobian[:, self.lean] = np.einsum("ni,nij->nj", by_angle, rotations)
-            if self.heading_errors.stop > self.heading_errors.start:
-                by_heading = np.einsum("ni,nij,j->n", by_angle, slopes, z[self.lean])
-                jacobian[rows, self.heading_errors.start + self.stands[block.places]] = by_heading
-        if self.thermometer > 0:
-            jacobian[rows, self.temperature_errors.start + block.temperatures] = reading.by_temperature
-        return residual, jacobian
+    def channels(self) -> Iterator[tuple[EquationBlock, int, int]]:
+        """Each channel: its block, the sensor there, and the channel of that sensor."""
+        for block in self.blocks:
+            for sensor in range(len(block.sensors)):
+                for channel in range(len(block.models)):
+                    yield block, sensor, channel
 
-    def _known(self, z: Array) -> tuple[Array, Array]:
-        """The equations that are no readings."""
-        known = self.priors
-        columns = np.array([column for _, column, _ in known], dtype=np.intp)
-        u = np.array([u for _, _, u in known])
-        centre = np.zeros(self.unknowns)
-        centre[: self.coefficients] = self.prior_value
-        jacobian = np.zeros((len(known), self.unknowns))
-        jacobian[np.arange(len(known)), columns] = 1.0 / u
-        return (centre - z)[columns] / u, jacobian
+    @cached_property
+    def _shared_known(self) -> tuple[Indices, Array]:
+        """The shared unknown of each equation that is no reading, and its weight."""
+        columns = [np.arange(one.start, one.stop) for _, one, _ in self.shared_priors]
+        weight = [np.full(one.stop - one.start, 1.0 / u) for _, one, u in self.shared_priors]
+        return np.concatenate([np.zeros(0, dtype=np.intp), *columns]), np.concatenate([np.zeros(0), *weight])
 
-    def degrees_of_freedom(self, jacobian: Array) -> int:
+    @cached_property
+    def _shared_columns(self) -> tuple[Indices, ...]:
+        """The shared unknowns of each reading of each block, shape (S, C, n, few)."""
+        found = []
+        for block in self.blocks:
+            shape = (*block.places.shape, 1)
+            stands = self.stands[block.places][..., None]
+            parts = []
+            if self.thermometer > 0 and not block.own_thermometer:
+                parts.append(self.temperature_errors.start + block.temperatures[..., None])
+            if self.lean_rotations is not None:
+                parts.append(np.broadcast_to(np.arange(self.lean.start, self.lean.stop), (*shape[:2], 2)))
+                if self.heading_errors.stop > self.heading_errors.start:
+                    parts.append(self.heading_errors.start + stands)
+            if self.jig > 0:
+                parts.append(self.attitudes.start + 2 * stands + np.arange(2))
+            columns = np.concatenate(parts, axis=2) if parts else np.zeros((*shape[:2], 0), dtype=np.intp)
+            few = columns.shape[2]
+            found.append(np.broadcast_to(columns[:, None], (*block.mean.shape, few)) - self.local)
+        return tuple(found)
+
+    @cached_property
+    def _local_known(self) -> tuple[tuple[Indices, Array, Array, NDArray[np.bool_]], ...]:
+        """For each set of each block: the local unknowns, what is known of them, its weight, and which are held."""
+        found = []
+        for block in self.blocks:
+            sets = len(block.sensors) if self._warms(block) else block.columns.shape[0] * block.columns.shape[1]
+            unknowns = block.columns.reshape(sets, -1)
+            value, u = self.prior_value[unknowns], self.prior_u[unknowns]
+            if self._warms(block):
+                errors = self.temperature_errors.start + block.temperatures
+                unknowns = np.concatenate([unknowns, errors], axis=1)
+                value = np.concatenate([value, np.zeros(errors.shape)], axis=1)
+                u = np.concatenate([u, np.full(errors.shape, self.thermometer)], axis=1)
+            held = u == 0.0
+            weight = np.where(held, 1.0, 1.0 / np.where(held, 1.0, u))
+            found.append((unknowns, value, weight, held))
+        return tuple(found)
+
+    def _warms(self, block: EquationBlock) -> bool:
+        """Whether temperature errors are among the local unknowns of a block."""
+        return self.thermometer > 0 and block.own_thermometer
+
+    def _block(self, number: int, z: Array, direction: Array, derivative: Array) -> LocalEquations:
+        """The equations of one block."""
+        block = self.blocks[number]
+        reading = self.reading(block, z, direction)
+        parts = []
+        if self.thermometer > 0 and not block.own_thermometer:
+            parts.append(reading.by_temperature[..., None])
+        if self.jig > 0 or self.lean_rotations is not None:
+            turns = self.orientations[block.sensors][:, None] @ derivative[block.places]
+            by_angle = reading.by_signal[..., None] * (reading.sensitivity[:, None] @ turns).swapaxes(1, 2)
+            if self.lean_rotations is not None:
+                rotations, slopes = (one[block.places] for one in self._lean(z))
+                parts.append((by_angle[..., None, :] @ rotations[:, None])[..., 0, :])
+                if self.heading_errors.stop > self.heading_errors.start:
+                    parts.append(np.sum(by_angle * (slopes @ z[self.lean])[:, None], axis=3, keepdims=True))
+            if self.jig > 0:
+                parts.append(by_angle)
+        shared = (
+            np.concatenate(parts, axis=3) if len(parts) > 1 else parts[0] if parts else np.zeros((*block.u.shape, 0))
+        )
+        unknowns, value, weight, held = self._local_known[number]
+        sets, local = unknowns.shape
+        readings = block.u.size // sets
+        residual = np.empty((sets, readings + local))
+        residual[:, :readings] = ((block.mean - reading.value) / block.u).reshape(sets, readings)
+        residual[:, readings:] = np.where(held, 0.0, (value - z[unknowns]) * weight)
+        jacobian = np.zeros((sets, readings + local, local))
+        by_coefficient = reading.by_coefficient / block.u[..., None]
+        if self._warms(block):
+            channels, n, k = by_coefficient.shape[1:]
+            for channel in range(channels):
+                rows, columns = slice(channel * n, channel * n + n), slice(channel * k, channel * k + k)
+                jacobian[:, rows, columns] = by_coefficient[:, channel]
+                jacobian[:, channel * n + np.arange(n), channels * k + np.arange(n)] = (
+                    reading.by_temperature / block.u
+                )[:, channel]
+        else:
+            jacobian[:, :readings] = by_coefficient.reshape(sets, readings, local)
+        jacobian[:, :readings] *= ~held[:, None]
+        jacobian[:, readings + np.arange(local), np.arange(local)] = weight
+        shape = (sets, readings, shared.shape[3])
+        shared = (shared / block.u[..., None]).reshape(shape)
+        return LocalEquations(unknowns, residual, jacobian, shared, self._shared_columns[number].reshape(shape), held)
+
+    def degrees_of_freedom(self, undetermined: int) -> int:
         """How many equations are left over when each unknown has one; below zero where some have none.
 
         Parameters
         ----------
-        jacobian : ndarray, shape (equations, unknowns)
+        undetermined : int
+            How many directions of the table's lean no reading tells.
         """
-        moving = ~self.fixed
-        left = len(jacobian) - int(np.sum(moving))
+        left = self.readings + self.priors - (self.unknowns - int(self.fixed.sum()))
         if self.lean_rotations is None or self.table_stated:
             return left
         # The bound that keeps the lean finite judges nothing: it counts where no reading tells the lean.
-        telling = np.array([True] * self.readings + [source != TABLE for source in self.sources])
-        size = np.linalg.norm(jacobian, axis=0)
-        rows = (jacobian / np.where(size > 0.0, size, 1.0))[np.ix_(telling, moving)]
-        return len(rows) - int(np.linalg.matrix_rank(rows, tol=SAME))
+        return left - 2 + undetermined
+
+    def holding(self, held: NDArray[np.bool_]) -> System:
+        """The same equations with some coefficients held where they are."""
+        return replace(self, prior_u=np.where(held, 0.0, self.prior_u))
+
+    def as_if_perfect(self) -> System:
+        """The same equations with a perfect jig and thermometer."""
+        return replace(self, jig=0.0, thermometer=0.0, heading=0.0)
 
     def unweighted(self) -> System:
         """The same equations with a perfect jig and thermometer, in which all positions count the same.
 
         What is known of a coefficient cannot be weighed against readings whose uncertainty is not: it is held.
         """
-        blocks = tuple(replace(block, u=np.full_like(block.u, np.sqrt(np.mean(block.u**2)))) for block in self.blocks)
+        blocks = tuple(
+            replace(block, u=np.broadcast_to(np.sqrt(np.mean(block.u**2, axis=2, keepdims=True)), block.u.shape))
+            for block in self.blocks
+        )
         held = np.where(np.isfinite(self.prior_u), 0.0, np.inf)
-        return replace(self, blocks=blocks, prior_u=held, jig=0.0, thermometer=0.0, heading=0.0)
-
-
-def system_of(sensors: Sequence[SensorObservations]) -> System:
-    """The equations of the sensors of one fixture.
-
-    Parameters
-    ----------
-    sensors : sequence of SensorObservations
-        Sound ones, see :func:`tiltcal.core.estimation.design.require_sound`.
-
-    Raises
-    ------
-    EstimateError
-        Two sensors disagree on the direction or heading of a position.
-    """
-    design = sensors[0].design
-    places, gravity, headings, stands = _places(sensors)
-    names = [name for sensor in sensors for name in sensor.design.names]
-    owners = [number for number, sensor in enumerate(sensors) for _ in sensor.design.names]
-    priors = [sensor.design.priors.get(name) for sensor in sensors for name in sensor.design.names]
-    leans = design.table > 0 if design.table is not None else len({heading % 360.0 for heading in headings}) > 1
-    return System(
-        blocks=tuple(_blocks(sensors, places)),
-        orientations=np.array([sensor.orientation for sensor in sensors], dtype=float),
-        gravity=gravity,
-        stands=stands,
-        lean_rotations=heading_rotations(np.radians(headings)) if leans and not design.free else None,
-        names=tuple(names),
-        sensors=np.array(owners, dtype=np.intp),
-        prior_value=np.array([prior.value if prior else 0.0 for prior in priors]),
-        prior_u=np.array([prior.u if prior else inf for prior in priors]),
-        jig=radians(design.jig or 0.0),
-        table=radians(UNKNOWN_TABLE if design.table is None else design.table),
-        table_stated=design.table is not None,
-        heading=radians(design.heading),
-        thermometer=design.thermometer if any(sensor.design.thermal for sensor in sensors) else 0.0,
-    )
-
-
-def _places(sensors: Sequence[SensorObservations]) -> tuple[dict[str, int], Array, list[float], Indices]:
-    """The positions of all sensors by name, their directions in the fixture's frame, headings and stands."""
-    numbers: dict[str, int] = {}
-    gravity: list[Array] = []
-    headings: list[float] = []
-    stands: list[int] = []
-    for sensor in sensors:
-        back = np.array(sensor.orientation, dtype=float).T
-        before: int | None = None
-        for observation in sensor.observations:
-            direction = back @ observation.gravity
-            heading = observation.heading or 0.0
-            number = numbers.setdefault(observation.position, len(gravity))
-            if number == len(gravity):
-                gravity.append(direction)
-                headings.append(heading)
-                held = observation.held and before is not None
-                stands.append(stands[before] if held and before is not None else max(stands, default=-1) + 1)
-            elif np.max(np.abs(direction - gravity[number])) > SAME or heading != headings[number]:
-                raise EstimateError(
-                    f"position {observation.position}: two sensors of the fixture name different directions for it; "
-                    "check their axes"
-                )
-            before = number
-    return numbers, np.array(gravity), headings, np.array(stands, dtype=np.intp)
-
-
-def _blocks(sensors: Sequence[SensorObservations], places: dict[str, int]) -> list[EquationBlock]:
-    blocks: list[EquationBlock] = []
-    column = 0
-    known: dict[tuple[int, float], int] = {}
-    for number, sensor in enumerate(sensors):
-        design, observations = sensor.design, sensor.observations
-        where = np.array([places[observation.position] for observation in observations], dtype=np.intp)
-        told = [observation.temperature for observation in observations]
-        # Sensors that were told the same temperature were told it by one thermometer, and share its error.
-        temperatures = [known.setdefault((int(p), t or 0.0), len(known)) for p, t in zip(where, told, strict=True)]
-        dt = np.array([t - design.reference if design.thermal and t is not None else 0.0 for t in told])
-        for row, model in enumerate(design.models):
-            size = len(model.coefficients)
-            mean = np.array([observation.mean[row] for observation in observations])
-            adc = [0.0 if observation.adc is None else observation.adc[row] for observation in observations]
-            dof = [inf if observation.dof is None else observation.dof[row] for observation in observations]
-            blocks.append(
-                EquationBlock(
-                    model=model,
-                    sensor=number,
-                    columns=slice(column, column + size),
-                    places=where,
-                    mean=mean,
-                    u=_floored(np.array([observation.u[row] for observation in observations]), mean),
-                    adc=np.array(adc),
-                    dof=np.array(dof),
-                    dt=dt,
-                    temperatures=np.array(temperatures, dtype=np.intp),
-                )
-            )
-            column += size
-    return blocks
-
-
-def _floored(u: Array, mean: Array) -> Array:
-    """Uncertainties of readings that were given without any: far below the rest, and above rounding."""
-    floor = 1e-9 * max(float(np.ptp(mean)), 1e-6 * float(np.max(np.abs(mean))), 1e-300)
-    return np.maximum(u, floor)
+        return replace(self.as_if_perfect(), blocks=blocks, prior_u=held)

@@ -22,10 +22,12 @@ import numpy as np
 
 from tiltcal.core.budget import Budget
 from tiltcal.core.estimation.attitude import rotation_vectors
-from tiltcal.core.estimation.covariance import estimated_jig_budget, scaled_budget, stated_budget
+from tiltcal.core.estimation.covariance import estimated_jig_budgets, scaled_budgets, stated_budgets
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations, require_sound
-from tiltcal.core.estimation.equations import JIG, TABLE, System, system_of
-from tiltcal.core.estimation.gauss_newton import LinearSolution, linearised, minimise
+from tiltcal.core.estimation.elimination import LinearSolution, linearised
+from tiltcal.core.estimation.equations import System
+from tiltcal.core.estimation.fixture_equations import system_of
+from tiltcal.core.estimation.gauss_newton import minimise
 from tiltcal.core.estimation.identifiability import require_determined
 from tiltcal.core.estimation.second_order import second_order_bias
 from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
@@ -241,16 +243,15 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
     """All errors of the bench are unknowns, with what was stated of them."""
     z = _settled(system, _first(system))
     near = linearised(system, z)
-    bias = second_order_bias(system, z, near, system.jig**2) if system.jig > 0 else None
-    budget = stated_budget(system, near, bias)
-    residual = system.at(z).residual
+    bias = second_order_bias(near, z) if system.jig > 0 else None
+    budgets = stated_budgets(near, bias)
+    dof = system.degrees_of_freedom(near.unseen_leans)
+    chi_square = near.equations.cost if dof else None
     if bias is not None:
         z = z.copy()
         z[: system.coefficients] -= bias
-    dof = system.degrees_of_freedom(near.jacobian)
-    chi_square = float(residual @ residual) if dof else None
     attitudes = _attitudes(sensors, system, z, near) if system.jig > 0 else ()
-    found = _Found(z, budget, dof, chi_square, True, notes=() if dof else (NO_FREEDOM,))
+    found = _Found(z, budgets, dof, chi_square, True, notes=() if dof else (NO_FREEDOM,))
     return _estimates(sensors, system, found, attitudes)
 
 
@@ -258,33 +259,33 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
     """Estimate the jig from the residuals, and solve the equations with it as if it was stated."""
     known = replace(system, jig=0.0)
     z = _settled(known, _first(system.unweighted()))
-    near = linearised(known, z)
-    dof = known.degrees_of_freedom(near.jacobian)
-    if dof == 0:
-        return _estimates(sensors, system, _Found(z, stated_budget(known, near), 0, None, True, notes=(NO_FREEDOM,)))
-    components, attitude = _components(known, z)
+    near = _tilted(known, z)
+    dof = known.degrees_of_freedom(near.unseen_leans)
+    if dof <= 0:
+        return _estimates(sensors, system, _Found(z, stated_budgets(near), 0, None, True, notes=(NO_FREEDOM,)))
+    # The mere bound of a lean that the readings show is no evidence of it.
+    table = system.table if system.table_stated or near.unseen_leans else inf
+    components = _components(replace(known, table=table), z, dof)
     for _ in range(ROUNDS):
         before, last = known.jig, known
         known = _with_noise(replace(system, jig=components.angle), components.noise)
         z = _settled(known, z, last)
         if components.angle == before or abs(known.jig - before) <= CLOSE * before:
             break
-        components, attitude = _components(replace(system, jig=components.angle), z)
-    near = linearised(known, z)
-    bias = second_order_bias(known, z, near, known.jig**2) if known.jig > 0 else None
-    budget = estimated_jig_budget(known, near, components, attitude, bias)
+        components = _components(replace(system, jig=components.angle, table=table), z, dof)
+    near = _tilted(known, z)
+    bias = second_order_bias(near, z) if known.jig > 0 else None
+    budgets = estimated_jig_budgets(near, components, bias)
     notes = []
     if components.exceeds:
         notes.append(EXCEEDS)
-    if not components.detectable and np.any(
-        np.abs(near.inverse[: known.coefficients, : known.readings] @ attitude) > 0
-    ):
+    if not components.detectable and np.any(near.response[:, near.shared - near.angles :] != 0.0):
         notes.append(HELD)
     if bias is not None:
         z = z.copy()
         z[: known.coefficients] -= bias
-    residual = known.unexplained(_as_set(known, z)) / system.sigma
-    found = _Found(z, budget, dof, float(residual @ residual), False, degrees(components.angle), tuple(notes))
+    residual = known.unexplained(known.as_set(z)) / system.sigma
+    found = _Found(z, budgets, dof, float(residual @ residual), False, degrees(components.angle), tuple(notes))
     return _estimates(sensors, known, found)
 
 
@@ -295,49 +296,54 @@ def _with_noise(system: System, factor: float) -> System:
     return replace(system, blocks=tuple(replace(block, u=block.u * factor**0.5) for block in system.blocks))
 
 
-def _components(system: System, z: Array) -> tuple[VarianceComponents, Array]:
-    """Find the jig's variance near a point, and the readings' sensitivities to the attitudes there.
-
-    The errors that the system takes as unknowns with a prior are put back into the residuals: they belong to the
-    readings' covariance.
-    """
+def _tilted(system: System, z: Array) -> LinearSolution:
+    """Linearise a system near its minimum, with attitude angles even where their variance is zero."""
     tilted = system if system.jig > 0 else replace(system, jig=1.0)
-    z_tilted = z if tilted is system else _carried(z, system, tilted)
-    slopes = tilted.at(z_tilted).jacobian[: tilted.readings]
-    residual = tilted.unexplained(z_tilted) / tilted.sigma
-    centre = tilted.start()
-    random = [column for source, column, _ in tilted.priors if source != TABLE or tilted.table_stated]
-    residual += slopes[:, random] @ (z_tilted - centre)[random]
-    attitudes = tilted.attitudes
-    stated = [(column, u) for source, column, u in tilted.priors if column in random and source != JIG]
-    known = slopes[:, [column for column, _ in stated]] * np.array([u for _, u in stated])
-    fixed = ~tilted.fixed
-    fixed[random] = False
-    noise = np.eye(tilted.readings) + known @ known.T
-    found = variance_components(residual, slopes[:, fixed], noise, slopes[:, attitudes])
-    return found, slopes[:, attitudes] * tilted.sigma[:, None]
+    return linearised(tilted, z if tilted is system else _carried(z, system, tilted), system.jig)
+
+
+def _components(system: System, z: Array, dof: int) -> VarianceComponents:
+    """Find the jig's variance near a point.
+
+    The angles that were taken off there are put back into the residuals.
+    """
+    near = _tilted(system, z)
+    left, shown, _ = near.spectrum
+    first = near.shared - near.angles
+    right = near.elimination.right[first:]
+    if system.jig > 0:
+        right = right + near.elimination.triangle[first:, first:] @ z[near.system.attitudes]
+    return variance_components(shown, left.T @ right, near.elimination.rest, dof, _strongest(near))
+
+
+def _strongest(near: LinearSolution) -> float:
+    """The largest effect that a combination of the attitude angles has on all readings together, over their noise."""
+    squares = np.zeros((near.angles // 2, 2, 2))
+    for block, equations in zip(near.system.blocks, near.equations.blocks, strict=True):
+        by_angle = equations.shared[..., -2:].reshape(*block.u.shape, 2)
+        np.add.at(squares, near.system.stands[block.places], np.einsum("scni,scnj->snij", by_angle, by_angle))
+    return float(np.sqrt(np.linalg.eigvalsh(squares).max()))
 
 
 def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """Directions that are only a first guess, gravity a unit vector, the gauge by an upper-triangular matrix."""
     even = replace(system.unweighted(), jig=system.jig, thermometer=system.thermometer)
-    even, z = triangular_gauge(even, _first(replace(even, jig=0.0, thermometer=0.0, heading=0.0)))
+    even, z = triangular_gauge(even, _first(even.as_if_perfect()))
     require_enough(even)
-    z = minimise(even.at, z, ~even.fixed)
+    z = minimise(even, z)
     near = linearised(even, z)
-    require_spread(even, near.jacobian)
-    dof = even.degrees_of_freedom(near.jacobian)
-    residual = even.at(z).residual
-    squares = float(residual @ residual)
+    require_spread(near)
+    dof = even.degrees_of_freedom(0)
+    squares = near.equations.cost
     stated = even.unexplained(z) / system.sigma
     chi_square = float(stated @ stated)
     lucky = 0.0 < chi_square < dof
     if lucky:  # the estimate stands on the noise, and on its degrees of freedom
-        budget = scaled_budget(even, near, squares / chi_square, _noise_dof(sensors))
+        budgets = scaled_budgets(near, squares / chi_square, _noise_dof(sensors))
     else:
-        budget = scaled_budget(even, near, squares / dof, dof) if dof else stated_budget(even, near)
+        budgets = scaled_budgets(near, squares / dof, dof) if dof else stated_budgets(near)
     notes = (GAUGE, *((LUCKY,) if lucky else ()), *(() if dof else (NO_FREEDOM,)))
-    return _estimates(sensors, even, _Found(z, budget, dof, chi_square if dof else None, not dof, notes=notes))
+    return _estimates(sensors, even, _Found(z, budgets, dof, chi_square if dof else None, not dof, notes=notes))
 
 
 def _noise_dof(sensors: Sequence[SensorObservations]) -> float:
@@ -350,7 +356,7 @@ class _Found:
     """A minimum and what is known of it, over all sensors."""
 
     z: Array
-    budget: Budget
+    budgets: Sequence[Budget]
     dof: int
     chi_square: float | None
     stated: bool
@@ -360,21 +366,21 @@ class _Found:
 
 def _first(system: System) -> Array:
     """The coefficients with the attitudes as set: the answer for a perfect jig, the start for any other."""
-    set_right = replace(system, jig=0.0, thermometer=0.0, heading=0.0)
+    set_right = system.as_if_perfect()
+    free = set_right.holding(set_right.assumed)
     z = set_right.start()
-    moving = ~set_right.fixed
-    moving[set_right.assumed] = False
-    sensitive = np.linalg.norm(set_right.at(z).jacobian, axis=0) > 0
     # Gain and non-linearity have no effect before a sensitivity is known: they join in the second round.
-    z = minimise(set_right.at, z, moving & sensitive)
+    insensitive = free.assumed.copy()
+    for block in free.at(z).blocks:
+        insensitive[block.unknowns] = ~np.any(block.jacobian[:, : block.readings], axis=1)
+    z = minimise(free.holding(insensitive), z)
     require_determined(set_right, z)
-    return minimise(set_right.at, z, moving)
+    return minimise(free, z)
 
 
 def _settled(system: System, z: Array, known: System | None = None) -> Array:
     """Return the minimum with all unknowns, from one with other errors of the bench (as set where none is given)."""
-    start = _carried(z, replace(system, jig=0.0, thermometer=0.0, heading=0.0) if known is None else known, system)
-    return minimise(system.at, start, ~system.fixed)
+    return minimise(system, _carried(z, system.as_if_perfect() if known is None else known, system))
 
 
 def _carried(z: Array, before: System, after: System) -> Array:
@@ -401,16 +407,16 @@ def _attitudes(
     angles = system.angles(z)
     turns = rotation_vectors(system.gravity, system.basis, angles)
     names = list(dict.fromkeys(o.position for sensor in sensors for o in sensor.observations))
-    covariance = near.inverse[system.attitudes] @ near.inverse[system.attitudes].T
     own = z[system.attitudes].reshape(-1, 2)
-    judged = []
-    for stand, angle in enumerate(own):
-        pair = slice(2 * stand, 2 * stand + 2)
-        values, vectors = np.linalg.eigh(system.jig**2 * np.eye(2) - covariance[pair, pair])
-        seen = values > 1e-6 * system.jig**2
-        squares = float(np.sum((vectors[:, seen].T @ angle) ** 2 / values[seen]))
-        count = int(np.sum(seen))
-        judged.append((squares, float(chdtrc(count, squares)) if count else 1.0))
+    covariance = near.shared_covariance[-near.angles :, -near.angles :].reshape(len(own), 2, len(own), 2)
+    stands = np.arange(len(own))
+    values, vectors = np.linalg.eigh(system.jig**2 * np.eye(2) - covariance[stands, :, stands])
+    seen = values > 1e-6 * system.jig**2
+    along = np.einsum("sij,si->sj", vectors, own)
+    squares = np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1)
+    count = seen.sum(axis=1)
+    p = np.where(count > 0, chdtrc(np.maximum(count, 1), squares), 1.0)
+    judged = list(zip(squares.tolist(), p.tolist(), strict=True))
     return tuple(
         AttitudeError(name, np.degrees(turn), *judged[stand])
         for name, turn, stand in zip(names, turns, system.stands, strict=True)
@@ -423,10 +429,10 @@ def _estimates(
     """The result of each sensor."""
     from scipy.special import chdtrc
 
-    z = np.append(found.z, np.zeros(max(system.unknowns - len(found.z), 0)))
     p = None if found.chi_square is None else float(chdtrc(found.dof, found.chi_square))
-    as_set = system.unexplained(z if sensors[0].design.free else _as_set(system, found.z))
-    remainders = system.unexplained(z) if len(found.z) == system.unknowns else as_set
+    whole = len(found.z) == system.unknowns
+    as_set = system.unexplained(found.z if sensors[0].design.free else system.as_set(found.z))
+    remainders = system.unexplained(found.z) if whole else as_set
     estimates = []
     row = 0
     for number, sensor in enumerate(sensors):
@@ -439,7 +445,7 @@ def _estimates(
             Estimate(
                 coefficients=_coefficients(sensor, found.z[mine]),
                 names=sensor.design.names,
-                budget=found.budget.part(mine.tolist()),
+                budget=found.budgets[number],
                 positions=tuple(observation.position for observation in sensor.observations),
                 residuals=as_set[rows].reshape(shape).T,
                 remainders=remainders[rows].reshape(shape).T,
@@ -453,13 +459,6 @@ def _estimates(
             )
         )
     return tuple(estimates)
-
-
-def _as_set(system: System, z: Array) -> Array:
-    """The coefficients that were found, in a bench without errors."""
-    perfect = np.zeros(system.unknowns)
-    perfect[: system.coefficients] = z[: system.coefficients]
-    return perfect
 
 
 def _coefficients(sensor: SensorObservations, theta: Array) -> Coefficients:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.linalg import svd
 from numpy.typing import NDArray
 
-from tiltcal.core.estimation.equations import EquationBlock, System
+from tiltcal.core.estimation.elimination import LinearSolution
+from tiltcal.core.estimation.equations import System
 from tiltcal.core.frames import gravity_from_tilt
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
@@ -54,18 +55,19 @@ def require_determined(system: System, z: Array) -> None:
         Names the coefficients, and a position that would tell them apart.
     """
     direction, _ = system.directions(system.as_set(z))
-    for block in system.blocks:
-        gravity = direction[block.places] @ system.orientations[block.sensor].T
-        rows = _with_priors(block.model.read(z[block.columns], gravity, block.dt).by_coefficient, system, block)
-        moving = ~system.fixed[block.columns]
-        mixed = undetermined(rows[:, moving], np.array(block.model.coefficients)[moving].tolist())
+    for block, sensor, channel in system.channels():
+        model, columns, dt = block.models[channel], block.columns[sensor, channel], block.dt[sensor]
+        gravity = direction[block.places[sensor]] @ system.orientations[block.sensors[sensor]].T
+        theta, prior_u = z[columns], system.prior_u[columns]
+        rows = _with_priors(model.read(theta, gravity, dt).by_coefficient, prior_u)
+        moving = prior_u > 0.0
+        mixed = undetermined(rows[:, moving], np.array(model.coefficients)[moving].tolist())
         if not mixed:
             continue
-        theta = z[block.columns]
-        advice = _advice(block.model, theta, gravity, block.dt, rows, moving)
+        advice = _advice(model, theta, gravity, dt, rows, moving)
         if len(mixed) == 1:
             raise EstimateError(f"no position determines {mixed[0]}: {advice}")
-        raise EstimateError(f"the {len(block.mean)} positions do not separate {_listed(mixed)}: {advice}")
+        raise EstimateError(f"the {len(dt)} positions do not separate {_listed(mixed)}: {advice}")
 
 
 def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
@@ -92,6 +94,34 @@ def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
     if rank == len(names):
         return []
     return [name for name, part in zip(names, vectors[rank], strict=True) if abs(part) > TOLD]
+
+
+def undetermined_unknowns(near: LinearSolution) -> list[str]:
+    """Name coefficients and directions that free positions leave undetermined; empty where all are determined."""
+    system = near.system
+    names = [*system.names, *(f"direction {k}" for k in range(system.unknowns - system.coefficients))]
+    length = np.zeros(system.unknowns)
+    for block in near.equations.blocks:
+        for unknowns, jacobian in zip(block.unknowns, block.jacobian, strict=True):
+            mixed = undetermined(jacobian, [names[k] for k in unknowns])
+            if mixed:
+                return mixed
+            length[unknowns] = np.linalg.norm(jacobian, axis=0)
+        np.add.at(length, system.local + block.columns.ravel(), block.shared.ravel() ** 2)
+    length[system.local :] = np.sqrt(length[system.local :])
+    if np.any(length[system.local :] == 0.0):
+        return [names[int(np.argmin(length))]]
+    # The combination of shared unknowns that shows least, with the coefficients that follow it.
+    triangle = near.elimination.triangle
+    weakest = svd(triangle / length[system.local :])[2][-1] / length[system.local :]
+    combination = np.concatenate([np.zeros(system.local), weakest])
+    for factor in near.elimination.factors:
+        combination[factor.unknowns] = -(factor.inverse @ (factor.follows @ weakest)[..., None])[..., 0]
+    combination *= length
+    size = float(np.linalg.norm(combination))
+    if float(np.linalg.norm(triangle @ weakest)) > UNDETERMINED * size:
+        return []
+    return [name for name, part in zip(names, combination / size, strict=True) if abs(part) > TOLD]
 
 
 def positions_to_add(
@@ -139,7 +169,7 @@ def _advice(
 def _candidates(model: ChannelModel, theta: Array, gravity: Array, dt: Array) -> Iterator[tuple[str, Array]]:
     """Row of the Jacobian for each position that may be proposed."""
     usual = float(dt[0]) if len(dt) else 0.0
-    # A gain has no lever before the sensitivity is known; any value will do to see whether a position tells it.
+    # A gain has no effect before the sensitivity is known; any value will do to see whether a position shows it.
     theta = theta.copy()
     own = model.split(theta)[0]
     if not np.any(own):
@@ -165,12 +195,10 @@ def _strength(rows: Array) -> tuple[int, float]:
     return len(counted), round(float(counted[-1]), 9)
 
 
-def _with_priors(jacobian: Array, system: System, block: EquationBlock) -> Array:
+def _with_priors(jacobian: Array, u: Array) -> Array:
     """The rows of a channel's readings and of what is known of its coefficients, on a common scale."""
-    u = system.prior_u[block.columns]
-    known = np.isfinite(u)
     size = np.linalg.norm(jacobian, axis=0)
-    return np.vstack([jacobian, np.diag(np.where(size > 0, size, 1.0))[known]])
+    return np.vstack([jacobian, np.diag(np.where(size > 0, size, 1.0))[np.isfinite(u)]])
 
 
 def _direction(row: Sequence[float]) -> str:

@@ -13,10 +13,11 @@ from itertools import combinations
 import numpy as np
 
 from tiltcal.core.budget import Budget
-from tiltcal.core.estimation.covariance import stated_budget
+from tiltcal.core.estimation.covariance import stated_budgets
 from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
-from tiltcal.core.estimation.equations import System, system_of
-from tiltcal.core.estimation.gauss_newton import linearised
+from tiltcal.core.estimation.elimination import linearised
+from tiltcal.core.estimation.equations import System
+from tiltcal.core.estimation.fixture_equations import system_of
 from tiltcal.core.estimation.identifiability import CANDIDATES, WARMER, require_determined
 from tiltcal.core.estimation.unit_gravity import require_spread, triangular_gauge
 from tiltcal.core.frames import Vector
@@ -124,16 +125,15 @@ def predicted_covariance(
     system, z = _system(design, positions, noise, sensitivity, adc, sensors)
     near = linearised(system, z)
     if design.free:
-        require_spread(system, near.jacobian)
+        require_spread(near)
     else:
         require_determined(system, z)
-    budget = stated_budget(system, near)
+    own = stated_budgets(near)[0]
     names = design.names
-    own = budget.part(range(len(names)))
     return Prediction(
         names=names,
         budget=own,
-        dof=system.degrees_of_freedom(near.jacobian),
+        dof=system.degrees_of_freedom(near.unseen_leans),
         correlations=strong_correlations(names, own.covariance),
         worth_adding=_worth_adding(design, positions, noise, sensitivity, adc, sensors, own.u),
     )
@@ -222,7 +222,7 @@ def _worth_adding(
     for candidate in candidates:
         longer = [*positions, candidate]
         system, z = _system(design, longer, noise, sensitivity, adc, sensors)
-        after = stated_budget(system, linearised(system, z)).u[: len(before)]
+        after = stated_budgets(linearised(system, z))[0].u
         share = after / np.where(before > 0.0, before, np.inf)
         share[(before == 0.0) | assumed] = 1.0
         most = int(np.argmin(np.round(share, 6)))

@@ -15,97 +15,72 @@ Source: M. J. Box, *Bias in nonlinear estimation*, J. R. Statist. Soc. B 33 (197
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-
 import numpy as np
 
-from tiltcal.core.estimation.equations import Indices, System
-from tiltcal.core.estimation.gauss_newton import LinearSolution
+from tiltcal.core.estimation.elimination import LinearSolution, shared_table
+from tiltcal.core.estimation.equations import EquationBlock, System
 from tiltcal.core.model import AXES, Array
 
 
-def second_order_bias(system: System, z: Array, near: LinearSolution, variance: float) -> Array:
+def second_order_bias(near: LinearSolution, z: Array) -> Array:
     """By how much the coefficients are estimated too large on average, where attitudes are among the unknowns.
 
     Parameters
     ----------
-    system : System
-        Of a jig with attitude angles.
+    near : LinearSolution
+        With attitude angles, at the minimum.
     z : ndarray, shape (unknowns,)
         The minimum.
-    near : LinearSolution
-        The system there.
-    variance : float
-        Of an attitude angle, rad².
 
     Returns
     -------
     ndarray, shape (coefficients,)
     """
-    lever, curvature, stands = attitude_sensitivity(system, z)
-    readings = system.readings
-    linear = near.inverse[:, :readings] / system.sigma
-    follows = linear @ lever
-    own = follows[system.attitudes].reshape(-1, 2, lever.shape[1])
-    left = (lever - (near.jacobian @ follows)[:readings] * system.sigma[:, None]) / system.sigma[:, None] ** 2
+    system, first, q = near.system, near.shared - near.angles, near.jig**2
+    covariance = near.shared_covariance[:, first:] / q
+    # Of a true error of the angles the attitudes follow the unit matrix less this, and the coefficients the response.
+    own = (np.eye(near.angles) - covariance[first:]).reshape(-1, 2, near.angles)
+    follows = (near.response * near.variances) @ near.directions[first:].T / q
     # aᵀa is 2 s² for each stand's two angles; âᵀâ is what the estimate follows of them.
     squares = np.sum(own**2, axis=(1, 2)) - 2.0
-    off = 0.5 * curvature * squares[stands]
-    pull = np.zeros(system.unknowns)
-    for columns, rows, mixed in _by_sensitivity(system, z):
-        own_there, left_there = own[stands[rows]], left[rows]
-        moved = np.einsum("nik,nkm->nim", mixed, own_there)
-        off[rows] -= np.einsum("im,nim->n", follows[columns], moved)
-        pull[columns] += np.einsum("nim,nm->i", moved, left_there)
-        turned = np.einsum("nik,im->nkm", mixed, follows[columns]) - curvature[rows, None, None] * own_there
-        at = system.attitudes.start + 2 * stands[rows][:, None] + np.arange(2)
-        np.add.at(pull, at, np.einsum("nkm,nm->nk", turned, left_there))
-    coefficients = slice(0, system.coefficients)
-    bias = linear[coefficients] @ off + near.inverse[coefficients] @ (near.inverse.T @ pull)
-    return np.asarray(variance * bias)
+    direction, derivative = system.directions(z)
+    right, locally = np.zeros(near.shared), []
+    for block, equations, factor in zip(system.blocks, near.equations.blocks, near.elimination.factors, strict=True):
+        stands = system.stands[block.places]
+        seen = system.seen(block, direction)
+        curvature = (block.read(z, seen, block.dt).by_gravity @ seen[:, None].swapaxes(2, 3)).diagonal(0, 2, 3)
+        mixed = _by_sensitivity_and_angle(system, block, z, derivative)
+        columns = block.columns[:, :, 1 : 1 + mixed.shape[3]]
+        followed = follows[columns].swapaxes(2, 3)
+
+        table = shared_table(equations, near.shared)[:, : equations.readings, : near.shared]
+        left = table @ covariance - factor.basis[:, : equations.readings] @ (factor.follows @ covariance)
+        left = left.reshape(*block.u.shape, near.angles) / block.u[..., None]
+        moved = (own.reshape(-1, near.angles) @ followed).reshape(*columns.shape[:2], len(own), 2, -1)
+        moved = np.stack([one[:, at] for one, at in zip(moved, stands, strict=True)])
+        off = 0.5 * curvature * squares[stands][:, None] - np.einsum("scnik,scnki->scn", mixed, moved)
+        by_own = np.einsum("scna,snka->scnk", left, own[stands])
+        by_angle = np.einsum("scnik,scni->scnk", mixed, left @ followed) - curvature[..., None] * by_own
+        pull = np.zeros(system.coefficients)
+        pull[columns] = np.einsum("scnik,scnk->sci", mixed, by_own)
+        np.add.at(right[first:].reshape(-1, 2), stands, by_angle.sum(axis=1))
+
+        residual = (off / block.u).reshape(len(factor.basis), -1)
+        of_own = factor.unknowns[0] < system.coefficients
+        pulled = factor.inverse[:, of_own].swapaxes(1, 2) @ pull[factor.unknowns[:, of_own]][..., None]
+        locally.append(factor.basis[:, : equations.readings].swapaxes(1, 2) @ residual[..., None] + pulled)
+        right += np.tensordot(residual, table, 2) - np.tensordot(locally[-1][..., 0], factor.follows, 2)
+    shared = near.shared_covariance @ right
+    bias = np.empty(system.local)
+    for factor, own_part in zip(near.elimination.factors, locally, strict=True):
+        bias[factor.unknowns] = (factor.inverse @ (own_part - (factor.follows @ shared)[..., None]))[..., 0]
+    return q * bias[: system.coefficients]
 
 
-def attitude_sensitivity(system: System, z: Array) -> tuple[Array, Array, Indices]:
-    """What attitude angles do to the readings.
-
-    Returns
-    -------
-    lever : ndarray, shape (readings, angles)
-        unit/rad.
-    curvature : ndarray, shape (readings,)
-        Minus the second derivative by either angle of the reading's own stand, unit/rad².
-    stands : ndarray of int, shape (readings,)
-    """
-    count = system.coefficients
-    tilted = system if system.jig > 0 else replace(system, jig=1.0)
-    z_tilted = np.zeros(tilted.unknowns)
-    z_tilted[:count] = z[:count]
-    z_tilted[tilted.lean] = z[system.lean]
-    if system.jig > 0:
-        z_tilted = z
-    lever = tilted.at(z_tilted).jacobian[: system.readings, tilted.attitudes] * system.sigma[:, None]
-    direction, _ = tilted.directions(z_tilted)
-    curvature = []
-    for block in system.blocks:
-        seen = direction[block.places] @ system.orientations[block.sensor].T
-        reading = block.model.read(z[block.columns], seen, block.dt)
-        curvature.append(np.einsum("ni,ni->n", reading.by_gravity, seen))
-    stands = np.concatenate([system.stands[block.places] for block in system.blocks])
-    return lever, np.concatenate(curvature), stands
-
-
-def _by_sensitivity(system: System, z: Array) -> Iterator[tuple[slice, Indices, Array]]:
-    """For each channel: columns of its sensitivities, readings' rows, and d²u / dS da, shape (n, axes, 2)."""
-    start = 0
-    _, derivative = system.directions(z)
-    for block in system.blocks:
-        axes = [AXES.index(axis) for axis in block.model.axes]
-        seen = system.orientations[block.sensor]
-        turn = np.einsum("ij,njk->nik", seen, derivative[block.places])[:, axes]
-        _, _, gain, _ = block.model.split(z[block.columns])
-        scale = 1.0 + (block.dt[:, None] ** np.arange(1, len(gain) + 1)) @ gain
-        first = block.columns.start + 1
-        rows = np.arange(start, start + len(block.mean), dtype=np.intp)
-        yield slice(first, first + len(axes)), rows, scale[:, None, None] * turn
-        start += len(block.mean)
+def _by_sensitivity_and_angle(system: System, block: EquationBlock, z: Array, derivative: Array) -> Array:
+    """Second derivatives of a block's readings by a sensitivity and an attitude angle, shape (S, C, n, axes, 2)."""
+    axes = [AXES.index(axis) for axis in block.models[0].axes]
+    turn = (system.orientations[block.sensors][:, None] @ derivative[block.places])[:, None, :, axes]
+    _, _, gain, _ = block.models[0].split(z[block.columns])
+    powers = block.dt[:, None, :, None] ** np.arange(1, gain.shape[-1] + 1)
+    return np.asarray((1.0 + np.sum(powers * gain[:, :, None], axis=-1))[..., None, None] * turn)

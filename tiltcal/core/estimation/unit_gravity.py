@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.core.estimation.equations import System
-from tiltcal.core.estimation.identifiability import undetermined
+from tiltcal.core.estimation.elimination import LinearSolution
+from tiltcal.core.estimation.equations import Indices, System
+from tiltcal.core.estimation.identifiability import undetermined_unknowns
 from tiltcal.core.intrinsic import separated
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
@@ -80,7 +81,7 @@ def triangular_gauge(system: System, z: Array) -> tuple[System, Array]:
     """
     number, columns = _three_axes(system)
     seen = system.orientations[number]
-    matrix = np.array([z[block] for block in columns])
+    matrix = z[columns]
     try:
         upper, turn = separated(matrix)
     except EstimateError as error:
@@ -89,11 +90,8 @@ def triangular_gauge(system: System, z: Array) -> tuple[System, Array]:
     held = system.prior_u.copy()
     start = np.zeros(system.unknowns)
     start[: system.coefficients] = z[: system.coefficients]
-    for row, block in enumerate(columns):
-        start[block] = upper[row]
-        below = np.arange(block.start, block.start + row)
-        held[below] = 0.0
-        start[below] = 0.0
+    start[columns] = np.triu(upper)
+    held[columns[np.tril_indices(3, -1)]] = 0.0
     return replace(system, gravity=gravity, prior_u=held), start
 
 
@@ -104,31 +102,25 @@ def require_enough(system: System) -> None:
     ------
     EstimateError
     """
-    moving = int(np.sum(~system.fixed))
-    if system.readings + len(system.sources) < moving:
+    moving = system.unknowns - int(system.fixed.sum())
+    if system.readings + system.priors < moving:
         raise EstimateError(
             f"{len(system.gravity)} free positions give {system.readings} readings for {moving} unknowns (two of each "
             "position's direction among them): a sensor of three axes needs at least nine positions, well spread"
         )
 
 
-def require_spread(system: System, jacobian: Array) -> None:
+def require_spread(near: LinearSolution) -> None:
     """Refuse free positions that leave coefficients undetermined.
-
-    Parameters
-    ----------
-    system : System
-    jacobian : ndarray, shape (equations, unknowns)
 
     Raises
     ------
     EstimateError
         They are named.
     """
+    system = near.system
     require_enough(system)
-    names = [*system.names, *(f"direction {k}" for k in range(system.unknowns - system.coefficients))]
-    moves = ~system.fixed
-    mixed = undetermined(jacobian[:, moves], np.array(names)[moves].tolist())
+    mixed = undetermined_unknowns(near)
     if mixed:
         raise EstimateError(
             f"the {len(system.gravity)} free positions do not determine {', '.join(mixed[:4])}: add positions that are "
@@ -136,10 +128,9 @@ def require_spread(system: System, jacobian: Array) -> None:
         )
 
 
-def _three_axes(system: System) -> tuple[int, list[slice]]:
-    """The first sensor with three channels and three axes, and the columns of its sensitivities."""
-    for number in range(len(system.orientations)):
-        own = [block for block in system.blocks if block.sensor == number]
-        if len(own) == 3 and all(len(block.model.axes) == 3 for block in own):
-            return number, [slice(block.columns.start + 1, block.columns.start + 4) for block in own]
+def _three_axes(system: System) -> tuple[int, Indices]:
+    """The first sensor with three channels and three axes, and its sensitivities among the unknowns, shape (3, 3)."""
+    for block in system.blocks:
+        if len(block.models) == 3 and len(block.models[0].axes) == 3:
+            return int(block.sensors[0]), block.columns[0, :, 1:4]
     raise EstimateError("free positions need a sensor of three channels: unit gravity does not determine fewer")

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
-from numpy.linalg import cholesky, norm, solve, svd
 
 from tiltcal.core.model import Array
 
@@ -50,8 +49,6 @@ class VarianceComponents:
     information : float
         Half of it is the Fisher information of ``jig``: a variance x ``jig`` has ``(x jig)² information / x²`` degrees
         of freedom. Infinite where the residuals hold nothing of it.
-    precision : ndarray, shape (angles, angles)
-        Aᵀ P A, with P the inverse of V in the space that M leaves.
     trade : float
         By how much, per the noise's variance, q falls where the noise is greater than was measured: the residuals show
         their sum.
@@ -67,7 +64,6 @@ class VarianceComponents:
 
     jig: float
     information: float
-    precision: Array
     trade: float
     noise: float
     noise_dof: float
@@ -80,47 +76,35 @@ class VarianceComponents:
         return sqrt(max(self.jig, 0.0))
 
 
-def variance_components(residual: Array, jacobian: Array, noise: Array, attitude: Array) -> VarianceComponents:
+def variance_components(shown: Array, right: Array, rest: float, dof: int, strongest: float) -> VarianceComponents:
     """Find the variance of the attitude angles from residuals.
 
     Parameters
     ----------
-    residual : ndarray, shape (n,)
-        In any unit, one for each reading.
-    jacobian : ndarray, shape (n, k)
-        Of the coefficients that the readings determine; n is larger than its rank.
-    noise : ndarray, shape (n, n)
-        Covariance of the readings without the jig.
-    attitude : ndarray, shape (n, angles)
-        Sensitivity of each reading to the attitude angles, per radian.
+    shown : ndarray, shape (angles,)
+        d, the singular values of A in the space that M leaves, whitened by N.
+    right : ndarray, shape (angles,)
+        The residuals along their left singular vectors.
+    rest : float
+        The sum of squares of the residuals, whitened, beside these.
+    dof : int
+        The dimension of that space, above 0.
+    strongest : float
+        The largest singular value of A, whitened by the noise alone.
     """
-    rest = _complement(jacobian)
-    factor = cholesky(rest.T @ noise @ rest)
-    white = solve(factor, rest.T @ residual)
-    vectors, singular, angles = svd(solve(factor, rest.T @ attitude), full_matrices=False)
-    whole = svd(solve(cholesky(noise), attitude), compute_uv=False)
-    sensitive = singular > INSENSITIVE * max(float(norm(whole)), 1e-300)
-    d2, z2 = singular[sensitive] ** 2, (vectors[:, sensitive].T @ white) ** 2
-    total, dof = float(white @ white), len(white)
+    sensitive = shown > INSENSITIVE * max(strongest, 1e-300)
+    d2, z2 = shown[sensitive] ** 2, right[sensitive] ** 2
+    left, more = rest + float(np.sum(right[~sensitive] ** 2)), dof - len(d2)
     if not len(d2):
-        nothing = np.zeros((attitude.shape[1],) * 2)
-        return VarianceComponents(0.0, inf, nothing, 0.0, total / dof, float(dof), detectable=False)
-    q = _restricted_likelihood(d2, z2, lowest=-POSITIVE / float(whole[0]) ** 2)
-    weight = d2 / (1.0 + q * d2)
-    information = float(np.sum(weight**2))
-    trade = float(np.sum(d2 / (1.0 + q * d2) ** 2)) / information
-    precision = (angles[sensitive].T * (d2 / (1.0 + max(q, 0.0) * d2))) @ angles[sensitive]
-    left, more = total - float(np.sum(z2)), dof - len(d2)
-    if more and _upper_tail(left, more) < IMPROBABLE:
-        return VarianceComponents(q, information, precision, 0.0, left / more, float(more), exceeds=True)
-    return VarianceComponents(q, information, precision, trade, 1.0, inf)
-
-
-def _complement(jacobian: Array) -> Array:
-    """Return orthonormal directions of the readings that no coefficient can follow."""
-    size = norm(jacobian, axis=0)
-    left, values, _ = svd(jacobian / np.where(size > 0.0, size, 1.0), full_matrices=True)
-    return np.asarray(left[:, int(np.sum(values > 1e-12 * values[0])) :])
+        return VarianceComponents(0.0, inf, 0.0, left / dof, float(dof), detectable=False)
+    q = _restricted_likelihood(d2, z2, lowest=-POSITIVE / strongest**2)
+    exceeds = more > 0 and _upper_tail(left, more) < IMPROBABLE
+    noise = left / more if exceeds else 1.0
+    shares = 1.0 / (noise + q * d2)
+    information = float(np.sum((d2 * shares) ** 2))
+    if exceeds:
+        return VarianceComponents(q, information, 0.0, noise, float(more), exceeds=True)
+    return VarianceComponents(q, information, float(np.sum(d2 * shares**2)) / information, noise, inf)
 
 
 def _restricted_likelihood(d2: Array, z2: Array, lowest: float) -> float:

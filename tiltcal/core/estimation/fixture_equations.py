@@ -1,0 +1,170 @@
+"""From the observations of the sensors of a fixture to their joint equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from math import inf, radians
+
+import numpy as np
+
+from tiltcal.core.estimation.attitude import heading_rotations
+from tiltcal.core.estimation.design import Observation, SensorObservations
+from tiltcal.core.estimation.equations import EquationBlock, Indices, System
+from tiltcal.core.model import Array
+from tiltcal.errors import EstimateError
+
+UNKNOWN_TABLE = 5.0
+"""Standard uncertainty of a lean of which nothing was said, degrees: no table that anyone works at leans more."""
+
+SAME = 1e-6
+"""How far the directions that two sensors give for one position may differ, g."""
+
+TOGETHER = 8
+"""Most sensors in a block: more of them need more memory at a time, and are hardly quicker."""
+
+
+def system_of(sensors: Sequence[SensorObservations]) -> System:
+    """The equations of the sensors of one fixture.
+
+    Parameters
+    ----------
+    sensors : sequence of SensorObservations
+        Sound ones, see :func:`tiltcal.core.estimation.design.require_sound`.
+
+    Raises
+    ------
+    EstimateError
+        Two sensors disagree on the direction or heading of a position.
+    """
+    design = sensors[0].design
+    places, gravity, headings, stands = _places(sensors)
+    names = [sensor.design.names for sensor in sensors]
+    priors = [sensor.design.priors.get(name) for sensor, own in zip(sensors, names, strict=True) for name in own]
+    leans = design.table > 0 if design.table is not None else len({heading % 360.0 for heading in headings}) > 1
+    temperatures, own, shared = _temperatures(sensors, places)
+    return System(
+        blocks=tuple(_blocks(sensors, places, temperatures, own)),
+        orientations=np.array([sensor.orientation for sensor in sensors], dtype=float),
+        gravity=gravity,
+        stands=stands,
+        lean_rotations=heading_rotations(np.radians(headings)) if leans and not design.free else None,
+        names=tuple(name for one in names for name in one),
+        sensors=np.repeat(np.arange(len(sensors)), [len(one) for one in names]),
+        prior_value=np.array([prior.value if prior else 0.0 for prior in priors]),
+        prior_u=np.array([prior.u if prior else inf for prior in priors]),
+        own_temperatures=own,
+        shared_temperatures=shared,
+        jig=radians(design.jig or 0.0),
+        table=radians(UNKNOWN_TABLE if design.table is None else design.table),
+        table_stated=design.table is not None,
+        heading=radians(design.heading),
+        thermometer=design.thermometer if any(sensor.design.thermal for sensor in sensors) else 0.0,
+    )
+
+
+def _places(sensors: Sequence[SensorObservations]) -> tuple[dict[str, int], Array, list[float], Indices]:
+    """The positions of all sensors by name, their directions in the fixture's frame, headings and stands."""
+    numbers: dict[str, int] = {}
+    gravity: list[Array] = []
+    headings: list[float] = []
+    stands: list[int] = []
+    for sensor in sensors:
+        back = np.array(sensor.orientation, dtype=float).T
+        before: int | None = None
+        for observation in sensor.observations:
+            direction = back @ observation.gravity
+            heading = observation.heading or 0.0
+            number = numbers.setdefault(observation.position, len(gravity))
+            if number == len(gravity):
+                gravity.append(direction)
+                headings.append(heading)
+                held = observation.held and before is not None
+                stands.append(stands[before] if held and before is not None else max(stands, default=-1) + 1)
+            elif np.max(np.abs(direction - gravity[number])) > SAME or heading != headings[number]:
+                raise EstimateError(
+                    f"position {observation.position}: two sensors of the fixture name different directions for it; "
+                    "check their axes"
+                )
+            before = number
+    return numbers, np.array(gravity), headings, np.array(stands, dtype=np.intp)
+
+
+def _temperatures(sensors: Sequence[SensorObservations], places: dict[str, int]) -> tuple[list[Indices], int, int]:
+    """The number of the temperature error of each reading, how many belong to one sensor, and how many to several.
+
+    Sensors that have the same temperature in all their common positions have one thermometer. The errors of a
+    thermometer that one sensor alone has come first.
+    """
+    thermometers: list[dict[int, float]] = []
+    users: list[list[int]] = []
+    read: list[Indices] = []
+    for number, sensor in enumerate(sensors):
+        told = {places[one.position]: one.temperature or 0.0 for one in sensor.observations}
+        read.append(np.array(list(told), dtype=np.intp))
+        for known, using in zip(thermometers, users, strict=True):
+            common = known.keys() & told.keys()
+            if common and all(known[place] == told[place] for place in common):
+                known.update(told)
+                using.append(number)
+                break
+        else:
+            thermometers.append(dict(told))
+            users.append([number])
+    order = sorted(range(len(users)), key=lambda one: len(users[one]) > 1)
+    numbers: dict[int, Indices] = {}
+    counts = [0, 0]
+    for one in order:
+        at = {place: k + sum(counts) for k, place in enumerate(thermometers[one])}
+        counts[len(users[one]) > 1] += len(at)
+        numbers |= {user: np.array([at[place] for place in read[user].tolist()], dtype=np.intp) for user in users[one]}
+    return [numbers[k] for k in range(len(sensors))], counts[0], counts[1]
+
+
+def _blocks(
+    sensors: Sequence[SensorObservations], places: dict[str, int], temperatures: Sequence[Indices], own: int
+) -> Iterator[EquationBlock]:
+    """The sensors in their order, as many at a time as are alike."""
+    starts = np.cumsum([0, *(len(sensor.design.names) for sensor in sensors)])
+    kinds = [
+        (one.design.models, one.design.thermal, one.design.reference, len(one.observations), int(warm[0]) < own)
+        for one, warm in zip(sensors, temperatures, strict=True)
+    ]
+    first = 0
+    for last in range(1, len(sensors) + 1):
+        if last < len(sensors) and kinds[last] == kinds[first] and last - first < TOGETHER:
+            continue
+        models, thermal, reference, n, alone = kinds[first]
+        numbers = np.arange(first, last)
+        group = sensors[first:last]
+        size = len(models[0].coefficients)
+        told = np.array([[one.temperature or 0.0 for one in sensor.observations] for sensor in group])
+        mean = _table(group, lambda one: one.mean)
+        u = _table(group, lambda one: one.u)
+        adc = _table(group, lambda one: np.zeros(len(one.mean)) if one.adc is None else one.adc)
+        dof = _table(group, lambda one: np.full(len(one.mean), inf) if one.dof is None else one.dof)
+        yield EquationBlock(
+            models=models,
+            sensors=numbers,
+            columns=starts[first:last, None, None] + np.arange(len(models) * size).reshape(len(models), size),
+            places=np.array([[places[one.position] for one in sensor.observations] for sensor in group], dtype=np.intp),
+            mean=mean,
+            u=_floored(u, mean),
+            adc=adc,
+            dof=dof,
+            dt=told - reference if thermal else np.zeros((len(group), n)),
+            temperatures=np.array(temperatures[first:last]),
+            own_thermometer=alone,
+        )
+        first = last
+
+
+def _table(group: Sequence[SensorObservations], value: Callable[[Observation], Array]) -> Array:
+    """Return a value of each reading, shape (sensors, channels, positions)."""
+    rows = np.array([[value(one) for one in sensor.observations] for sensor in group], dtype=float)
+    return np.asarray(rows.swapaxes(1, 2))
+
+
+def _floored(u: Array, mean: Array) -> Array:
+    """Uncertainties of readings that were given without any: far below the rest, and above rounding."""
+    size = np.maximum(np.ptp(mean, axis=2), 1e-6 * np.max(np.abs(mean), axis=2))
+    return np.asarray(np.maximum(u, 1e-9 * np.maximum(size, 1e-300)[..., None]))
