@@ -107,3 +107,9 @@ def test_what_does_not_go_together_is_refused(arguments: tuple[str, ...], why: s
     )
     assert done.returncode == 2
     assert why in done.stderr
+
+
+def test_the_base_names_the_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    measure("level", base=BASE, address="sim:", operator="sim", samples=20, output="again.yaml")
+    assert read_calibration("again.yaml").sensor == read_calibration(BASE).sensor

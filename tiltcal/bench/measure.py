@@ -23,7 +23,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import Sensor, in_words
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.files.base import bases_of
+from tiltcal.files.base import bases_of, identity_in
 from tiltcal.files.bench import BenchFile, read_bench
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure, find_procedure
@@ -98,7 +98,7 @@ def measure(
         With ``level``: by how much at most the sensor may sit askew since its calibration, degrees about each axis.
     base : str or Path, optional
         The sensor's own calibration file, or a folder with SERIAL.yaml of each: a mounting or a new level completes it,
-        and its sensitivity stands in where the procedure determines none.
+        and its sensitivity stands in where the procedure determines none. A file names model and serial number as well.
     typical_temperature : bool
         Whether the data sheet's mean temperature curves stand in for a temperature run.
     closing : bool
@@ -134,6 +134,9 @@ def measure(
         operator = operator or session.plan.lead
     else:
         operator = operator or "terminal"
+        if base is not None and bench is None and Path(base).is_file():
+            identity = identity_in(base)
+            sensor, serial = sensor or identity.model, serial or identity.serial
         _require_named(
             procedure, bench, resume, {"--sensor": sensor, "--address": address, "--serial": serial, "-o": output}
         )

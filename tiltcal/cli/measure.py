@@ -70,7 +70,7 @@ from tiltcal.cli.session_options import LEADERS, left_at_default, remark
     type=click.Path(path_type=Path),
     metavar="CAL",
     help="The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, "
-    "and procedures that determine no sensitivity use its own.",
+    "and procedures that determine no sensitivity use its own. A file names model and serial number as well.",
 )
 @click.option(
     "--typical-temperature",

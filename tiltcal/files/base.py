@@ -8,7 +8,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import CalibrationRecord, calibration_of
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, calibration_of
 from tiltcal.files.declaration import Section, Text, entry
 from tiltcal.files.document import checked_kind, parse_document, read_text
 from tiltcal.files.procedure import Procedure
@@ -84,3 +84,14 @@ def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[st
         if base.coefficients.mounting is not None and not determines.completes:
             raise UsageError(f"{file} has a mounting, which {procedure.name} would drop: name the file from before it")
     return bases
+
+
+def identity_in(path: str | Path) -> SensorIdentity:
+    """Return the sensor that a calibration file is of.
+
+    Raises
+    ------
+    InputError
+        Anything in the file is wrong.
+    """
+    return BaseFile(read_text(path), Path(path).name).calibration.sensor
