@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from tiltcal.bench.plan import plan
     from tiltcal.calibration.calibration import Calibration, read
     from tiltcal.calibration.calibration_library import CalibrationLibrary, open_calibrations
+    from tiltcal.calibration.combine import combine
     from tiltcal.calibration.comparison import compare
     from tiltcal.calibration.pair_calibration import PairCalibration
     from tiltcal.logs.apply import apply_log
@@ -42,6 +43,7 @@ _HOME = {
     "CalibrationLibrary": "tiltcal.calibration.calibration_library",
     "PairCalibration": "tiltcal.calibration.pair_calibration",
     "apply_log": "tiltcal.logs.apply",
+    "combine": "tiltcal.calibration.combine",
     "compare": "tiltcal.calibration.comparison",
     "fit": "tiltcal.logs.fit",
     "match": "tiltcal.logs.match",
@@ -70,6 +72,7 @@ __all__ = [
     "UsageError",
     "__version__",
     "apply_log",
+    "combine",
     "compare",
     "fit",
     "match",

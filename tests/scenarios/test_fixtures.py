@@ -104,3 +104,13 @@ def test_the_golden_pairs_find_the_truth() -> None:
         assert matching.p == pytest.approx(1.0 - rest, abs=4 * matching.u_p)
         assert matching.q == pytest.approx(q, abs=4 * matching.u_q)
         assert 0.0 < matching.u_p < 1e-5
+
+
+def test_the_golden_drift_of_the_sensitivity_is_the_twins() -> None:
+    """The twin's gain, 1.4e-5 and -0.9e-5 per °C, within the stated interval of 95 %."""
+    found = read_calibration(FIXTURES / "sensitivity-drift.yaml")
+    _, truth = read_twin(FIXTURES / "twins" / "sca100t-d02.yaml")
+    for row, channel in enumerate(found.coefficients.channels):
+        name = f"temperature.sensitivity.{channel}.1"
+        expanded = found.uncertainty[name] * found.uncertainty.coverage_factor[name]
+        assert found.coefficients.thermal.gain[row, 0] == pytest.approx(truth.gain[channel][0], abs=expanded)

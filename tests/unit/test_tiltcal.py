@@ -24,6 +24,7 @@ NAMES = [
     "UsageError",
     "__version__",
     "apply_log",
+    "combine",
     "compare",
     "fit",
     "match",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tiltcal.bench.channel_map import map_channels
@@ -18,6 +19,9 @@ from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
+from tiltcal.errors import UsageError
+from tiltcal.files.base import bases_of
+from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure import find_procedure
 
 _NOT_PREDICTED = (
@@ -59,7 +63,7 @@ class PlannedRotation:
 def plan(
     procedure: str,
     *,
-    sensor: str,
+    sensor: str | None = None,
     address: str | None = None,
     jig: float | None = None,
     thermometer: float | None = None,
@@ -68,6 +72,7 @@ def plan(
     samples: int | None = None,
     tilt: float | None = None,
     closing: bool = False,
+    base: str | Path | None = None,
 ) -> PredictedUncertainty | PredictedMounting | PlannedRotation:
     """Predict how well a procedure will determine every coefficient, before anybody starts.
 
@@ -75,8 +80,8 @@ def plan(
     ----------
     procedure : str
         Its name, or the path of your own.
-    sensor : str
-        The sensor's model.
+    sensor : str, optional
+        The sensor's model; without it that of the ``base``.
     address : str, optional
         Its address, where that settles facts of the model, such as ``counts_per_g``.
     jig : float, optional
@@ -93,6 +98,8 @@ def plan(
         The angle that the procedure leaves free, degrees.
     closing : bool
         Whether the first position is visited once more at the end.
+    base : str or Path, optional
+        The sensor's own calibration file, where the procedure takes one.
 
     Returns
     -------
@@ -110,12 +117,17 @@ def plan(
     --------
     >>> print(tiltcal.plan("zero-45", sensor="sca100t-d02", jig=0.1))
     """
-    model = find_model(sensor)
+    own = None if base is None else read_calibration(base)
+    if sensor is None and own is None:
+        raise UsageError("name the --sensor model, or its calibration with --base")
+    model = find_model(sensor or str(own and own.sensor.model))
     if address is not None:
         model = model.at(parse_address(address))
     steps = find_procedure(procedure, tilt)
     steps = steps.with_closing() if closing else steps
     require_no_jig(steps, jig)
+    if own is not None or steps.determines.level:
+        bases_of(steps, base, [] if own is None else [own.sensor.serial])
     if steps.rotation is not None:
         channels = map_channels(steps.rotation, [("", model)])
         return PlannedRotation(channels.pairs, steps.rotation.turns, channels.left_out)
@@ -123,4 +135,6 @@ def plan(
     require_in_range(steps, model)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
-    return predict(steps, model, jig=jig, thermometer=thermometer, table_lean=table_lean, noise=noise, samples=samples)
+    return predict(
+        *(steps, model), jig=jig, thermometer=thermometer, table_lean=table_lean, noise=noise, samples=samples, base=own
+    )

@@ -156,7 +156,9 @@ def design_of(
     )
     if determines.axes:
         return design
-    return _with_nominal(design, procedure, nominal) if base is None else _with_base(design, base)
+    return (
+        _with_nominal(design, procedure, nominal) if base is None else _with_base(design, base, whole=determines.level)
+    )
 
 
 def _with_nominal(design: Design, procedure: Procedure, nominal: Nominal | None) -> Design:
@@ -172,19 +174,21 @@ def _with_nominal(design: Design, procedure: Procedure, nominal: Nominal | None)
     return replace(design, priors=priors)
 
 
-def _with_base(design: Design, base: CalibrationRecord) -> Design:
+def _with_base(design: Design, base: CalibrationRecord, *, whole: bool) -> Design:
     """Put sensitivity and non-linearity of the sensor's own calibration in place, with their stated uncertainty.
 
-    Their correlations are left out: a procedure that determines no sensitivity moves them little.
+    Their correlations are left out: a procedure that determines no sensitivity moves them little. The ``whole`` of the
+    calibration but its offset has its temperature terms too.
     """
     known, u = base.coefficients, base.uncertainty
     order = 0 if known.nonlinearity is None else known.nonlinearity.shape[1]
-    priors = {
-        name: Prior(value, u.get(name, 0.0))
-        for name, value in values(known).items()
-        if name.startswith(("sensitivity.", "nonlinearity."))
-    }
-    return replace(design, axes=known.axes, nonlinearity=order, priors=priors)
+    kept = ("sensitivity.", "nonlinearity.", *(["temperature."] if whole else []))
+    priors = {name: Prior(value, u.get(name, 0.0)) for name, value in values(known).items() if name.startswith(kept)}
+    design = replace(design, axes=known.axes, nonlinearity=order, priors=priors)
+    thermal = known.thermal if whole else None
+    if thermal is None:
+        return design
+    return replace(design, drift=thermal.drift.shape[1], gain=thermal.gain.shape[1], reference=thermal.reference)
 
 
 def no_sensitivity(procedure: Procedure) -> str:

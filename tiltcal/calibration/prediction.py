@@ -19,7 +19,7 @@ from tiltcal.core.statistics import summarise
 from tiltcal.core.wahba import angle_uncertainty, solve_mounting
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
 from tiltcal.frozen import frozen
@@ -156,6 +156,7 @@ def predict(
     samples: int | None = None,
     orientation: Orientation = STRAIGHT,
     sensors: int = 1,
+    base: CalibrationRecord | None = None,
 ) -> PredictedUncertainty:
     """Predict the standard uncertainty of every coefficient from the design alone.
 
@@ -177,6 +178,8 @@ def predict(
         How the sensor sits on the fixture.
     sensors : int
         How many alike sit on the fixture.
+    base : CalibrationRecord, optional
+        The sensor's own calibration, where the procedure takes one.
 
     Raises
     ------
@@ -188,14 +191,16 @@ def predict(
     require_tilt(procedure, model)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
     warmth = model.thermometer_rounding if thermometer is None else thermometer
-    design = design_of(identity, procedure, BenchUncertainty(jig, warmth, table_lean), nominal=Nominal.of(model))
+    design = design_of(
+        *(identity, procedure, BenchUncertainty(jig, warmth, table_lean)), nominal=Nominal.of(model), base=base
+    )
     scatter = _usual_noise(model) if noise is None else noise
     count = samples or procedure.samples
     # A steady reading that is rounded keeps an error that no averaging removes.
     adc = summarise([0.0] * 2, model.resolution).quantisation if scatter < model.resolution / 4 else 0.0
     prediction = predicted_covariance(
         design,
-        _planned(procedure, orientation),
+        _planned(procedure, orientation, design.reference),
         scatter / sqrt(count),
         sensitivity=model.sensitivity,
         adc=adc,
@@ -214,7 +219,7 @@ def _usual_noise(model: Model) -> float:
     return hypot(known, model.resolution / sqrt(12))
 
 
-def _planned(procedure: Procedure, orientation: Orientation) -> Sequence[PlannedPosition]:
+def _planned(procedure: Procedure, orientation: Orientation, reference: float) -> Sequence[PlannedPosition]:
     planned: list[PlannedPosition] = []
     before = None
     for position in procedure.positions:
@@ -223,7 +228,7 @@ def _planned(procedure: Procedure, orientation: Orientation) -> Sequence[Planned
             PlannedPosition(
                 position.name,
                 orientation.seen(position.gravity),
-                position.temperature if position.temperature is not None else procedure.reference,
+                position.temperature if position.temperature is not None else reference,
                 position.heading,
                 held=stands == before,
             )

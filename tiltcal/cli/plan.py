@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import click
 
 
 @click.command(epilog="Example: tiltcal plan cross-axis --sensor sca100t-d02 --jig 0.05")
 @click.argument("procedure")
-@click.option("--sensor", required=True, metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
+@click.option("--sensor", metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them [that of --base].")
+@click.option(
+    "--base",
+    type=click.Path(path_type=Path),
+    metavar="CAL",
+    help="The calibration file of the sensor, for level and for procedures that determine no sensitivity.",
+)
 @click.option("--address", help="Its address, if an option of it changes the model, such as counts_per_g.")
 @click.option("--jig", type=click.FloatRange(0.0), metavar="DEGREES", help="Standard uncertainty of a set angle.")
 @click.option(
@@ -25,7 +32,8 @@ import click
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 def command(
     procedure: str,
-    sensor: str,
+    sensor: str | None,
+    base: Path | None,
     address: str | None,
     jig: float | None,
     thermometer: float | None,
@@ -53,5 +61,6 @@ def command(
         samples=samples,
         tilt=tilt,
         closing=closing,
+        base=base,
     )
     click.echo(json.dumps(found.as_data()) if as_json else str(found))

@@ -21,7 +21,7 @@ from math import pi, sqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tiltcal.core.budget import NEGLIGIBLE, coverage_factors
+from tiltcal.core.budget import NEGLIGIBLE, CoverageFactors
 from tiltcal.core.compensation import FAIL, NO_TEMPERATURE, Bytes, Compensated, Compensation, KernelChunk
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.tilt_angles import DIRECTIONS
@@ -177,7 +177,7 @@ class _Propagation:
         self._models, self._vectors = coefficients.models, coefficients.vectors
         self._readings, self._temperature = inputs.readings, inputs.temperature
         self._alignment = inputs.alignment
-        self._coverage = coverage_factors()
+        self._coverage = CoverageFactors()
         self._chosen, parameters = self._parameters(inputs.names)
         widening = inputs.factors / self._coverage.normal
         self._known = bool(np.allclose(widening, 1.0, rtol=NEGLIGIBLE))

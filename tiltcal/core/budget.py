@@ -6,7 +6,6 @@ Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2, 5.1 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
 
 import numpy as np
 
@@ -242,12 +241,6 @@ class CoverageFactors:
         if narrow.any():
             factor[narrow] = self.normal * np.sqrt((widened + known)[narrow] / total[narrow])
         return factor
-
-
-@cache
-def coverage_factors() -> CoverageFactors:
-    """Return the coverage factors, whose tables take 15 ms to fill."""
-    return CoverageFactors()
 
 
 def _looked_up(table: Array, argument: Array) -> Array:

@@ -209,7 +209,9 @@ def calibration_of(document: Node) -> CalibrationRecord:
     return TILT.read(document)
 
 
-def require_same_sensor(old: CalibrationRecord, new: CalibrationRecord) -> None:
+def require_same_sensor(
+    old: CalibrationRecord, new: CalibrationRecord, names: tuple[str, str] = ("one", "the other")
+) -> None:
     """Refuse two calibrations that are not of one sensor.
 
     Raises
@@ -220,7 +222,9 @@ def require_same_sensor(old: CalibrationRecord, new: CalibrationRecord) -> None:
     for what in ("serial", "model", "unit", "channels"):
         a, b = getattr(old.sensor, what), getattr(new.sensor, what)
         if a != b:
-            raise UsageError(f"not two calibrations of one sensor: its {what} is {a} in one and {b} in the other")
+            raise UsageError(
+                f"not two calibrations of one sensor: its {what} is {a} in {names[0]} and {b} in {names[1]}"
+            )
 
 
 def _comments(unit: str) -> dict[str, str]:

@@ -1,0 +1,232 @@
+"""Calibrations from several sessions: against one joint session, the weighted mean by hand, and by simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import FIXTURES
+
+import tiltcal
+from tiltcal.calibration.calibrate import calibrate
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.combine import combine
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
+from tiltcal.core.combination import Statement, combine_statements
+from tiltcal.core.model import Coefficients, Thermal, vector_of
+from tiltcal.core.named_coefficients import values
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.errors import EstimateError, UsageError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.procedure import Determines, Procedure, find_procedure
+
+SENSOR = SensorIdentity("sca100t-d02", "S-1", "count", ("x", "y"))
+TRUTH = Coefficients(
+    ("x", "y"),
+    ("x", "y"),
+    np.array([1026.0, 1020.0]),
+    np.array([[817.0, 11.0], [-8.0, 821.0]]),
+    Thermal(24.0, (5.0, 24.0), np.array([[0.3], [-0.1]]), np.zeros((2, 0))),
+)
+JIG, NOISE = 0.02, 0.05
+NOMINAL = Nominal(819.0, 8.0, (101.0, 2047.0))
+
+
+def measured(procedure: Procedure, seed: int, *, at: float | None = None) -> list[Measurement]:
+    """What the true sensor reads in the positions, with noise and an attitude off for each that is set anew."""
+    rng = np.random.default_rng(seed)
+    measurements: list[Measurement] = []
+    before, lean = None, np.zeros(3)
+    for position in procedure.positions:
+        if position.gravity != before:
+            lean, before = np.append(np.radians(JIG) * rng.normal(size=2), 0.0), position.gravity
+        temperature = position.temperature if at is None else at
+        gravity = np.array(position.gravity) + lean
+        reading = TRUTH.predict(gravity[None], None if temperature is None else np.array([temperature]))[0]
+        summaries = {
+            channel: SampleSummary(float(value + NOISE * rng.normal()), NOISE * 10, 100, NOISE)
+            for channel, value in zip("xy", reading, strict=True)
+        }
+        measurements.append(Measurement(position.name, position.gravity, position.tilt, temperature, summaries))
+    return measurements
+
+
+def calibrated(
+    procedure: Procedure,
+    measurements: list[Measurement],
+    base: CalibrationRecord | None = None,
+    sensor: SensorIdentity = SENSOR,
+) -> Calibration:
+    one = MeasuredSensor(sensor, measurements, NOMINAL, base=base)
+    return Calibration(calibrate([one], procedure, BenchUncertainty(JIG))[0])
+
+
+ZERO_45, TWO = find_procedure("zero-45"), find_procedure("two-temperature")
+SCALE = calibrated(ZERO_45, measured(ZERO_45, 1, at=24.0))
+
+
+@pytest.mark.parametrize("with_base", [True, False])
+def test_two_sessions_give_what_one_joint_session_gives(with_base: bool) -> None:
+    """Whether the overnight run took the part's own sensitivity or the nominal one: it is no information."""
+    drift = calibrated(TWO, measured(TWO, 2), SCALE.record if with_base else None)
+    both = replace(
+        ZERO_45,
+        positions=(*ZERO_45.positions, *TWO.positions),
+        determines=Determines(("x", "y"), drift=1),
+        reference=24.0,
+    )
+    # Joined they are one session but for the levels, each of which was set by itself: the second has a heading of 360°.
+    night = [replace(one, heading=360.0) for one in measured(TWO, 2)]
+    joint = calibrated(both, [*measured(ZERO_45, 1, at=24.0), *night])
+    found = combine([SCALE, drift])
+    for name, value in values(joint.coefficients).items():
+        u = joint.uncertainty[name]
+        assert values(found.coefficients)[name] == pytest.approx(value, abs=0.005 * u), name
+        assert found.uncertainty[name] == pytest.approx(u, rel=0.005), name
+    assert found.derived.assumed == ()
+    assert found.fit.degrees_of_freedom == joint.fit.degrees_of_freedom
+
+
+def test_the_order_does_not_matter() -> None:
+    drift = calibrated(TWO, measured(TWO, 2), SCALE.record)
+    one, other = combine([SCALE, drift]), combine([drift, SCALE])
+    assert values(one.coefficients) == pytest.approx(values(other.coefficients), rel=1e-9)
+
+
+def test_an_offset_of_another_temperature_is_converted_by_the_drift() -> None:
+    """At 14 °C: o(24) = o(14) + 10 k, and u² = u(14)² + 100 u(k)², weighed with the run's own offset, by hand."""
+    scale = calibrated(ZERO_45, measured(ZERO_45, 1, at=14.0))
+    drift = calibrated(TWO, measured(TWO, 2), SCALE.record)
+    found = combine([scale, drift])
+    names = ("offset.x", "temperature.offset.x.1")
+    stated = drift.uncertainty.covariance
+    places = [stated.parameters.index(name) for name in names]
+    p = np.array(stated.matrix)[np.ix_(places, places)]
+    # Two unknowns, three statements: o and k of the run, and o - 10 k of the vise.
+    a = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, -10.0]])
+    w = np.zeros((3, 3))
+    w[:2, :2], w[2, 2] = np.linalg.inv(p), 1.0 / scale.uncertainty["offset.x"] ** 2
+    stated_values = [drift.offset["x"], drift.coefficients.thermal.drift[0, 0], scale.offset["x"]]
+    cov = np.linalg.inv(a.T @ w @ a)
+    by_hand = cov @ a.T @ w @ stated_values
+    assert found.offset["x"] == pytest.approx(by_hand[0], abs=0.01 * sqrt(cov[0, 0]))
+    assert found.uncertainty["offset.x"] == pytest.approx(sqrt(cov[0, 0]), rel=0.01)
+    assert found.uncertainty["temperature.offset.x.1"] == pytest.approx(sqrt(cov[1, 1]), rel=0.01)
+
+
+def test_intervals_hold_95_percent() -> None:
+    """Twenty thousand pairs of sessions, with errors drawn from the covariances that they state."""
+    rng = np.random.default_rng(5)
+    vise = statement(
+        "vise",
+        ("offset.x", "offset.y", "sensitivity.x.x"),
+        [[0.3, 0.05, -0.2], [0.05, 0.2, 0.0], [-0.2, 0.0, 0.9]],
+        17.0,
+    )
+    night = statement("night", ("offset.x", "temperature.offset.x.1"), [[0.4, 0.004], [0.004, 0.0004]], 24.0)
+    names = ("offset.x", "offset.y", "sensitivity.x.x", "temperature.offset.x.1")
+    found = combine_statements([vise, night], TRUTH, names)
+    assert vector_of(found.coefficients, names) == pytest.approx(vector_of(TRUTH, names))
+    errors = [rng.multivariate_normal(np.zeros(len(one.names)), one.covariance, 20_000) for one in (vise, night)]
+    drawn = [replace(one, values=one.values + error[0]) for one, error in zip((vise, night), errors, strict=True)]
+    total = sum(error @ by.T for error, by in zip(errors, found.parts, strict=True))
+    once = vector_of(combine_statements(drawn, TRUTH, names).coefficients, names)
+    assert once - vector_of(TRUTH, names) == pytest.approx(total[0], abs=1e-6)
+    held = np.mean(np.abs(total) <= found.budget.u * found.budget.factors, axis=0)
+    assert np.all((held > 0.945) & (held < 0.955))
+
+
+def statement(label: str, names: tuple[str, ...], covariance: list[list[float]], temperature: float) -> Statement:
+    """What a session states of the true sensor, without error."""
+    count = len(names)
+    blank = Statement(
+        *(label, names, np.zeros(count), np.array(covariance), np.full(count, 1.95996)),
+        *(temperature, 0.0, (), np.zeros(0), np.zeros((count, 0))),
+    )
+    return replace(blank, values=blank.expected(TRUTH))
+
+
+def test_what_differs_by_more_than_its_uncertainty_is_refused_with_the_figures() -> None:
+    drift = calibrated(TWO, measured(TWO, 2), SCALE.record).record
+    moved = replace(
+        drift, coefficients=replace(drift.coefficients, offset=drift.coefficients.offset + np.array([5.0, 0.0]))
+    )
+    with pytest.raises(UsageError, match=r"contradict .*offset.x is .* apart by .*E_n") as refused:
+        combine([SCALE, Calibration(moved)])
+    assert "offset.y" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"serial": "S-2"}, "its serial is S-1 in zero-45 and S-2 in two-temperature"),
+        ({"unit": "V"}, "its unit is count"),
+        ({"model": "sca100t-d01"}, "its model is sca100t-d02"),
+    ],
+)
+def test_another_sensor_is_refused(change: dict[str, str], why: str) -> None:
+    drift = calibrated(TWO, measured(TWO, 2)).record
+    with pytest.raises(UsageError, match=why):
+        combine([SCALE, Calibration(replace(drift, sensor=replace(drift.sensor, **change)))])
+
+
+def test_a_model_that_fit_was_not_told_does_not_contradict() -> None:
+    drift = calibrated(TWO, measured(TWO, 2)).record
+    found = combine([SCALE, Calibration(replace(drift, sensor=replace(drift.sensor, model="recorded")))])
+    assert found.sensor.model == "sca100t-d02"
+
+
+def test_measurements_do_not_count_twice() -> None:
+    drift = calibrated(TWO, measured(TWO, 2))
+    with pytest.raises(UsageError, match="are one calibration: name it once"):
+        combine([SCALE, SCALE])
+    with pytest.raises(UsageError, match="would count twice"):
+        combine([combine([SCALE, drift]), drift])
+
+
+def test_what_is_not_stated_is_asked_for() -> None:
+    drift = calibrated(TWO, measured(TWO, 2)).record
+    with pytest.raises(EstimateError, match="two-temperature: the file states no uncertainty"):
+        combine(
+            [SCALE, Calibration(replace(drift, uncertainty=replace(drift.uncertainty, standard={}, covariance=None)))]
+        )
+    with pytest.raises(UsageError, match="name two calibrations or more, or a --mounting"):
+        combine([SCALE])
+
+
+def test_an_offset_without_a_temperature_is_left_out() -> None:
+    scale = calibrated(ZERO_45, measured(ZERO_45, 1))
+    drift = calibrated(TWO, measured(TWO, 2), SCALE.record)
+    found = combine([scale, drift])
+    assert found.offset == pytest.approx(drift.offset, abs=1e-3)
+    assert "zero-45 states no temperature: its offset is left out" in found.fit.notes
+
+
+def test_a_run_at_level_with_the_nominal_sensitivity_goes_with_a_whole_matrix() -> None:
+    """Its offset holds S_xz, because it was level: 0 g is S_xz below."""
+    whole = tiltcal.read(FIXTURES / "cross-axis.yaml")
+    warmer = float(np.mean([one.temperature for one in whole.positions])) - 24.0
+    at_24 = whole.coefficients.offset - np.array([0.3, -0.1]) * warmer
+    level = at_24 + whole.coefficients.sensitivity[:, 2]
+    run = calibrated(TWO, measured(TWO, 2), sensor=replace(SENSOR, serial="SIM-42")).record
+    shifted = Calibration(replace(run, coefficients=replace(run.coefficients, offset=level)))
+    found = combine([whole, shifted])
+    assert list(found.offset.values()) == pytest.approx(at_24, abs=0.02)
+    assert found.coefficients.axes == ("x", "y", "z")
+
+
+def test_a_file_of_two_sessions_is_read_again_and_names_its_sources(tmp_path: Path) -> None:
+    SCALE.save(tmp_path / "scale.yaml")
+    calibrated(TWO, measured(TWO, 2), SCALE.record).save(tmp_path / "drift.yaml")
+    found = combine([tmp_path / "scale.yaml", tmp_path / "drift.yaml"], mounting="roll=180")
+    found.save(tmp_path / "all.yaml")
+    again = tiltcal.read(tmp_path / "all.yaml")
+    assert again == found
+    assert [one.name for one in again.provenance.sources] == ["scale.yaml", "drift.yaml"]
+    assert all(len(one.sha256 or "") == 64 for one in again.provenance.sources)
+    assert again.coefficients.mounting.roll == pytest.approx(np.pi)
+    assert [one.position for one in again.positions] == ["level", "x-45", "y-45", "level-warm", "level-cold"]
+    assert again.limits.temperature == (5.5, 24.0)

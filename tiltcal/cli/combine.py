@@ -1,0 +1,37 @@
+"""``tiltcal combine``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tiltcal.files.whole import check_writable
+
+
+@click.command(epilog="Example: tiltcal combine S-0042-scale.yaml S-0042-drift.yaml -o S-0042.yaml")
+@click.argument("calibrations", metavar="CALIBRATION...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--mounting",
+    default="",
+    metavar="roll=DEG,…",
+    help="How the sensor sits, such as roll=180 for upside down (pitch=, yaw=): roll first, then pitch, then yaw. It "
+    "replaces the mounting of every CALIBRATION and counts as exact; one CALIBRATION alone is enough with it.",
+)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The calibration file to write.")
+def command(calibrations: tuple[Path, ...], mounting: str, output: Path) -> None:
+    """Combine calibrations of one sensor from several sessions, each with its covariance.
+
+    What one session alone has measured is taken from it: the scale from the vise, the drift from the overnight run.
+    What several have measured is their weighted mean, if they agree within their uncertainty (95 %); if not, they are
+    refused with the figures. An assumed sensitivity, nominal or of a --base, is no information. Offsets are converted
+    to the reference temperature of the first session with a drift.
+    """
+    from tiltcal.calibration.combine import combine
+    from tiltcal.calibration.summary import summary
+
+    check_writable(output)
+    found = combine(calibrations, mounting=mounting)
+    found.save(output)
+    click.echo(summary(found.record))
+    click.echo(f"wrote {output}", err=True)

@@ -1,0 +1,270 @@
+"""Coefficients of one sensor from several sessions: generalised least squares of what each session states.
+
+Session j states values m_j of coefficients with a covariance P_j. With the coefficients θ of the sensor at one
+reference temperature, ``h_j(θ)`` are those at the temperature of the session, and θ minimises::
+
+    Σ_j (m_j - h_j(θ))ᵀ P_j⁻¹ (m_j - h_j(θ))
+
+What a session has assumed, such as the sensitivity of a run at level, is no information: P_j is conditional on it, and
+``h_j`` follows the value that other sessions give. So nothing counts twice where a session took it from another one.
+
+Sources: GUM 5.2 and H.3; W. Baarda, *A testing procedure for use in geodetic networks*, Delft (1968), for the
+difference between one statement and all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import inf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.budget import Budget, Part, coverage_factor, welch_satterthwaite
+from tiltcal.core.model import Array, Coefficients, polynomial_slope, vector_of, with_vector
+from tiltcal.core.named_coefficients import CoefficientChange, referred
+from tiltcal.errors import EstimateError
+from tiltcal.frozen import frozen
+
+ROUNDS = 8
+"""Steps of the minimisation: all but the change of reference is linear, two are usual."""
+
+CLOSE = 1e-6
+"""Part of a standard uncertainty below which a step changes nothing."""
+
+DIGITS = 1e-9
+"""Eigenvalue of a correlation below which it is what rounding leaves of zero."""
+
+REDUNDANT = 1e-6
+"""Share of a statement that the others check, below which they do not."""
+
+ASSUMED = "assumed"
+
+
+@frozen
+class Statement:
+    """What one session states of a sensor's coefficients.
+
+    Attributes
+    ----------
+    label : str
+        What messages call it.
+    names : tuple of str
+        The coefficients that it has measured, by dotted name.
+    values : ndarray, shape (k,)
+    covariance : ndarray, shape (k, k)
+        Conditional on what it has assumed.
+    factors : ndarray, shape (k,)
+        What each standard uncertainty is multiplied with for an interval of 95 %.
+    temperature : float or None
+        Where the values hold, °C; None where it does not matter.
+    u_temperature : float
+        Its standard uncertainty, °C.
+    given : tuple of str
+        The coefficients that it has assumed and its values depend on.
+    given_values : ndarray, shape (g,)
+    by_given : ndarray, shape (k, g)
+        How its values follow them.
+    """
+
+    label: str
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    factors: Array
+    temperature: float | None
+    u_temperature: float
+    given: tuple[str, ...]
+    given_values: Array
+    by_given: Array
+
+    def expected(self, coefficients: Coefficients) -> Array:
+        """Return what the session should state of a sensor with these coefficients."""
+        at = coefficients if self.temperature is None else referred(coefficients, self.temperature)
+        return vector_of(at, self.names) + self.by_given @ (vector_of(at, self.given) - self.given_values)
+
+
+@frozen
+class Combination:
+    """What several sessions together state.
+
+    Attributes
+    ----------
+    coefficients : Coefficients
+    names : tuple of str
+        The coefficients that are uncertain.
+    budget : Budget
+        With the sessions as its sources.
+    statements : tuple of Statement
+        With the uncertainty of their temperature in them.
+    parts : tuple of ndarray, shape (names, k)
+        By statement, how the coefficients follow its values.
+    differences : tuple of CoefficientChange
+        By coefficient that more than one session has measured, what one states (``after``) against what all others
+        give (``before``); that of the largest ratio.
+    chi_square : float
+    dof : int
+    """
+
+    coefficients: Coefficients
+    names: tuple[str, ...]
+    budget: Budget
+    statements: tuple[Statement, ...]
+    parts: tuple[Array, ...]
+    differences: tuple[tuple[str, CoefficientChange], ...]
+    chi_square: float
+    dof: int
+
+
+def combine_statements(statements: Sequence[Statement], start: Coefficients, names: Sequence[str]) -> Combination:
+    """Combine what sessions state.
+
+    Parameters
+    ----------
+    statements : sequence of Statement
+    start : Coefficients
+        At the common reference temperature; what is in no statement stays.
+    names : sequence of str
+        The coefficients to determine; all are in a statement.
+
+    Raises
+    ------
+    EstimateError
+        The sessions together do not determine them.
+    """
+    names = tuple(names)
+    theta = vector_of(start, names)
+    statements = [_warmed(one, start) for one in statements]
+    weights = [_weight(one) for one in statements]
+    for _ in range(ROUNDS):
+        slopes = [_slopes(one, start, names, theta) for one in statements]
+        normal = np.sum([a.T @ w @ a for a, w in zip(slopes, weights, strict=True)], axis=0)
+        left = [one.values - one.expected(with_vector(start, names, theta)) for one in statements]
+        right = np.sum([a.T @ w @ r for a, w, r in zip(slopes, weights, left, strict=True)], axis=0)
+        step = _solved(normal, right, names)
+        theta = theta + step
+        inverse = _solved(normal, np.eye(len(names)), names)
+        if np.all(np.abs(step) <= CLOSE * np.sqrt(np.diag(inverse))):
+            break
+    parts = [inverse @ a.T @ w for a, w in zip(slopes, weights, strict=True)]
+    budget = Budget.of(
+        [Part(one.label, by, one.covariance, one.factors) for one, by in zip(statements, parts, strict=True)]
+    )
+    found = with_vector(start, names, theta)
+    left = [one.values - one.expected(found) for one in statements]
+    chi_square = float(sum(r @ w @ r for r, w in zip(left, weights, strict=True)))
+    return Combination(
+        found,
+        names,
+        budget,
+        tuple(statements),
+        tuple(parts),
+        tuple(_differences(statements, slopes, weights, inverse, left)),
+        chi_square,
+        sum(len(one.names) for one in statements) - len(names),
+    )
+
+
+def _warmed(one: Statement, start: Coefficients) -> Statement:
+    """Return the statement with the uncertainty of its temperature in its offsets."""
+    thermal = start.thermal
+    if one.temperature is None or thermal is None or not one.u_temperature:
+        return one
+    dt = np.array(one.temperature - thermal.reference)
+    slope = dict(zip(start.channels, (float(polynomial_slope(row, dt)) for row in thermal.drift), strict=True))
+    by = np.array([slope[name.split(".")[1]] if name.startswith("offset.") else 0.0 for name in one.names])
+    added = np.outer(by, by) * one.u_temperature**2
+    covariance = one.covariance + added
+    factors, own = one.factors.copy(), np.diag(one.covariance)
+    for k in np.flatnonzero(np.diag(added)):
+        dof = Part("", np.eye(1), one.covariance[k : k + 1, k : k + 1], one.factors[k : k + 1]).dof
+        factors[k] = coverage_factor(welch_satterthwaite(covariance[k, k : k + 1], [(own[k : k + 1], dof)]))[0]
+    return replace(one, covariance=covariance, factors=factors)
+
+
+def _weight(one: Statement) -> Array:
+    """Return the inverse of the covariance; what rests on few residuals weighs less, as its interval is wider."""
+    wider = np.maximum(one.factors / coverage_factor(np.array([inf]))[0], 1.0)
+    scale = np.sqrt(np.diag(one.covariance)) * wider
+    values, vectors = np.linalg.eigh(one.covariance * np.outer(wider, wider) / np.outer(scale, scale))
+    return np.asarray((vectors / np.maximum(values, DIGITS)) @ vectors.T / np.outer(scale, scale))
+
+
+def _slopes(one: Statement, start: Coefficients, names: Sequence[str], theta: Array) -> Array:
+    """Return the derivatives of what a session should state by the coefficients, shape (k, names)."""
+    columns = []
+    for k in range(len(names)):
+        step = np.zeros(len(names))
+        step[k] = 1e-6 * max(abs(float(theta[k])), 1e-3)
+        ends = [one.expected(with_vector(start, names, theta + side * step)) for side in (1.0, -1.0)]
+        columns.append((ends[0] - ends[1]) / (2.0 * step[k]))
+    return np.stack(columns, axis=1)
+
+
+def _solved(normal: Array, right: Array, names: Sequence[str]) -> Array:
+    scale = np.sqrt(np.diag(normal))
+    unseen = [name for name, size in zip(names, scale, strict=True) if size == 0.0]
+    scaled = normal / np.outer(scale, scale) if not unseen else normal
+    if unseen or np.linalg.eigvalsh(scaled)[0] < 1e-14:
+        raise EstimateError(f"the calibrations together do not determine {', '.join(unseen or names)}")
+    shape = (-1,) + (1,) * (right.ndim - 1)
+    return np.asarray(np.linalg.solve(scaled, right / scale.reshape(shape)) / scale.reshape(shape))
+
+
+def _differences(
+    statements: Sequence[Statement],
+    slopes: Sequence[Array],
+    weights: Sequence[Array],
+    inverse: Array,
+    left: Sequence[Array],
+) -> list[tuple[str, CoefficientChange]]:
+    """Return by coefficient what one statement differs by from what all others give."""
+    worst: dict[str, tuple[str, CoefficientChange]] = {}
+    dofs = {
+        (one.label, name): float(dof)
+        for one in statements
+        for name, dof in zip(one.names, Part("", np.eye(len(one.names)), one.covariance, one.factors).dof, strict=True)
+    }
+    for one, a, w, r in zip(statements, slopes, weights, left, strict=True):
+        checked = w - w @ a @ inverse @ a.T @ w
+        for k, name in enumerate(one.names):
+            others = [other.label for other in statements if other is not one and name in other.names]
+            if not others or checked[k, k] <= REDUNDANT * w[k, k]:
+                continue
+            difference = float((w @ r)[k] / checked[k, k])
+            u2 = 1.0 / float(checked[k, k])
+            own = float(one.covariance[k, k])
+            dof = welch_satterthwaite(
+                np.array([u2]),
+                [
+                    (np.array([own]), dofs[one.label, name]),
+                    (np.array([max(u2 - own, 0.0)]), min(dofs[other, name] for other in others)),
+                ],
+            )
+            value = float(one.values[k])
+            change = CoefficientChange(name, value - difference, value, sqrt(u2), float(dof[0]))
+            if name not in worst or (change.ratio or 0.0) > (worst[name][1].ratio or 0.0):
+                worst[name] = one.label, change
+    return list(worst.values())
+
+
+def conditional(names: Sequence[str], covariance: Array, measured: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the covariance of what was measured given what was assumed, and how it follows that.
+
+    Parameters
+    ----------
+    names : sequence of str
+    covariance : ndarray, shape (n, n)
+    measured : ndarray of bool, shape (n,)
+
+    Returns
+    -------
+    covariance : ndarray, shape (k, k)
+    by_given : ndarray, shape (k, n - k)
+    """
+    own = covariance[np.ix_(measured, measured)]
+    cross, given = covariance[np.ix_(measured, ~measured)], covariance[np.ix_(~measured, ~measured)]
+    scale = np.sqrt(np.diag(given))
+    by = cross / scale @ np.linalg.pinv(given / np.outer(scale, scale), rcond=DIGITS, hermitian=True) / scale
+    return own - by @ cross.T, by
