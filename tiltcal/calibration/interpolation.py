@@ -5,7 +5,8 @@ Between two, each coefficient lies on the line that joins them::
     c(t) = (1 - s) c_before + s c_after        s = (t - t_before) / (t_after - t_before)
 
 and its covariance is ``(1 - s)² C_before + s² C_after`` with the bridge of its random walk added to the diagonal: the
-errors of two calibrations are independent. Beyond, it is the nearest calibration, and the walk adds to its variance.
+errors of two calibrations are independent, but for how the sensor sits (``alignment``), which both share. Beyond, it is
+the nearest calibration, and the walk adds to its variance.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from tiltcal.core.angle_uncertainty import TURN, UncertaintyInputs
 from tiltcal.core.budget import NORMAL_FACTOR, coverage_factor, welch_satterthwaite
 from tiltcal.core.instrumental_drift import RandomWalk
-from tiltcal.core.model import Array, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
+from tiltcal.core.model import Array, Coefficients, Limits, Mounting, vector_of, with_vector
 from tiltcal.core.mounting import mounting_angles, mounting_matrix
 from tiltcal.core.named_coefficients import degrees_of_freedom, referred, values
 from tiltcal.errors import EstimateError, UsageError
@@ -85,7 +86,9 @@ def interpolate(
     }
     readings = (before.uncertainty.single_reading, after.uncertainty.single_reading)
     single = {name: (1.0 - share) * readings[0].get(name, u) + share * u for name, u in readings[1].items()}
-    return _at(after, coefficients, _limits(before.limits, after.limits), _joined(parts, bridge, single))
+    joined = _joined(parts, bridge, single)
+    alignment = (1.0 - share) * before.uncertainty.alignment + share * after.uncertainty.alignment
+    return _at(after, coefficients, _limits(before.limits, after.limits), replace(joined, alignment=alignment))
 
 
 def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | None = None) -> CalibrationRecord:
@@ -101,7 +104,10 @@ def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | 
     """
     grown = {name: (walk.rate * days, walk.dof) for name, walk in (stability or Stability()).beyond.items()}
     part = _Part.of(nearest, None, 1.0)
-    uncertainty = _joined([part], grown, nearest.uncertainty.single_reading) if grown else nearest.uncertainty
+    uncertainty = nearest.uncertainty
+    if grown:
+        joined = _joined([part], grown, uncertainty.single_reading)
+        uncertainty = replace(joined, alignment=uncertainty.alignment)
     return _at(nearest, nearest.coefficients, nearest.limits, uncertainty)
 
 
@@ -205,11 +211,12 @@ def _blended(both: Sequence[Coefficients], share: float) -> Coefficients:
     thermal, shares = after.thermal, after.nonlinearity
     if thermal is not None and before.thermal is not None:
         known = _overlap(before.thermal.range, thermal.range)
-        thermal = Thermal(
-            thermal.reference,
-            known,
-            line(before.thermal.drift, thermal.drift),
-            line(before.thermal.gain, thermal.gain),
+        thermal = replace(
+            thermal,
+            range=known,
+            drift=line(before.thermal.drift, thermal.drift),
+            gain=line(before.thermal.gain, thermal.gain),
+            lag=(1.0 - share) * before.thermal.lag + share * thermal.lag,
         )
     if shares is not None or before.nonlinearity is not None:
         none = np.zeros((len(after.channels), 1))

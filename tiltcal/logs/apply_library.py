@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.calibration_library import calibration_at
-from tiltcal.core.compensation import MISSING, OUTSIDE_TIME, SUSPECT
+from tiltcal.core.compensation import MISSING, NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT
 from tiltcal.core.model import Array, polynomial
 from tiltcal.core.named_coefficients import referred
+from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration_folder import moment
 from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
@@ -147,8 +149,6 @@ def _prepare_sensor(
         "calibration": ", ".join(one.name for one in calibrations),
         "sha256": ", ".join(sha256_of(one.path) for one in calibrations),
     }
-    from tiltcal.calibration.calibration import Calibration
-
     template = prepare(Calibration(calibrations[-1].record), options, say, origin=origin)
     kernel = LibraryKernel(sensor.history, stability, options, template.kernel.columns, start, log)
     return replace(template, kernel=kernel)
@@ -186,10 +186,20 @@ class LibraryKernel:
         self._dates = np.array([one.date.timestamp() for one in history.calibrations])
         self._kernels: dict[int, tuple[Kernel, float]] = {}
         self._last = float(self._dates[-1])
+        thermal = history.calibrations[-1].record.coefficients.thermal
+        self._lag = ThermalLag(thermal.lag) if thermal is not None and thermal.lag else None
 
     def __call__(self, values: RoleValues) -> Table:
         time = self._times(values)
         steps = self._steps(time)
+        if self._lag is None or values.temperature is None:
+            return self._compensated(values, time, steps)
+        element = self._lag(time, values.temperature)
+        lost = np.isfinite(values.temperature) & ~np.isfinite(element)
+        table = self._compensated(replace(values, temperature=np.where(lost, values.temperature, element)), time, steps)
+        return flagged(table, lost, NO_TEMPERATURE)
+
+    def _compensated(self, values: RoleValues, time: Array, steps: NDArray[np.int64]) -> Table:
         first, last = int(steps.min()), int(steps.max())
         if first == last:
             return self._flagged(self._of_step(first, values, time), first)
@@ -245,7 +255,7 @@ class LibraryKernel:
     def _of_step(self, step: int, values: RoleValues, time: Array) -> Table:
         if step not in self._kernels:
             middle = self._middle(step)
-            calibration = calibration_at(self._history, middle, self._stability)
+            calibration = _without_lag(calibration_at(self._history, middle, self._stability))
             self._kernels[step] = prepare(calibration, self._options).kernel, middle
         kernel, middle = self._kernels[step]
         if 0 <= step < _OUTSIDE and len(self._dates) > 1:
@@ -285,13 +295,27 @@ class LibraryKernel:
     def _flagged(self, table: Table, step: int) -> Table:
         if 0 <= step < _OUTSIDE or step == _OUTSIDE:
             return table
-        flag, reason = (np.asarray(table[name], np.uint8) for name in ("flag", "reason"))
-        there = flag != MISSING
-        return {
-            **table,
-            "flag": np.where(there, np.maximum(flag, SUSPECT), flag).astype(np.uint8),
-            "reason": np.where(there, reason | OUTSIDE_TIME, reason).astype(np.uint8),
-        }
+        return flagged(table, np.True_, OUTSIDE_TIME)
+
+
+def flagged(table: Table, rows: NDArray[np.bool_] | np.bool_, reason: int) -> Table:
+    """Return a table in which some rows are suspect for another reason; rows that are missing stay as they are."""
+    flag, reasons = (np.asarray(table[name], np.uint8) for name in ("flag", "reason"))
+    doubtful = rows & (flag != MISSING)
+    return {
+        **table,
+        "flag": np.where(doubtful, np.maximum(flag, SUSPECT), flag).astype(np.uint8),
+        "reason": np.where(doubtful, reasons | reason, reasons).astype(np.uint8),
+    }
+
+
+def _without_lag(calibration: Calibration) -> Calibration:
+    """Return a calibration whose thermal lag is left to the temperatures, which go on from one step to the next."""
+    coefficients = calibration.coefficients
+    if coefficients.thermal is None or not coefficients.thermal.lag:
+        return calibration
+    thermal = replace(coefficients.thermal, lag=0.0)
+    return Calibration(replace(calibration.record, coefficients=replace(coefficients, thermal=thermal)))
 
 
 @dataclass(frozen=True)

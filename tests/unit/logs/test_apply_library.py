@@ -12,7 +12,8 @@ import pytest
 from support import FIXTURES
 
 import tiltcal
-from tiltcal.core.model import Array
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.core.model import Array, Thermal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
 from tiltcal.files.records import Provenance
@@ -107,6 +108,18 @@ def test_the_tilt_between_two_calibrations_is_within_its_interval(tmp_path: Path
             error = found[f"tilt_{axis}"] - np.degrees(np.arcsin(reading / SCALE))
             inside.append(np.abs(error) <= found[f"U95_tilt_{axis}"])
     assert 0.91 < np.mean(inside) < 0.985  # forty independent histories of four rows
+
+
+def test_a_thermal_lag_goes_on_from_one_step_to_the_next(tmp_path: Path) -> None:
+    """Two equal calibrations 64 days apart have steps of a day: what the second one gives alone holds throughout."""
+    thermal = Thermal(20.0, None, np.array([[2.0], [-1.0]]), np.zeros((2, 1)), lag=600.0)
+    records = [calibrated(d, (1000, 1000)) for d in (0, 64)]
+    records = [replace(one, coefficients=replace(one.coefficients, thermal=thermal)) for one in records]
+    library = tiltcal.open_calibrations(kept(tmp_path, *records))
+    time = seconds(1.5) + np.arange(0.0, 86400.0, 60.0)
+    warm = 20.0 + 5.0 * np.sin(np.arange(len(time)) / 40.0)
+    frame = {"time": time, "x": np.full(len(time), 1100.0), "y": np.full(len(time), 900.0), "temperature": warm}
+    assert library.apply(frame)["g_x"] == pytest.approx(Calibration(records[1]).apply(frame)["g_x"], abs=1e-12)
 
 
 def test_all_sensors_of_a_bench_log_are_compensated_in_one_pass(tmp_path: Path) -> None:
