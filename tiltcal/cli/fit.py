@@ -130,6 +130,7 @@ def command(
     """
     from tiltcal.calibration.level import level_summary
     from tiltcal.calibration.summary import mounting_summary, summary
+    from tiltcal.cli.progress import progress_bar
     from tiltcal.files.procedure import find_procedure
     from tiltcal.logs.fit import FOUND_ONLY, fit
 
@@ -138,25 +139,27 @@ def command(
         raise UsageError(FOUND_ONLY)
     for path in filter(None, (output, segments_out)):
         check_writable(path)
-    calibration = fit(
-        *(procedure, log),
-        serial=serial,
-        unit=unit,
-        sensor=sensor,
-        segments=segments,
-        table=table,
-        columns=columns,
-        jig=jig,
-        thermometer=thermometer,
-        table_lean=table_lean,
-        heading=heading,
-        tilt=tilt,
-        gravity=gravity,
-        window=window,
-        alignment=alignment,
-        base=base,
-        say=lambda line: click.echo(line, err=True),
-    )
+    with progress_bar("fit") as progress:
+        calibration = fit(
+            *(procedure, log),
+            serial=serial,
+            unit=unit,
+            sensor=sensor,
+            segments=segments,
+            table=table,
+            columns=columns,
+            jig=jig,
+            thermometer=thermometer,
+            table_lean=table_lean,
+            heading=heading,
+            tilt=tilt,
+            gravity=gravity,
+            window=window,
+            alignment=alignment,
+            base=base,
+            say=lambda line: click.echo(line, err=True),
+            progress=progress,
+        )
     calibration.save(output)
     if segments_out is not None:
         _write_segments(segments_out, calibration)

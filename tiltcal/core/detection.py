@@ -9,7 +9,7 @@ Sources: Tedaldi, Pretto and Menegatti (2014) for the static detector; QARTOD's 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from math import erf, inf, log, sqrt
 
 import numpy as np
@@ -194,7 +194,8 @@ def window_scatter(samples: Array, lost: Mask, window: int) -> Array:
     ndarray, shape (n - window + 1,)
         Infinite where a window holds a lost row; empty where there are fewer rows than a window has.
     """
-    return np.asarray(np.sqrt(np.sum(window_variances(samples, lost, window), axis=1)))
+    pieces = [np.sqrt(np.sum(variances, axis=1)) for variances in _window_variances(samples, lost, window)]
+    return np.concatenate(pieces) if pieces else np.zeros(0)
 
 
 def window_variances(samples: Array, lost: Mask, window: int) -> Array:
@@ -202,20 +203,23 @@ def window_variances(samples: Array, lost: Mask, window: int) -> Array:
 
     The arguments are those of :func:`window_scatter`, and so are infinite values.
     """
-    rows, channels = samples.shape
-    if rows < window:
-        return np.zeros((0, channels))
-    filled = np.where(lost[:, None], 0.0, samples)
-    pieces = []
-    for start in range(0, rows - window + 1, _CHUNK):
-        piece = filled[start : start + _CHUNK + window - 1]
+    pieces = list(_window_variances(samples, lost, window))
+    return np.concatenate(pieces) if pieces else np.zeros((0, samples.shape[1]))
+
+
+def _window_variances(samples: Array, lost: Mask, window: int) -> Iterator[Array]:
+    """Yield the variances of windows that follow each other, so that no more than a piece of them is in memory."""
+    for start in range(0, len(samples) - window + 1, _CHUNK):
+        rows = slice(start, start + _CHUNK + window - 1)
+        gone = lost[rows, None]
+        piece = np.where(gone, 0.0, samples[rows]) if gone.any() else samples[rows]
         # Running sums about the piece's own mean: over a long record they would lose the noise in their last digits.
         centred = piece - piece.mean(axis=0)
         sums, squares = (_window_sums(values, window) for values in (centred, centred**2))
-        pieces.append(np.maximum(squares - sums**2 / window, 0.0) / (window - 1))
-    variances = np.concatenate(pieces)
-    variances[_window_sums(lost[:, None].astype(float), window)[:, 0] > 0.5] = inf
-    return variances
+        variances = np.maximum(squares - sums**2 / window, 0.0) / (window - 1)
+        if gone.any():
+            variances[_window_sums(gone.astype(float), window)[:, 0] > 0.5] = inf
+        yield variances
 
 
 def stillest(scatter: Array) -> float | None:

@@ -27,6 +27,7 @@ from tiltcal.files.records import FileRecord, LogRecord, Provenance, SegmentsRec
 from tiltcal.files.segments import Segment, read_segments
 from tiltcal.logs.columns import named_columns
 from tiltcal.logs.frames import FrameReader, rows_of
+from tiltcal.logs.log import Progress
 from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
 from tiltcal.logs.static_intervals import (
     RecordedReadings,
@@ -71,6 +72,7 @@ def fit(
     alignment: float | None = None,
     base: str | Path | None = None,
     say: Callable[[str], None] = lambda line: None,
+    progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate a sensor from recorded data, by the positions of a procedure.
 
@@ -118,6 +120,8 @@ def fit(
         determines none.
     say : callable, optional
         Called with each line of what is found on the way.
+    progress : callable, optional
+        Called with the bytes of a log that have been read, after each block.
 
     Returns
     -------
@@ -134,7 +138,8 @@ def fit(
     """
     steps = find_procedure(procedure, tilt).with_alignment(alignment)
     steps.require_positions()
-    source = FitSource(data, segments, _is_table(data, segments) if table is None else table, columns, window)
+    table = _is_table(data, segments) if table is None else table
+    source = FitSource(data, segments, table, columns, window, progress)
     source.require_sound(steps)
     require_no_jig(steps, jig)
     if gravity is not None and not LOCAL_GRAVITY[0] <= gravity <= LOCAL_GRAVITY[1]:
@@ -186,6 +191,7 @@ class FitSource:
     table: bool
     columns: Mapping[str, str] | str
     window: int | None
+    progress: Progress | None = None
 
     @property
     def finds(self) -> bool:
@@ -241,7 +247,7 @@ class FitSource:
             return FitPositions(oriented(holds, directions([hold.summaries for hold in holds])), provenance)
         record = self._record(sensor)
         windows = WINDOWS if self.window is None else (self.window,)
-        chosen, tried = find_still(record.readings(channels), windows)
+        chosen, tried = find_still(record.readings, windows)
         say(choice_table(chosen, tried, sensor.unit))
         found = still_segments(chosen)
         holds = holds_of(record, found, file=record.name)
@@ -282,7 +288,8 @@ class FitSource:
         return holds_of(record, whole, file=record.name), self._provenance(record)
 
     def _record(self, sensor: SensorIdentity) -> RecordedReadings:
-        return read_record(self.data, sensor.channels, named_columns(self.columns, sensor.channels), sensor.unit)
+        named = named_columns(self.columns, sensor.channels)
+        return read_record(self.data, sensor.channels, named, sensor.unit, self.progress)
 
     def _provenance(self, record: RecordedReadings | None = None, segments: SegmentsRecord | None = None) -> Provenance:
         log = None if record is None else _origin(self.data, LogRecord)

@@ -148,14 +148,14 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
     return "\n".join(lines)
 
 
-def still_holds(readings: Array, lost: Mask, window: int, threshold: float) -> list[list[Span]]:
+def still_holds(readings: Array, scatter: Array, window: int, threshold: float) -> list[list[Span]]:
     """Return the still intervals of a log, those of one attitude together.
 
     Parameters
     ----------
     readings : ndarray, shape (rows, channels)
-    lost : ndarray of bool, shape (rows,)
-        Rows that cannot be used.
+    scatter : ndarray, shape (rows - window + 1,)
+        In every window; see :func:`tiltcal.core.detection.window_scatter`.
     window : int
         Rows.
     threshold : float
@@ -166,7 +166,6 @@ def still_holds(readings: Array, lost: Mask, window: int, threshold: float) -> l
     list of list of (start, end)
         Rows, ends exclusive, in order.
     """
-    scatter = window_scatter(readings, lost, window)
     middle = window // 2
     still = np.zeros(len(readings), dtype=bool)
     still[middle : middle + len(scatter)] = scatter <= threshold
@@ -178,16 +177,17 @@ def still_holds(readings: Array, lost: Mask, window: int, threshold: float) -> l
 
 def _choices(readings: Array, lost: Mask, windows: Sequence[int]) -> Iterator[StaticDetection]:
     for window in windows:
-        noise = stillest(window_scatter(readings, lost, window))
+        scatter = window_scatter(readings, lost, window)
+        noise = stillest(scatter)
         if noise is None:
             continue
         for multiple in MULTIPLES:
-            holds = still_holds(readings, lost, window, multiple * noise)
+            holds = still_holds(readings, scatter, window, multiple * noise)
             yield StaticDetection(window, multiple, noise, tuple(map(tuple, holds)), _ellipsoid(readings, holds))
 
 
 def _ellipsoid(readings: Array, holds: Sequence[Sequence[Span]]) -> Ellipsoid | None:
-    samples = [np.concatenate([readings[start:end] for start, end in spans]) for spans in holds]
+    samples = [_rows(readings, spans) for spans in holds]
     if not samples:
         return None
     try:
@@ -196,6 +196,12 @@ def _ellipsoid(readings: Array, holds: Sequence[Sequence[Span]]) -> Ellipsoid | 
         )
     except EstimateError:
         return None
+
+
+def _rows(readings: Array, spans: Sequence[Span]) -> Array:
+    """Return the rows of some intervals; of a single one as it stands in the log, without a copy."""
+    parts = [readings[start:end] for start, end in spans]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _uncertainty(samples: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -25,6 +25,7 @@ from tiltcal.files.segments import Segment
 from tiltcal.logs.apply import require_unit
 from tiltcal.logs.columns import TEMPERATURE, locate_columns
 from tiltcal.logs.formats import open_log
+from tiltcal.logs.log import Progress
 
 FEWEST = 2
 """Samples that a segment needs for a standard deviation."""
@@ -44,21 +45,30 @@ class RecordedReadings:
     ----------
     name : str
         The log as the user named it.
-    columns : mapping of str to ndarray, shape (rows,)
-        By role: the channels and, where there is one, the temperature; NaN where a value is missing.
+    roles : sequence of str
+        The channels and, where there is one, the temperature behind them.
+    values : ndarray, shape (roles, rows)
+        NaN where a value is missing.
     """
 
     name: str
-    columns: Mapping[str, Array]
+    roles: Sequence[str]
+    values: Array
+
+    @property
+    def columns(self) -> Mapping[str, Array]:
+        """The columns by role, each of shape (rows,)."""
+        return dict(zip(self.roles, self.values, strict=True))
 
     @property
     def rows(self) -> int:
         """Number of rows."""
-        return len(next(iter(self.columns.values())))
+        return len(self.readings)
 
-    def readings(self, channels: Sequence[str]) -> Array:
-        """Return the channels side by side, shape (rows, channels)."""
-        return np.stack([self.columns[channel] for channel in channels], axis=1)
+    @property
+    def readings(self) -> Array:
+        """The channels side by side, shape (rows, channels)."""
+        return self.values[: len(self.roles) - (TEMPERATURE in self.roles)].T
 
 
 @dataclass(frozen=True)
@@ -95,7 +105,13 @@ class StaticInterval:
     where: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_record(log: object, channels: Sequence[str], named: Mapping[str, str], unit: str) -> RecordedReadings:
+def read_record(
+    log: object,
+    channels: Sequence[str],
+    named: Mapping[str, str],
+    unit: str,
+    progress: Progress | None = None,
+) -> RecordedReadings:
     """Read the readings of a log.
 
     Parameters
@@ -106,19 +122,25 @@ def read_record(log: object, channels: Sequence[str], named: Mapping[str, str], 
         Column name by role, from ``--columns``.
     unit : str
         Of the readings.
+    progress : callable, optional
+        Called with the bytes that have been read, after each block.
 
     Raises
     ------
     InputError
         A column is missing or in another unit, or a row cannot be parsed.
     """
-    with open_log(log) as reader:
+    with open_log(log, progress=progress) as reader:
         where = locate_columns(reader.names, channels, named, file=reader.name, line=reader.header_line)
         require_unit(reader, [where[channel] for channel in channels], unit, "the --unit")
-        blocks = [block.values for block in reader.rows(sorted(set(where.values())))]
-    return RecordedReadings(
-        reader.name, {role: np.concatenate([block[index] for block in blocks]) for role, index in where.items()}
-    )
+        blocks = deque(block.readings(tuple(where.values())).T for block in reader.rows(sorted(set(where.values()))))
+    values = np.empty((len(where), sum(block.shape[1] for block in blocks)))
+    row = 0
+    while blocks:  # each goes as it is copied, so that the log is in memory once
+        block = blocks.popleft()
+        values[:, row : row + block.shape[1]] = block
+        row += block.shape[1]
+    return RecordedReadings(reader.name, tuple(where), values)
 
 
 def holds_of(record: RecordedReadings, segments: Sequence[Segment], *, file: str) -> list[StaticInterval]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -17,6 +19,7 @@ from tiltcal.core.detection import (
     runs,
     stuck_rows,
     stuck_runs,
+    window_scatter,
     window_variances,
 )
 
@@ -95,3 +98,13 @@ def test_one_sample_of_a_hundred_that_is_off() -> None:
     assert len(outliers(samples, step=1.0)) == 0
     samples[37] += 578.0
     assert outliers(samples, step=1.0).tolist() == [37]
+
+
+def test_the_scatter_of_a_long_log_takes_little_memory() -> None:
+    samples = np.asfortranarray(np.random.default_rng(1).normal(0.0, 1.0, (300_000, 3)))
+    tracemalloc.start()
+    scatter = window_scatter(samples, np.zeros(len(samples), dtype=bool), 100)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(scatter) == 300_000 - 99
+    assert peak < 2 * scatter.nbytes + (4 << 20)  # itself in pieces and whole, and the variances of one piece

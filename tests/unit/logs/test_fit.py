@@ -10,6 +10,7 @@ import pytest
 
 import tiltcal
 from tiltcal.files.procedure import find_procedure
+from tiltcal.logs.fit import fit
 
 OWN = """\
 tiltcal: 1
@@ -48,6 +49,16 @@ def recorded(procedure: str, offset: tuple[float, float], drift: float = 0.0) ->
         segments.append({"position": position.name, "start": number * ROWS, "end": (number + 1) * ROWS})
     x, y = np.concatenate(blocks).T
     return {"data": {"x": x, "y": y, "temperature": np.concatenate(temperatures)}, "segments": segments}
+
+
+def test_progress_is_that_of_reading_the_log(base: Path, tmp_path: Path) -> None:
+    readings = recorded("reversal", (2.56, 2.38))
+    log = tmp_path / "log.csv"
+    rows = zip(*readings["data"].values(), strict=True)
+    log.write_text("x,y,temperature\n" + "".join(f"{x:.6f},{y:.6f},{t:g}\n" for x, y, t in rows))
+    told: list[tuple[int, int | None]] = []
+    fit("reversal", log, segments=readings["segments"], base=base, progress=lambda *at: told.append(at), **SENSOR)
+    assert told[-1] == (log.stat().st_size, log.stat().st_size)
 
 
 def test_reversal_renews_the_offset_with_the_sensitivity_of_the_base(base: Path) -> None:

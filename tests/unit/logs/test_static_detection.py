@@ -165,7 +165,7 @@ class TestHolds:
         assert np.flatnonzero(np.isinf(scatter)).tolist() == list(range(11, 21))
 
     def test_identical_samples_are_no_hold(self) -> None:
-        assert still_holds(np.ones((400, 3)), np.zeros(400, dtype=bool), 50, 1.0) == []
+        assert still_holds(np.ones((400, 3)), np.zeros(351), 50, 1.0) == []
 
 
 def test_segments_and_the_table_that_is_shown() -> None:

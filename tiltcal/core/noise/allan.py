@@ -74,9 +74,10 @@ class Octaves:
         present : ndarray of bool, shape (n, channels)
         """
         self._rows += len(samples)
-        sums, counts = samples, present.astype(np.float64)
+        sums = np.ascontiguousarray(samples.T)
+        counts = np.ones_like(sums) if present.all() else present.T.astype(np.float64, order="C")
         depth = 0
-        while len(sums):
+        while sums.shape[1]:
             if depth == len(self._levels):
                 self._levels.append(_Level(self._channels, depth))
             sums, counts = self._levels[depth].add(sums, counts)
@@ -101,23 +102,27 @@ class _Level:
     def __init__(self, channels: int, depth: int) -> None:
         self.depth = depth
         self.widths = (1, 2, 4, 8, 16, STARTS) if depth == 0 else (STARTS,)
-        empty = np.empty((0, channels))
+        empty = np.empty((channels, 0))
         self._tail, self._tail_counts = empty, empty
         self._odd, self._odd_counts = empty, empty
         self._squares = np.zeros((len(self.widths), channels))
         self._pairs = np.zeros((len(self.widths), channels))
 
     def add(self, sums: Array, counts: Array) -> tuple[Array, Array]:
-        """Take more blocks; those of the level above that are whole by now."""
-        held, held_counts = np.concatenate([self._tail, sums]), np.concatenate([self._tail_counts, counts])
-        known = len(self._tail)
-        total, total_counts = _running(held), _running(held_counts)
+        """Take more blocks, shape (channels, n); return those of the level above that are whole by now."""
+        held, held_counts = _joined(self._tail, sums), _joined(self._tail_counts, counts)
+        known = self._tail.shape[1]
+        total = _running(held)
+        total_counts = None if held_counts.min() == 1 << self.depth else _running(held_counts)
         for place, width in enumerate(self.widths):
             # Only the pairs whose last block is new.
             start = max(0, known - 2 * width + 1)
-            self._count_pairs(place, width, total[start:], total_counts[start:])
+            if total_counts is None:
+                self._count_whole_pairs(place, width, total[:, start:])
+            else:
+                self._count_pairs(place, width, total[:, start:], total_counts[:, start:])
         kept = 2 * self.widths[-1] - 1
-        self._tail, self._tail_counts = held[-kept:], held_counts[-kept:]
+        self._tail, self._tail_counts = held[:, -kept:].copy(), held_counts[:, -kept:].copy()
         return self._halved(sums, counts)
 
     def variance(self, place: int) -> Array:
@@ -125,26 +130,42 @@ class _Level:
         pairs = self._pairs[place]
         return np.asarray(self._squares[place] / (2.0 * np.where(pairs > 0, pairs, np.nan)))
 
-    def _count_pairs(self, place: int, width: int, total: Array, counts: Array) -> None:
-        if len(total) <= 2 * width:
+    def _count_whole_pairs(self, place: int, width: int, total: Array) -> None:
+        """Count the pairs of stretches in which no sample is missing."""
+        pairs = total.shape[1] - 2 * width
+        if pairs <= 0:
             return
-        stretch, filled = total[width:] - total[:-width], counts[width:] - counts[:-width]
+        stretch = total[:, width:] - total[:, :-width]
+        change = stretch[:, width:] - stretch[:, :-width]
+        self._squares[place] += np.einsum("ij,ij->i", change, change) / float(width << self.depth) ** 2
+        self._pairs[place] += pairs
+
+    def _count_pairs(self, place: int, width: int, total: Array, counts: Array) -> None:
+        if total.shape[1] <= 2 * width:
+            return
+        stretch, filled = total[:, width:] - total[:, :-width], counts[:, width:] - counts[:, :-width]
         whole = filled >= PRESENT * (width << self.depth)
         mean = np.divide(stretch, filled, out=np.zeros_like(stretch), where=whole)
-        both = whole[width:] & whole[:-width]
-        self._squares[place] += np.sum(np.where(both, mean[width:] - mean[:-width], 0.0) ** 2, axis=0)
-        self._pairs[place] += both.sum(axis=0)
+        both = whole[:, width:] & whole[:, :-width]
+        self._squares[place] += np.sum(np.where(both, mean[:, width:] - mean[:, :-width], 0.0) ** 2, axis=1)
+        self._pairs[place] += both.sum(axis=1)
 
     def _halved(self, sums: Array, counts: Array) -> tuple[Array, Array]:
-        sums, counts = np.concatenate([self._odd, sums]), np.concatenate([self._odd_counts, counts])
-        even = len(sums) // 2 * 2
-        self._odd, self._odd_counts = sums[even:], counts[even:]
-        return sums[0:even:2] + sums[1:even:2], counts[0:even:2] + counts[1:even:2]
+        sums, counts = _joined(self._odd, sums), _joined(self._odd_counts, counts)
+        even = sums.shape[1] // 2 * 2
+        self._odd, self._odd_counts = sums[:, even:].copy(), counts[:, even:].copy()
+        return sums[:, 0:even:2] + sums[:, 1:even:2], counts[:, 0:even:2] + counts[:, 1:even:2]
+
+
+def _joined(earlier: Array, later: Array) -> Array:
+    return np.concatenate([earlier, later], axis=1)
 
 
 def _running(values: Array) -> Array:
-    """Sums of the first 0, 1, 2, ... rows."""
-    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    """Return the sums of the first 0, 1, 2, ... values of each channel."""
+    total = np.zeros((len(values), values.shape[1] + 1))
+    np.cumsum(values, axis=1, out=total[:, 1:])
+    return total
 
 
 def degrees_of_freedom(kind: Kind, samples: float, factor: float) -> float:

@@ -58,9 +58,15 @@ class Averager:
         """Take more samples, zero where they are missing, shape (n, channels)."""
         if not len(samples):
             return
+        if self._samples == 1:
+            self._merge(samples, present.astype(np.float64))
+            return
         cuts = np.r_[0, np.arange(self._samples - self._filled, len(samples), self._samples)]
         sums = np.add.reduceat(samples, cuts, axis=0)
-        counts = np.add.reduceat(present.astype(np.float64), cuts, axis=0)
+        if present.all():
+            counts = np.repeat(np.diff(np.r_[cuts, len(samples)])[:, None].astype(np.float64), samples.shape[1], axis=1)
+        else:
+            counts = np.add.reduceat(present.astype(np.float64), cuts, axis=0)
         sums[0] += self._sum
         counts[0] += self._present
         self._filled = (self._filled + len(samples)) % self._samples
@@ -82,18 +88,19 @@ class Averager:
 
     def _merge(self, sums: Array, counts: Array) -> None:
         whole = counts >= PRESENT * self._samples
-        means = np.divide(sums, counts, out=np.zeros_like(sums), where=whole)
+        all_whole = bool(whole.all())
+        means = sums / counts if all_whole else np.divide(sums, counts, out=np.zeros_like(sums), where=whole)
         more = whole.sum(axis=0)
         mean = means.sum(axis=0) / np.maximum(more, 1)
-        squares = np.where(whole, (means - mean) ** 2, 0.0).sum(axis=0)
+        squares = np.square(means - mean).sum(axis=0, where=True if all_whole else whole)
         total = self._count + more
         step = mean - self._mean
         # Chan, Golub and LeVeque: two groups' sums of squares about their common mean.
         self._squares += squares + step**2 * self._count * more / np.maximum(total, 1)
         self._mean += step * more / np.maximum(total, 1)
         self._count = total
-        self._low = np.minimum(self._low, np.where(whole, means, np.inf).min(axis=0))
-        self._high = np.maximum(self._high, np.where(whole, means, -np.inf).max(axis=0))
+        self._low = np.minimum(self._low, (means if all_whole else np.where(whole, means, np.inf)).min(axis=0))
+        self._high = np.maximum(self._high, (means if all_whole else np.where(whole, means, -np.inf)).max(axis=0))
 
 
 def decades(rows: int, fewest: int) -> Sequence[int]:

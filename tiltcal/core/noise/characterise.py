@@ -133,7 +133,8 @@ class Characteriser:
         self._count += present.sum(axis=0)
         for channel, steps in enumerate(self._steps):
             steps.add(samples[present[:, channel], channel])
-        about_zero = np.where(present, samples - self._zero(samples), 0.0)
+        # Channel by channel in memory: sums along the samples are then several times faster.
+        about_zero = np.asfortranarray(np.where(present, samples - self._zero(samples), 0.0))
         self._octaves.add(about_zero, present)
         self._unrest.add(about_zero, present)
         for averager in self._averagers:
