@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -141,6 +141,10 @@ class Calibration:
         first_order: bool = False,
         reading_noise: float | None = None,
         mounting: Mapping[str, float] | str = "",
+        magnetometer: Sequence[str] | str = (),
+        velocity: Sequence[str] | str = (),
+        declination: float | None = None,
+        magnetometer_noise: float | None = None,
         unit: str | None = None,
     ) -> Any:
         """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
@@ -159,6 +163,16 @@ class Calibration:
             Standard uncertainty of a reading of the frame, in its unit, in place of that of a sample at the bench.
         mounting : mapping of str to float, or str
             How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of its own mounting.
+        magnetometer : sequence of str, or str
+            The three columns of the magnetic field, such as ``"mx,my,mz"``: adds ``heading``, degrees clockwise from
+            north of the horizontal part of +X. The magnetometer has the axes of the sensor.
+        velocity : sequence of str, or str
+            The three columns of a velocity, such as ``"u,v,w"``, in the application's frame: adds ``v_east``,
+            ``v_north`` and ``v_up`` in their unit. It needs a magnetometer, or a column of headings.
+        declination : float, optional
+            How far magnetic north is east of true north, degrees; added to the heading, of a column as well.
+        magnetometer_noise : float, optional
+            With `uncertainty`: standard uncertainty of a component of the field, in its unit.
         unit : str, optional
             Of the readings; an xarray Dataset states it itself. One that is not the calibration's is refused.
 
@@ -184,6 +198,10 @@ class Calibration:
             first_order=first_order,
             reading_noise=reading_noise,
             mounting=mounting,
+            magnetometer=magnetometer,
+            velocity=velocity,
+            declination=declination,
+            magnetometer_noise=magnetometer_noise,
             unit=unit,
         )
 

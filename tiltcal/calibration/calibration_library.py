@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from functools import cached_property
@@ -126,11 +125,7 @@ class CalibrationLibrary:
         serial: str | None = None,
         stability: float | None = None,
         start: str | None = None,
-        columns: Mapping[str, str] | str = "",
-        uncertainty: bool = False,
-        first_order: bool = False,
-        reading_noise: float | None = None,
-        unit: str | None = None,
+        **options: Any,
     ) -> Any:
         """Turn the raw readings of a frame into tilt, as ``tiltcal apply --calibrations`` does with a log.
 
@@ -144,8 +139,8 @@ class CalibrationLibrary:
             The standard deviation of the offset's change in one day, mg, in place of an estimate.
         start : str, optional
             When the time of the frame is 0, ISO 8601, where its time is relative.
-        columns, uncertainty, first_order, reading_noise, unit
-            As those of :meth:`Calibration.apply`.
+        **options
+            Those of :meth:`Calibration.apply`.
 
         Returns
         -------
@@ -159,17 +154,7 @@ class CalibrationLibrary:
         """
         from tiltcal.logs.frames import apply_frame
 
-        return apply_frame(
-            *(self, frame),
-            serial=serial,
-            stability=stability,
-            start=start,
-            columns=columns,
-            uncertainty=uncertainty,
-            first_order=first_order,
-            reading_noise=reading_noise,
-            unit=unit,
-        )
+        return apply_frame(self, frame, serial=serial, stability=stability, start=start, **options)
 
     def _fleet(self, history: SensorHistory) -> list[SensorHistory]:
         """Return the histories of other sensors of the same model and unit that have several calibrations."""

@@ -28,6 +28,7 @@ Examples:
   tiltcal apply S-0042.yaml may-*.parquet -o tilt
   tiltcal apply --calibrations calibrations night.csv --serial S-0042 -o night-tilt.csv
   tiltcal apply S-0042.yaml night.csv --mounting roll=180 -o hanging.csv
+  tiltcal apply S-0042.yaml dive.csv --magnetometer mx,my,mz --declination -14.3 --velocity u,v,w -o currents.csv
   zcat night.csv.gz | tiltcal apply S-0042.yaml - | gzip > night-tilt.csv.gz
 """
 
@@ -92,6 +93,32 @@ Examples:
     "replaces the mounting of CALIBRATION and counts as exact.",
 )
 @click.option(
+    "--magnetometer",
+    default="",
+    metavar="MX,MY,MZ",
+    help="The columns of the magnetic field along x, y and z of the sensor: adds heading, degrees clockwise "
+    "from north.",
+)
+@click.option(
+    "--velocity",
+    default="",
+    metavar="U,V,W",
+    help="The columns of a velocity along x, y and z: adds v_east, v_north and v_up in their unit. The heading comes "
+    "from --magnetometer, or from a column (--columns heading=NAME).",
+)
+@click.option(
+    "--declination",
+    type=float,
+    metavar="DEG",
+    help="How far magnetic north is east of true north. It is added to every heading, also to that of a column.",
+)
+@click.option(
+    "--magnetometer-noise",
+    type=click.FloatRange(0.0),
+    metavar="UNIT",
+    help="With --uncertainty: standard uncertainty of a component of the magnetic field, in its unit [0].",
+)
+@click.option(
     "--jobs",
     type=click.IntRange(min=1),
     metavar="N",
@@ -125,6 +152,10 @@ def command(
     uncertainty: bool,
     reading_noise: float | None,
     mounting: str,
+    magnetometer: str,
+    velocity: str,
+    declination: float | None,
+    magnetometer_noise: float | None,
     jobs: int | None,
     force: bool,
     scheduler: str | None,
@@ -137,7 +168,8 @@ def command(
     (degrees) of each axis (with three axes also pitch, roll and inclination), then flag and reason. flag: 1 pass, 3
     suspect, 4 fail, 9 missing. reason is a sum: 1 arcsine argument beyond ±1, 2 temperature outside the calibrated
     range, 4 reading at the rail, 8 tilt outside the calibrated range, 16 temperature missing, 32 not a number, 64
-    outside the time of --calibrations. OUT is written whole or not at all.
+    outside the time of --calibrations, 128 no heading or a magnetic field of unusual length. OUT is written whole or
+    not at all.
 
     Several logs are processed into the folder -o, --jobs at a time, or with --scheduler on the workers of a cluster. If
     a log fails, it is named, and the others are processed. A log is skipped where its result is in the folder already,
@@ -145,7 +177,11 @@ def command(
 
     --uncertainty adds, in degrees, u_tilt_x (standard uncertainty, k = 1) and U95_tilt_x (the true tilt is within
     tilt_x ± U95_tilt_x in 95 % of all cases) of every angle, from the covariance of the calibration, the noise of a
-    reading and the thermometer.
+    reading and the thermometer; likewise of heading and velocities.
+
+    --magnetometer adds heading, how far the horizontal part of +X points clockwise from north, 0 to 360; --velocity
+    adds v_east, v_north and v_up. The magnetometer has the axes of the sensor, and a mounting turns both; the velocity
+    is in the application frame. A heading from a column counts as true unless --declination is there.
 
     With --calibrations each row takes the calibration of its time: between two calibrations of the sensor their
     coefficients are interpolated linearly, and before the first and after the last one the nearest is taken and the
@@ -169,7 +205,19 @@ def command(
         raise UsageError("--stability needs --uncertainty")
     if reading_noise is not None and not uncertainty:
         raise UsageError("--reading-noise needs --uncertainty")
-    options = ApplyOptions(first_order, uncertainty, reading_noise, mounting, serial, stability, start)
+    options = ApplyOptions(
+        first_order,
+        uncertainty,
+        reading_noise,
+        mounting,
+        serial,
+        stability,
+        start,
+        magnetometer,
+        velocity,
+        declination,
+        magnetometer_noise,
+    )
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
         tasks = tasks_of(calibration, options, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
         prepare_any(calibration, options, _say)  # an error of the calibration is raised once

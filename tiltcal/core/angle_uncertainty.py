@@ -127,7 +127,7 @@ class CompensationWithUncertainty:
 
     def __init__(self, compensation: Compensation, coefficients: Coefficients, inputs: UncertaintyInputs) -> None:
         self._compensation = compensation
-        self._propagation = _Propagation(compensation, coefficients, inputs)
+        self.propagation = Propagation(compensation, coefficients, inputs)
         self._angles = compensation.angles
 
     @property
@@ -138,7 +138,12 @@ class CompensationWithUncertainty:
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns that :meth:`table` gives."""
-        return (*self._compensation.columns, *(f"u_{angle}" for angle in self._angles), *self.expanded)
+        return (*self._compensation.columns, *self.added)
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Names of the columns behind those of the compensation."""
+        return (*(f"u_{angle}" for angle in self._angles), *self.expanded)
 
     def table(self, found: AngleUncertainty) -> dict[str, NDArray[np.float64] | Bytes]:
         """Return the columns of a result under the names that :attr:`columns` lists."""
@@ -153,11 +158,34 @@ class CompensationWithUncertainty:
         standard, expanded = uncertainty = np.empty((2, len(self._angles), rows))
         with np.errstate(all="ignore"):
             for chunk in self._compensation.chunks(readings, temperature, compensated):
-                uncertainty[:, :, chunk.rows] = self._propagation(chunk)
+                uncertainty[:, :, chunk.rows] = self.propagation(chunk)
         return AngleUncertainty(compensated, standard.T, expanded.T)
 
 
-class _Propagation:
+Signals = tuple[list[Array], list[Array], list[Array]]
+"""The derivatives of each channel's signal: by its coefficients, by its reading, and times u(temperature)."""
+
+
+@frozen
+class UpGradient:
+    """The derivatives of a quantity that follows from up, for n rows.
+
+    Attributes
+    ----------
+    by_up : ndarray, shape (3, n)
+        By the unit vector that points up in the application's frame; across it.
+    by_turn : ndarray, shape (3, n)
+        By a turn of the mounting about the application's axes, 1/rad.
+    variance : ndarray, shape (n,)
+        What other sources add, independent of all others and of known size.
+    """
+
+    by_up: Array
+    by_turn: Array
+    variance: Array
+
+
+class Propagation:
     """From rows on their way through the kernel to the uncertainty of their angles.
 
     The raw outputs are the signals of the channels and, where the mounting is uncertain, behind them the errors of the
@@ -166,6 +194,7 @@ class _Propagation:
     """
 
     def __init__(self, compensation: Compensation, coefficients: Coefficients, inputs: UncertaintyInputs) -> None:
+        self._compensation = compensation
         self._axes = compensation.axes
         self._angles = len(compensation.angles)
         self._coupling = compensation.coupling
@@ -187,6 +216,9 @@ class _Propagation:
             if self._known
             else [inputs.covariance, inputs.covariance * np.outer(widening, widening)]
         )
+        whole = [k for of_channel in parameters[: len(self._models)] for k in of_channel]
+        whole += [inputs.names.index(TURN + axis) for axis in AXES] if self._rotated else []
+        self._whole = [covariance[np.ix_(whole, whole)] for covariance in covariances]
         self._raw = _pairs(len(parameters))
         self._rows = min(_ROWS, _ONE_THREAD // max(1, *(len(one) ** 2 for one in parameters)))
         self._covariances = [
@@ -203,7 +235,8 @@ class _Propagation:
         for start in range(0, count, self._rows):
             rows = slice(start, start + self._rows)
             self._fill(_part(chunk, rows), room[:, :, rows])
-            _shorten(room[:, :, rows])
+            np.degrees(room[:, :, rows], out=room[:, :, rows])
+            round_up(room[:, :, rows])
         lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)
         if lost.any():
             room[:, :, lost] = np.nan
@@ -219,6 +252,70 @@ class _Propagation:
         if self._sees_all:
             for number, name in enumerate(DIRECTIONS, start=len(self._axes)):
                 self._direction(name, application, variances, room[:, number])
+
+    def half_widths(self, chunk: KernelChunk, gradients: Sequence[UpGradient]) -> tuple[Array, Array]:
+        """Return half of the 95 % interval of any quantities that follow from up, and the coverage factors.
+
+        Parameters
+        ----------
+        chunk : KernelChunk
+        gradients : sequence of UpGradient
+            One for each quantity.
+
+        Returns
+        -------
+        tuple of ndarray, shape (quantities, n)
+            In the unit of each quantity.
+        """
+        halves, factors = np.ones((2, len(gradients), len(chunk.out.flag)))
+        for start in range(0, halves.shape[1], self._rows):
+            rows = slice(start, start + self._rows)
+            part = _part(chunk, rows)
+            signals = self._signals(part)
+            for row, gradient in enumerate(gradients):
+                by_own = self._by_measured(part, signals, gradient.by_up[:, rows])
+                parts = self._quantity(signals, by_own, gradient.by_turn[:, rows])
+                parts[-1] += gradient.variance[rows] + self._of_alignment(part, by_own)
+                halves[row, rows], factors[row, rows] = self._half(parts)
+        return halves, factors
+
+    def _by_measured(self, chunk: KernelChunk, signals: Signals, by_up: Array) -> Array:
+        """Return a gradient by the components that are measured from one by up, shape (axes, n)."""
+        gravity = self._compensation.sensed(chunk)
+        own: Array = (self._rotation.T @ by_up) / np.sqrt(np.einsum("in,in->n", gravity, gravity))
+        if self._sees_all:
+            return own
+        # g_z follows from the length of up, which stays 1.
+        along, _ = self._half(self._quantity(signals, gravity[:2], np.zeros_like(by_up)))
+        q = self._coupling
+        share = (q @ own[:2] - own[2]) / _slope_of_root(gravity[2] - q @ gravity[:2], along)
+        return np.asarray(own[:2] + share * gravity[:2])
+
+    def _of_alignment(self, chunk: KernelChunk, by_measured: Array) -> Array | float:
+        """Return the variance that a turn of the sensor since it was level gives; see :meth:`_add_alignment`."""
+        if not self._alignment:
+            return 0.0
+        moved = self._compensation.sensed(chunk) - self._rotation[2][:, None]
+        by_gravity = np.zeros_like(moved)
+        by_gravity[[AXES.index(axis) for axis in self._axes]] = by_measured
+        if not self._sees_all:
+            by_gravity[2] += self._coupling @ by_measured
+        turned: Array = self._alignment * np.cross(moved, by_gravity, axis=0)
+        return np.asarray(np.einsum("in,in->n", turned, turned))
+
+    def _quantity(self, signals: Signals, by_measured: Array, by_turn: Array) -> Array:
+        """Return the variance of a quantity, shape (kinds, n), from its gradients."""
+        derivatives, slopes, by_temperature = signals
+        by_signal = self._compensation.inverse.T @ by_measured
+        terms = [one * table for one, table in zip(by_signal, derivatives, strict=True)]
+        table = np.concatenate([*terms, by_turn] if self._rotated else terms)
+        found = np.zeros((1 if self._known else 3, by_signal.shape[1]))
+        for kind, covariance in enumerate(self._whole):
+            np.einsum("kn,kn->n", table, covariance @ table, out=found[kind])
+        found[-1] += np.einsum("cn,cn->n", by_signal, np.stack(by_temperature)) ** 2
+        for one, slope, noise in zip(by_signal, slopes, self._readings, strict=True):
+            found[-1] += (one * slope * noise) ** 2
+        return found
 
     # ------------------------------------------------------------------------------------- from errors to components
 
@@ -244,19 +341,10 @@ class _Propagation:
         Kinds: all together where every coefficient has the normal factor; else of the coefficients, the same widened by
         their factors, and of readings and temperature.
         """
-        gravity = self._sensed(chunk)
-        n = gravity.shape[1]
-        dt = np.zeros(n) if chunk.dt is None else chunk.dt
-        derivatives, slopes, by_temperature = [], [], []
-        for model, theta, chosen in zip(self._models, self._vectors, self._chosen, strict=True):
-            reading = model.read(theta, gravity.T, dt)
-            slopes.append(1.0 / reading.by_signal)
-            table = reading.by_coefficient.T
-            derivatives.append(table if len(chosen) == len(table) else table[chosen])
-            derivatives[-1] *= -slopes[-1]
-            by_temperature.append(slopes[-1] * (self._temperature * reading.by_temperature))
+        derivatives, slopes, by_temperature = self._signals(chunk)
+        n = len(slopes[0])
         if self._rotated:
-            up = self._in_application(chunk, gravity)
+            up = self._compensation.up(chunk)
             derivatives += [np.stack([up[(k + 2) % 3], -up[(k + 1) % 3]]) for k in range(len(self._axes))]
         found = np.zeros((1 if self._known else 3, len(self._raw), n))
         for k, (a, b) in enumerate(self._raw):
@@ -269,7 +357,7 @@ class _Propagation:
                     found[-1, k] += (slopes[a] * self._readings[a]) ** 2
         variances = np.asarray(np.matmul(self._pair_lift, found))
         if self._alignment:
-            self._add_alignment(variances[-1], gravity)
+            self._add_alignment(variances[-1], self._compensation.sensed(chunk))
         return variances
 
     def _add_alignment(self, variances: Array, gravity: Array) -> None:
@@ -291,22 +379,19 @@ class _Propagation:
                 spread = float(outputs[a] @ outputs[b]) * length - along[a] * along[b]
                 variances[k] += self._alignment**2 * spread
 
-    def _sensed(self, chunk: KernelChunk) -> Array:
-        """Return g in the sensor's frame, shape (3, n); 0 along an axis that a sensor of one channel does not see."""
-        gravity = np.zeros((3, chunk.own.shape[1]))
-        for row, axis in zip(chunk.own, self._axes, strict=True):
-            gravity[AXES.index(axis)] = row
-        if self._axes == ("x", "y"):
-            gravity[2] = (
-                np.sqrt(np.maximum(1.0 - np.sum(chunk.own**2, axis=0), 0.0)) if chunk.hidden is None else chunk.hidden
-            )
-        return gravity
-
-    def _in_application(self, chunk: KernelChunk, gravity: Array) -> Array:
-        """Return g in the application's frame, shape (3, n)."""
-        up: Array = self._rotation @ gravity
-        up[: len(self._axes)] = chunk.out.gravity.T
-        return up
+    def _signals(self, chunk: KernelChunk) -> Signals:
+        """Return the derivatives of each channel's signal: by its coefficients, by its reading, by u(temperature)."""
+        gravity = self._compensation.sensed(chunk)
+        dt = np.zeros(gravity.shape[1]) if chunk.dt is None else chunk.dt
+        derivatives, slopes, by_temperature = [], [], []
+        for model, theta, chosen in zip(self._models, self._vectors, self._chosen, strict=True):
+            reading = model.read(theta, gravity.T, dt)
+            slopes.append(1.0 / reading.by_signal)
+            table = reading.by_coefficient.T
+            derivatives.append(table if len(chosen) == len(table) else table[chosen])
+            derivatives[-1] *= -slopes[-1]
+            by_temperature.append(slopes[-1] * (self._temperature * reading.by_temperature))
+        return derivatives, slopes, by_temperature
 
     def _lift(self, compensation: Compensation) -> Array:
         """Return the matrix from the raw outputs to the outputs."""
@@ -426,9 +511,8 @@ def _through_arcsine(argument: Array, half: Array) -> Array:
     return width
 
 
-def _shorten(room: Array) -> None:
-    """Radians to degrees of four digits, or five, rounded up: an uncertainty has no more."""
-    room *= 180.0 / pi
+def round_up(room: Array) -> None:
+    """Round to four digits, or five, in place: an uncertainty has no more."""
     scale = np.take(_SCALES, np.frexp(room)[1] - _LOWEST, mode="clip")
     room *= scale
     np.ceil(room, out=room)

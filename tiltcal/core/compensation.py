@@ -36,7 +36,7 @@ PASS, SUSPECT, FAIL, MISSING = 1, 3, 4, 9
 """QARTOD flags, worst last."""
 
 CLIPPED, TEMPERATURE_RANGE, RAIL, TILT_RANGE, NO_TEMPERATURE, NOT_A_NUMBER = 1, 2, 4, 8, 16, 32
-OUTSIDE_TIME = 64
+OUTSIDE_TIME, MAGNETIC = 64, 128
 """Bits of a reason."""
 
 FLAGS = {PASS: "pass", SUSPECT: "suspect", FAIL: "fail", MISSING: "missing"}
@@ -48,6 +48,7 @@ REASONS = {
     NO_TEMPERATURE: "temperature missing",
     NOT_A_NUMBER: "not a number",
     OUTSIDE_TIME: "outside the time of the calibrations",
+    MAGNETIC: "no heading, or a magnetic field of unusual length",
 }
 
 CLIP_LIMIT = 1.02
@@ -304,6 +305,26 @@ class Compensation:
             with np.errstate(all="ignore"):
                 chunk = self._compensate(rows, u[rows].T, None if t is None else t[rows], part)
             yield chunk
+
+    def up(self, chunk: KernelChunk) -> Array:
+        """Return g of some rows in the application's frame, with a component that is not measured; shape (3, n).
+
+        A sensor of one channel has 0 along the axes that it does not see.
+        """
+        gravity = self.sensed(chunk)
+        up: Array = gravity if self.rotation is None else self.rotation @ gravity
+        up[[AXES.index(axis) for axis in self.axes]] = chunk.out.gravity.T
+        return up
+
+    def sensed(self, chunk: KernelChunk) -> Array:
+        """Return g of some rows in the sensor's frame; see :meth:`up`."""
+        gravity = np.zeros((3, chunk.own.shape[1]))
+        gravity[[AXES.index(axis) for axis in self.axes]] = chunk.own
+        if self.axes == ("x", "y"):
+            gravity[2] = (
+                np.sqrt(np.maximum(1.0 - np.sum(chunk.own**2, axis=0), 0.0)) if chunk.hidden is None else chunk.hidden
+            )
+        return gravity
 
     def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
         """Compute one chunk into ``out``; ``u`` has a row for each channel."""

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration
     from tiltcal.calibration.calibration_library import CalibrationLibrary
     from tiltcal.calibration.pair_calibration import PairCalibration
+    from tiltcal.core.field_length import FieldLength
 
 
 def apply_log(
@@ -42,6 +43,10 @@ def apply_log(
     serial: str | None = None,
     stability: float | None = None,
     start: str | None = None,
+    magnetometer: Sequence[str] | str = (),
+    velocity: Sequence[str] | str = (),
+    declination: float | None = None,
+    magnetometer_noise: float | None = None,
     skip_bad_rows: bool = False,
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
@@ -72,6 +77,15 @@ def apply_log(
         With a folder: the standard deviation of the offset's change in one day, mg, in place of an estimate.
     start : str, optional
         With a folder: when the time of the log is 0, ISO 8601, where its time is relative.
+    magnetometer : sequence of str, or str
+        The three columns of the magnetic field, such as ``"mx,my,mz"``: adds ``heading``, degrees.
+    velocity : sequence of str, or str
+        The three columns of a velocity, such as ``"u,v,w"``: adds ``v_east``, ``v_north`` and ``v_up`` in their
+        unit. It needs a magnetometer, or a heading among the columns.
+    declination : float, optional
+        How far magnetic north is east of true north, degrees; added to the heading, of a column as well.
+    magnetometer_noise : float, optional
+        With `uncertainty`: standard uncertainty of a component of the field, in its unit.
     skip_bad_rows : bool
         Keep rows that cannot be parsed, with flag 9, instead of raising.
     say : callable
@@ -92,7 +106,19 @@ def apply_log(
         The calibration or the log is wrong, or a column is not there; the message names file and line.
     """
     require_way(log, output)
-    options = ApplyOptions(first_order, uncertainty, reading_noise, mounting, serial, stability, start)
+    options = ApplyOptions(
+        first_order,
+        uncertainty,
+        reading_noise,
+        mounting,
+        serial,
+        stability,
+        start,
+        magnetometer,
+        velocity,
+        declination,
+        magnetometer_noise,
+    )
     ready = prepare_any(calibration, options, say)
     with open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as reader:
         prepared = ready(reader, columns)
@@ -100,7 +126,7 @@ def apply_log(
         if TIME in prepared.optional_roles and TIME not in rows.roles:
             say(NO_TIME)
         with log_sink(str(output)) as sink:
-            writer = create_log(output, sink, reader, prepared.kernel.columns, prepared.origin)
+            writer = create_log(output, sink, reader, prepared.kernel.columns, prepared.origin, rows.units)
             writer.write(rows.blocks(frames=writer.frames))
     return rows.summary
 
@@ -152,6 +178,8 @@ class CompensatedLog:
         Where the components of ``magnetometer`` and ``velocity`` stand, if they are asked for.
     summary : ApplySummary
         Counts the rows as they pass.
+    field_length : FieldLength or None
+        Remembers the usual length of the magnetic field.
     """
 
     log: LogReader
@@ -160,6 +188,7 @@ class CompensatedLog:
     roles: Mapping[str, int]
     vectors: Mapping[str, tuple[int, ...]]
     summary: ApplySummary
+    field_length: FieldLength | None = None
 
     @classmethod
     def of(cls, log: LogReader, prepared: PreparedCalibration, columns: Mapping[str, str] | str = "") -> CompensatedLog:
@@ -181,7 +210,17 @@ class CompensatedLog:
         if prepared.unit is not None:
             require_unit(log, channels, prepared.unit)
         present = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
-        return cls(log, prepared, channels, present, vectors, ApplySummary.watching(prepared.watched))
+        summary = ApplySummary.watching(prepared.watched)
+        return cls(log, prepared, channels, present, vectors, summary, _field_length("magnetometer" in vectors))
+
+    @property
+    def units(self) -> dict[str, str | None]:
+        """The unit of each earth velocity: that of the column of the first component."""
+        if "velocity" not in self.vectors:
+            return {}
+        from tiltcal.core.earth_frame import VELOCITY
+
+        return dict.fromkeys(VELOCITY, self.log.unit(self.vectors["velocity"][0]))
 
     def blocks(self, time: int | None = None, *, frames: bool = False) -> Iterator[tuple[LogBlock, Table]]:
         """Yield the log's own blocks, in order, and the columns that belong behind theirs.
@@ -196,7 +235,10 @@ class CompensatedLog:
         time = self.roles.get(TIME, time)
         wanted = {*self.channels, *self.roles.values(), *chain(*self.vectors.values())}
         for block in self.log.rows(sorted(wanted if time is None else wanted | {time}), time, frames=frames):
-            table = self.prepared.kernel(self._values(block))
+            values = self._values(block)
+            table = self.prepared.kernel(values)
+            if self.field_length is not None and values.magnetometer is not None:
+                table = self.field_length.flagged(table, values.magnetometer)
             self.summary.add(table, len(block.faults))
             yield block, table
 
@@ -206,6 +248,12 @@ class CompensatedLog:
             **{role: block.values[index] for role, index in self.roles.items()},
             **{role: block.readings(indices) for role, indices in self.vectors.items()},
         )
+
+
+def _field_length(there: bool) -> FieldLength | None:
+    from tiltcal.core.field_length import FieldLength
+
+    return FieldLength() if there else None
 
 
 def _locate_vector(log: LogReader, role: str, names: Sequence[str]) -> tuple[int, ...]:

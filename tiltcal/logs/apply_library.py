@@ -78,8 +78,9 @@ def prepare_library(
         stability = library.stability(sensor.serial, options.stability) if options.uncertainty else None
         _say_stability(sensor.history, stability, say)
         parts.append(_prepare_sensor(sensor, stability, options, start, log.name, say))
-    named = named_columns(columns, [name for part in parts for name in part.channels])
-    roles = () if start is not None and named.get(TIME, TIME) not in log.names else (TIME,)
+    others = parts[0].roles
+    named = named_columns(columns, [name for part in parts for name in part.channels], others)
+    roles = others if start is not None and named.get(TIME, TIME) not in log.names else (TIME, *others)
     if len(sensors) == 1 and not sensors[0].lead:
         return replace(parts[0], roles=roles)
     return _bench(sensors, parts, log.names, roles)
@@ -377,6 +378,7 @@ def _bench(
             **{key: ", ".join(part.origin[key] for part in parts) for key in ("calibration", "sha256", "serial")},
         },
         roles,
+        vectors=parts[0].vectors,
     )
 
 

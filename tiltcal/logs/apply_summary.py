@@ -63,7 +63,7 @@ class ApplySummary:
     bad_rows : int
         Rows that could not be parsed and were kept as missing.
     widths : dict of str to ColumnWidths
-        The columns that were to be watched, half widths of 95 % intervals in degrees.
+        The columns that were to be watched, half widths of 95 % intervals: degrees, and of velocities their unit.
     sensors : dict of str to ApplySummary
         Of each sensor, by serial number, where the log has several; the whole then counts the worst flag of a row, and
         every reason of it.
@@ -140,7 +140,8 @@ class ApplySummary:
 def _told(name: str, widths: ColumnWidths) -> str:
     if widths.median is None or widths.largest is None:
         return f"{name} none"
-    return f"{name} {widths.median:.2g}° ({widths.largest:.2g}°)"
+    unit = "" if name.startswith("U95_v_") else "°"
+    return f"{name} {widths.median:.2g}{unit} ({widths.largest:.2g}{unit})"
 
 
 def _counted(count: int, noun: str) -> str:

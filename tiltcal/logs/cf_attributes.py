@@ -13,6 +13,7 @@ import numpy as np
 from tiltcal.core.compensation import (
     CLIPPED,
     FLAGS,
+    MAGNETIC,
     NO_TEMPERATURE,
     NOT_A_NUMBER,
     OUTSIDE_TIME,
@@ -31,6 +32,7 @@ _MEANINGS = {
     NO_TEMPERATURE: "temperature_missing",
     NOT_A_NUMBER: "not_a_number",
     OUTSIDE_TIME: "outside_time_of_calibrations",
+    MAGNETIC: "no_heading_or_magnetic_field_of_unusual_length",
 }
 _JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
     "flag": {
@@ -92,7 +94,9 @@ def is_judgement(name: str) -> bool:
     return name.rpartition("_")[2] in _JUDGEMENTS
 
 
-def describe(name: str, added: Sequence[str], like: Mapping[str, Any]) -> dict[str, Any]:
+def describe(
+    name: str, added: Sequence[str], like: Mapping[str, Any], units: Mapping[str, str | None] | None = None
+) -> dict[str, Any]:
     """Return the attributes of a new column.
 
     Parameters
@@ -102,11 +106,14 @@ def describe(name: str, added: Sequence[str], like: Mapping[str, Any]) -> dict[s
         All new columns.
     like : mapping of str to Any
         The attributes of a reading, whose unit the matched sum of a pair has.
+    units : mapping of str to str or None, optional
+        The unit of new columns that have that of another column; None where that one states none.
     """
     place = {key: like[key] for key in ("coordinates",) if key in like}
     sensors = [one.removesuffix("flag") for one in added if one.endswith("_flag")]
     if lead := next((one for one in sensors if name.startswith(one)), ""):
-        own = describe(name.removeprefix(lead), [one.removeprefix(lead) for one in added if one.startswith(lead)], like)
+        of_sensor = [one.removeprefix(lead) for one in added if one.startswith(lead)]
+        own = describe(name.removeprefix(lead), of_sensor, like, units)
         own["long_name"] += f", of {lead.removesuffix('_')}"
         if "ancillary_variables" in own:
             own["ancillary_variables"] = " ".join(lead + one for one in own["ancillary_variables"].split())
@@ -114,7 +121,8 @@ def describe(name: str, added: Sequence[str], like: Mapping[str, Any]) -> dict[s
     if name in _JUDGEMENTS:
         return {**_JUDGEMENTS[name], **place}
     beside = [one for one in ("flag", "reason", _STANDARD + name, _EXPANDED + name) if one in added]
-    unit = _unit(name, like)
+    quantity = name.removeprefix(_STANDARD).removeprefix(_EXPANDED)
+    unit = units[quantity] if units and quantity in units else _unit(name, like)
     return {
         "long_name": _long_name(name),
         **({} if unit is None else {"units": unit}),
@@ -141,6 +149,8 @@ def _long_name(name: str) -> str:
         "pitch": "pitch, positive where the x axis points up",
         "roll": "roll, positive where the y axis points up",
         "inclination": "inclination of the z axis from the vertical",
+        "heading": "heading of the x axis, clockwise from north",
+        "v": f"velocity, component {of}",
         "matched": f"matched sum of the pair {of}",
         "gradient": "gradient signal" if not of else f"{of} component of the gradient signal at twice the turning",
     }.get(kind, name)

@@ -9,6 +9,7 @@ from tiltcal.errors import InputError, UsageError
 
 TEMPERATURE = "temperature"
 TIME = "time"
+HEADING = "heading"
 
 
 def named_columns(

@@ -24,20 +24,16 @@ if TYPE_CHECKING:
     from tiltcal.calibration.calibration_library import CalibrationLibrary
     from tiltcal.calibration.pair_calibration import PairCalibration
 
+Units = Mapping[str, str | None]
+
 
 def apply_frame(
     calibration: Calibration | PairCalibration | CalibrationLibrary,
     frame: Any,
     *,
     columns: Mapping[str, str] | str = "",
-    uncertainty: bool = False,
-    first_order: bool = False,
-    reading_noise: float | None = None,
-    mounting: Mapping[str, float] | str = "",
-    serial: str | None = None,
-    stability: float | None = None,
-    start: str | None = None,
     unit: str | None = None,
+    **options: Any,
 ) -> Any:
     """Apply a calibration to a frame.
 
@@ -48,18 +44,10 @@ def apply_frame(
         A column for each reading, and for the temperature in °C where there is one.
     columns : mapping of str to str, or str
         The column of each reading, such as ``{"x": "VoutX"}``; without it, the column of its name.
-    uncertainty : bool
-        Add the standard uncertainty of every angle and half of its 95 % interval, degrees.
-    first_order : bool
-        Use Cross-axis Compensation eq. 6 in place of the whole matrix.
-    reading_noise : float, optional
-        Standard uncertainty of a reading of the frame, in its unit, in place of that of a sample at the bench.
-    mounting : mapping of str to float, or str
-        How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of its own mounting.
-    serial, stability, start
-        With a folder of calibrations; see :meth:`CalibrationLibrary.apply`.
     unit : str, optional
         Of the readings; an xarray Dataset states it itself.
+    **options
+        Those of :class:`ApplyOptions`.
 
     Returns
     -------
@@ -73,12 +61,11 @@ def apply_frame(
     InputError
         A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
     """
-    options = ApplyOptions(first_order, uncertainty, reading_noise, mounting, serial, stability, start)
     reader = FrameReader(frame, unit=unit)
-    prepared = prepare_any(calibration, options)(reader, columns)
+    prepared = prepare_any(calibration, ApplyOptions(**options))(reader, columns)
     log = CompensatedLog.of(reader, prepared, columns)
     ((_block, table),) = log.blocks()
-    return reader.with_columns(table, log.channels)
+    return reader.with_columns(table, log.channels, log.units)
 
 
 class FrameReader(LogReader):
@@ -137,7 +124,7 @@ class FrameReader(LogReader):
             raise InputError("the columns differ in length", file=self.name)
         yield block
 
-    def with_columns(self, table: Table, channels: Sequence[int]) -> Any:
+    def with_columns(self, table: Table, channels: Sequence[int], units: Units) -> Any:
         """Return the frame, of its own kind, with columns behind its own.
 
         Parameters
@@ -145,8 +132,10 @@ class FrameReader(LogReader):
         table : mapping of str to ndarray
         channels : sequence of int
             Where the readings stand that they were made of.
+        units : mapping of str to str or None
+            The unit of those that have that of a column of the frame.
         """
-        return self._frame.with_columns(table, [self.names[index] for index in channels])
+        return self._frame.with_columns(table, [self.names[index] for index in channels], units)
 
 
 def rows_of(frame: Any, name: str) -> list[dict[str, Any]]:
@@ -186,7 +175,7 @@ class _Columns(Protocol):
 
     def times(self, name: str) -> Array | None: ...
 
-    def with_columns(self, table: Table, readings: Sequence[str]) -> Any: ...
+    def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any: ...
 
 
 def _columns_of(frame: Any, name: str) -> _Columns:
@@ -242,7 +231,7 @@ class _Table:
             return self.numbers(name)
         return _seconds(column.to_list())
 
-    def with_columns(self, table: Table, readings: Sequence[str]) -> Any:
+    def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any:
         import narwhals.stable.v2 as nw
 
         backend = self._frame.implementation
@@ -270,7 +259,7 @@ class _Arrays:
     def times(self, name: str) -> Array | None:
         return _timed(self._arrays[name])
 
-    def with_columns(self, table: Table, readings: Sequence[str]) -> dict[str, Any]:
+    def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> dict[str, Any]:
         return self._given | {name: np.ascontiguousarray(values) for name, values in table.items()}
 
 
@@ -306,12 +295,12 @@ class _Dataset:
             )
         return np.asarray(variable.values)
 
-    def with_columns(self, table: Table, readings: Sequence[str]) -> Any:
+    def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any:
         (dimension,) = self._data[readings[0]].dims
         like = self._data[readings[0]].attrs
         return self._data.assign(
             {
-                name: (dimension, np.ascontiguousarray(values), describe(name, tuple(table), like))
+                name: (dimension, np.ascontiguousarray(values), describe(name, tuple(table), like, units))
                 for name, values in table.items()
             }
         )

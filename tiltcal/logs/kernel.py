@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from tiltcal.core.compensation import NO_TEMPERATURE, SUSPECT, mark
+from tiltcal.core.compensation import NO_TEMPERATURE, SUSPECT, Bits, Compensated, Compensation, mark
 from tiltcal.core.model import Array
 from tiltcal.core.thermal_lag import ThermalLag
+from tiltcal.frozen import frozen
 from tiltcal.logs.log import Table
 
 if TYPE_CHECKING:
+    from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+    from tiltcal.core.earth_compensation import EarthFrameCompensation
     from tiltcal.core.pair.compensation import PairCompensation
 
 
-@dataclass(frozen=True)
+@frozen
 class RoleValues:
     """The values of some rows of a log, by role; NaN where one is missing.
 
@@ -59,46 +61,62 @@ class Kernel(Protocol):
         ...
 
 
-class _TiltCompensation(Protocol):
-    """A compensation of a tilt sensor, with the uncertainty of its angles or without."""
-
-    @property
-    def columns(self) -> tuple[str, ...]: ...
-
-    def __call__(self, readings: Array, temperature: Array | None) -> Any: ...
-
-    def table(self, result: Any, /) -> Table: ...
-
-
 class TiltKernel:
-    """The compensation of a tilt sensor.
+    """The compensation of a tilt sensor, and what is added to it, in this order.
 
     Parameters
     ----------
-    compensation : Compensation or CompensationWithUncertainty
+    compensation : Compensation
+    uncertain : CompensationWithUncertainty, optional
+        Adds the uncertainty of every angle.
+    earth : EarthFrameCompensation, optional
+        Adds heading and earth velocities.
     lag : float
         By how much its element is later than the thermometer, s. Rows without a time are compensated with the
         temperature of the thermometer, and have flag 3 and reason 16.
     """
 
-    def __init__(self, compensation: _TiltCompensation, lag: float = 0.0) -> None:
-        self._compensation = compensation
+    def __init__(
+        self,
+        compensation: Compensation,
+        uncertain: CompensationWithUncertainty | None = None,
+        earth: EarthFrameCompensation | None = None,
+        lag: float = 0.0,
+    ) -> None:
+        self._compensation, self._uncertain, self._earth = compensation, uncertain, earth
         self._lag = ThermalLag(lag) if lag else None
-        self.columns = compensation.columns
+        names = [*compensation.columns, *(() if uncertain is None else uncertain.added)]
+        self._own = len(names)
+        self.columns = (*names, *(() if earth is None else earth.columns))
 
     def __call__(self, values: RoleValues) -> Table:
+        temperature, lost = self._temperature(values)
+        out = Compensated.empty(len(values), len(self._compensation.axes))
+        table = self._compensation.table(out)
+        own = self._own - len(table)
+        added = np.empty((len(self.columns) - len(table), len(values)))
+        with np.errstate(all="ignore"):
+            for chunk in self._compensation.chunks(values.readings, temperature, out):
+                rows = chunk.rows
+                if self._uncertain is not None:
+                    added[:own, rows] = self._uncertain.propagation(chunk).reshape(own, -1)
+                if self._earth is not None:
+                    given = (values.magnetometer, values.heading, values.velocity)
+                    added[own:, rows] = self._earth(chunk, *(None if one is None else one[rows] for one in given))
+        if lost is not None:
+            mark(out, lost, SUSPECT, NO_TEMPERATURE)
+        return table | dict(zip(self.columns[len(table) :], added, strict=True))
+
+    def _temperature(self, values: RoleValues) -> tuple[Array | None, Bits | None]:
+        """Return the temperature of the element, and the rows for which it is that of the thermometer."""
         temperature = values.temperature
         if self._lag is None or temperature is None:
-            return self._compensation.table(self._compensation(values.readings, temperature))
+            return temperature, None
         if values.time is None:
-            lost = np.isfinite(temperature)
-        else:
-            element = self._lag(values.time, temperature)
-            lost = np.isfinite(temperature) & ~np.isfinite(element)
-            temperature = np.where(lost, temperature, element)
-        result = self._compensation(values.readings, temperature)
-        mark(result, lost, SUSPECT, NO_TEMPERATURE)
-        return self._compensation.table(result)
+            return temperature, np.isfinite(temperature)
+        element = self._lag(values.time, temperature)
+        lost = np.isfinite(temperature) & ~np.isfinite(element)
+        return np.where(lost, temperature, element), lost
 
 
 class PairKernel:

@@ -186,6 +186,8 @@ class LogWriter(ABC):
         Names of the columns behind the log's own.
     origin : mapping of str to str
         What the added columns were made with: ``software``, ``calibration``, ...
+    units : mapping of str to str or None
+        The unit of added columns that have that of a column of the log; None where that one states none.
 
     Attributes
     ----------
@@ -196,12 +198,18 @@ class LogWriter(ABC):
     frames: ClassVar[bool] = False
 
     def __init__(
-        self, sink: BinaryIO, log: LogReader, added: Sequence[str] = (), origin: Mapping[str, str] | None = None
+        self,
+        sink: BinaryIO,
+        log: LogReader,
+        added: Sequence[str] = (),
+        origin: Mapping[str, str] | None = None,
+        units: Mapping[str, str | None] | None = None,
     ) -> None:
         self._sink = sink
         self._log = log
         self._added = tuple(added)
         self._origin = dict(origin or {})
+        self._units = dict(units or {})
 
     @abstractmethod
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ import tiltcal
 from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
-from tiltcal.logs.columns import TIME
+from tiltcal.logs.columns import HEADING, TIME
 from tiltcal.logs.kernel import Kernel, PairKernel, TiltKernel
 from tiltcal.logs.streams import sha256_of
 
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
     from tiltcal.core.compensation import Compensation
+    from tiltcal.core.earth_compensation import EarthFrameCompensation
+
+
+_EXAMPLES = {"magnetometer": "mx,my,mz", "velocity": "u,v,w"}
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,12 @@ class ApplyOptions:
         With a folder: the standard deviation of the offset's change in one day, mg; None to estimate it.
     start : str or None
         With a folder: when the time of the log is 0, ISO 8601; None where its time counts from 1970 or is a date.
+    magnetometer, velocity : sequence of str or str
+        The three columns of the magnetic field and of a velocity, such as ``"mx,my,mz"``; empty for none.
+    declination : float or None
+        How far magnetic north is east of true north, degrees.
+    magnetometer_noise : float or None
+        Standard uncertainty of a component of the field, in its unit; None for exact ones.
     """
 
     first_order: bool = False
@@ -50,6 +60,28 @@ class ApplyOptions:
     serial: str | None = None
     stability: float | None = None
     start: str | None = None
+    magnetometer: Sequence[str] | str = ()
+    velocity: Sequence[str] | str = ()
+    declination: float | None = None
+    magnetometer_noise: float | None = None
+
+    def vectors(self) -> dict[str, tuple[str, ...]]:
+        """Return the columns of the vectors that are asked for, by role.
+
+        Raises
+        ------
+        UsageError
+            A vector has not three columns, or an option needs another.
+        """
+        given = {"magnetometer": self.magnetometer, "velocity": self.velocity}
+        found = {role: _three_columns(role, names) for role, names in given.items() if names}
+        if self.declination is not None and not found:
+            raise UsageError("--declination needs --magnetometer or --velocity")
+        if self.declination is not None and not abs(self.declination) <= 180.0:
+            raise UsageError(f"--declination is between -180 and 180 degrees, not {self.declination:g}")
+        if self.magnetometer_noise is not None and not (self.uncertainty and self.magnetometer):
+            raise UsageError("--magnetometer-noise needs --magnetometer and --uncertainty")
+        return found
 
     def require_file(self) -> None:
         """Refuse what is for a folder of calibrations.
@@ -97,7 +129,14 @@ class PreparedCalibration:
     origin: Mapping[str, str]
     roles: tuple[str, ...] = ()
     optional_roles: tuple[str, ...] = ()
-    vectors: Mapping[str, tuple[str, str, str]] = field(default_factory=dict)
+    vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+def _three_columns(role: str, names: Sequence[str] | str) -> tuple[str, ...]:
+    columns = tuple(name.strip() for name in (names.split(",") if isinstance(names, str) else names))
+    if len(set(columns)) != 3 or not all(columns):
+        raise UsageError(f"--{role} names three columns, along x, y and z, such as {_EXAMPLES[role]}; not {names!r}")
+    return columns
 
 
 def prepare_file(
@@ -144,6 +183,7 @@ def prepare(
     InputError
         The calibration cannot be applied.
     """
+    vectors = options.vectors()
     stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}
     if not isinstance(calibration, Calibration):
         return _of_pairs(calibration, options, stated, str(file or "the calibration"))
@@ -154,17 +194,20 @@ def prepare(
     try:
         compensation = calibration.compensation(first_order=options.first_order)
         uncertain = _uncertain(calibration, compensation, options.reading_noise, say) if options.uncertainty else None
+        earth = _earth(compensation, uncertain, options, say) if vectors else None
     except EstimateError as failure:
         raise InputError(str(failure), file=file) from failure
     lag = 0.0 if coefficients.thermal is None else coefficients.thermal.lag
     return PreparedCalibration(
-        TiltKernel(compensation if uncertain is None else uncertain, lag),
+        TiltKernel(compensation, uncertain, earth, lag),
         coefficients.channels,
         sensor.unit,
         compensation.angles,
-        () if uncertain is None else uncertain.expanded,
+        (*(uncertain.expanded if uncertain else ()), *(earth.expanded if earth else ())),
         stated,
-        optional_roles=(TIME,) if lag else (),
+        () if "magnetometer" in vectors or not vectors else (HEADING,),
+        (TIME,) if lag else (),
+        vectors,
     )
 
 
@@ -175,6 +218,8 @@ def _of_pairs(
         ("--first-order", options.first_order),
         ("--uncertainty", options.uncertainty),
         ("--mounting", options.mounting),
+        ("--magnetometer", options.magnetometer),
+        ("--velocity", options.velocity),
     ):
         if given:
             raise UsageError(f"{name} is for tilt calibrations; {file} is of pairs, which have no tilt")
@@ -190,6 +235,33 @@ def _mounted(calibration: Calibration, angles: Mapping[str, float] | str, say: C
     if own is not None:
         say(f"note: --mounting replaces the mounting of the calibration, {mounting_in_words(own)}")
     return calibration.with_mounting(angles)
+
+
+def _earth(
+    compensation: Compensation,
+    uncertain: CompensationWithUncertainty | None,
+    options: ApplyOptions,
+    say: Callable[[str], None],
+) -> EarthFrameCompensation:
+    """Return what adds heading and earth velocities; report which north they count from."""
+    from tiltcal.core.earth_compensation import EarthFrameCompensation
+    from tiltcal.core.earth_uncertainty import EarthUncertainty
+
+    if options.magnetometer and options.declination is None:
+        say("note: heading counts from magnetic north: there is no --declination")
+    if not options.magnetometer and options.declination:
+        say(f"note: the declination of {options.declination:g}° is added to the heading of the log")
+    if uncertain is not None and options.magnetometer and options.magnetometer_noise is None:
+        say("note: the magnetometer counts as exact (--magnetometer-noise)")
+    return EarthFrameCompensation(
+        compensation,
+        magnetometer=bool(options.magnetometer),
+        velocity=bool(options.velocity),
+        declination=options.declination or 0.0,
+        uncertainty=(
+            None if uncertain is None else EarthUncertainty(uncertain.propagation, options.magnetometer_noise or 0.0)
+        ),
+    )
 
 
 def _uncertain(

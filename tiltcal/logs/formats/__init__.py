@@ -140,6 +140,7 @@ def create_log(
     log: LogReader,
     added: Sequence[str] = (),
     origin: Mapping[str, str] | None = None,
+    units: Mapping[str, str | None] | None = None,
 ) -> LogWriter:
     """Return what writes the rows of a log, in the format that the output's name selects.
 
@@ -155,5 +156,7 @@ def create_log(
         Names of the columns behind the log's own.
     origin : mapping of str to str, optional
         What these were made with.
+    units : mapping of str to str or None, optional
+        The unit of those of them that have that of a column of the log.
     """
-    return log_format(output).writer()(sink, log, added, origin)
+    return log_format(output).writer()(sink, log, added, origin, units)

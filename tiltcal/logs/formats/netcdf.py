@@ -226,7 +226,7 @@ class NetcdfWriter(LogWriter):
             shuffle=True,
             fillvalue=None if whole else np.nan,
         )
-        for key, value in describe(name, self._added, like).items():
+        for key, value in describe(name, self._added, like, self._units).items():
             variable.attrs[key] = value
         return variable
 

@@ -1,0 +1,155 @@
+"""``tiltcal apply --magnetometer --velocity``: columns, notes, refusals; the numbers are in the unit tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from click.testing import CliRunner, Result
+
+import tiltcal
+from tiltcal.cli.apply import command
+from tiltcal.errors import InputError, TiltcalError, UsageError
+
+CAL = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: bench-built, serial: S-1, unit: V, channels: [x, y]}
+calibration:
+  offset: {x: 2.5, y: 2.5}
+  sensitivity: {x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}
+uncertainty:
+  offset: {x: 0.003, y: 0.003}
+  single_reading: {x: 0.004, y: 0.004}
+"""
+LOG = """\
+x,y,mx,my,mz,u,v,w,h
+2.5,2.5,20,0,-40,0,1,0,5
+3.5,2.5,-11.339746,17.320508,-39.641016,1,0,0,65
+"""
+TIMES = ("time", "1777640400", "1777726800")
+"""Noon of May 1st and 2nd, 2026, UTC, seconds since 1970."""
+COMPASS = ("--magnetometer", "mx,my,mz", "--declination", "5", "--velocity", "u,v,w")
+BY_HAND = {"heading": [5.0, 65.0], "v_east": [-0.996195, 0.784886], "v_north": [0.087156, 0.365998], "v_up": [0.0, 0.5]}
+"""Worked out in docs/how-to.md."""
+
+
+@pytest.fixture(autouse=True)
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("cal.yaml").write_text(CAL)
+    Path("log.csv").write_text(LOG)
+
+
+def apply(*arguments: str, log: str = "log.csv") -> Result:
+    return CliRunner().invoke(command, ["cal.yaml", log, *arguments])
+
+
+def columns(result: Result) -> dict[str, list[float]]:
+    assert result.exit_code == 0, result.exception
+    names, *rows = (line.split(",") for line in result.stdout.splitlines())
+    return {name: [float(cell) for cell in cells] for name, *cells in zip(names, *rows, strict=True)}
+
+
+def refused(*arguments: str, kind: type[TiltcalError] = UsageError) -> str:
+    found = apply(*arguments).exception
+    assert isinstance(found, kind), found
+    return str(found)
+
+
+def test_a_magnetometer_gives_the_numbers_worked_out_by_hand() -> None:
+    found = apply(*COMPASS)
+    assert found.stdout.splitlines()[0].endswith("w,h,g_x,g_y,tilt_x,tilt_y,flag,reason,heading,v_east,v_north,v_up")
+    assert {name: columns(found)[name] for name in BY_HAND} == {
+        name: pytest.approx(values, abs=2e-6) for name, values in BY_HAND.items()
+    }
+    assert "magnetic north" not in found.stderr
+
+
+def test_a_column_of_headings_gives_the_same_velocities_and_is_true() -> None:
+    found = columns(apply("--velocity", "u,v,w", "--columns", "heading=h"))
+    assert "heading" not in found
+    for name in ("v_east", "v_north", "v_up"):
+        assert found[name] == pytest.approx(BY_HAND[name], abs=2e-6)
+
+
+def test_the_declination_is_added_to_a_column_and_a_note_says_so() -> None:
+    found = apply("--velocity", "u,v,w", "--columns", "heading=h", "--declination", "90")
+    assert "declination of 90° is added to the heading of the log" in found.stderr
+    assert columns(found)["v_east"][1] == pytest.approx(0.365998, abs=2e-6)
+
+
+def test_notes_name_the_north_and_what_counts_as_exact() -> None:
+    found = apply("--magnetometer", "mx,my,mz", "--uncertainty")
+    assert "counts from magnetic north" in found.stderr
+    assert "the magnetometer counts as exact" in found.stderr
+    assert "U95_heading 0.56° (0.72°)" in found.stderr
+    # 0.003 and 0.004 V of 2 V/g are 0.1433°; the field dips by atan 2.
+    assert columns(found)["u_heading"][0] == pytest.approx(2 * 0.14324, rel=1e-3)
+
+
+def test_the_noise_of_the_magnetometer_counts() -> None:
+    found = columns(apply("--magnetometer", "mx,my,mz", "--uncertainty", "--magnetometer-noise", "0.2"))
+    assert found["u_heading"][0] == pytest.approx(np.hypot(2 * 0.14324, np.degrees(0.2 / 20)), rel=1e-3)
+
+
+def test_a_log_and_a_frame_give_the_same() -> None:
+    values = np.genfromtxt("log.csv", delimiter=",", names=True)
+    options = {"magnetometer": ("mx", "my", "mz"), "velocity": "u,v,w", "declination": 5.0, "uncertainty": True}
+    frame = tiltcal.read("cal.yaml").apply({name: values[name] for name in values.dtype.names}, **options)
+    for name, column in columns(apply(*COMPASS, "--uncertainty")).items():
+        assert frame[name].tolist() == column
+
+
+def test_a_field_of_another_length_is_flagged_on_its_row() -> None:
+    Path("log.csv").write_text(LOG + "2.5,2.5,30,0,-40,0,1,0,5\n")
+    found = columns(apply(*COMPASS))
+    assert (found["flag"], found["reason"]) == ([1, 1, 3], [0, 0, 128])
+
+
+def test_a_folder_of_calibrations_gives_the_same() -> None:
+    Path("folder").mkdir()
+    for day in (1, 3):
+        dated = f'provenance: {{started: "2026-05-0{day}T00:00:00Z", ended: "2026-05-0{day}T01:00:00Z"}}\n'
+        Path(f"folder/{day}.yaml").write_text(CAL + dated)
+    Path("log.csv").write_text("\n".join(map(",".join, zip(TIMES, LOG.splitlines(), strict=True))) + "\n")
+    options = (*COMPASS, "--uncertainty")
+    one = columns(apply(*options))
+    found = columns(CliRunner().invoke(command, ["--calibrations", "folder", "log.csv", *options]))
+    assert list(found) == list(one)
+    for name in BY_HAND:
+        assert found[name] == pytest.approx(one[name], abs=1e-12)
+
+
+def test_netcdf_states_units_and_meanings() -> None:
+    names, *rows = (line.split(",") for line in LOG.splitlines())
+    data = {name: ("time", [float(cell) for cell in cells]) for name, *cells in zip(names, *rows, strict=True)}
+    dataset = xarray.Dataset(data)
+    for name in "uvw":
+        dataset[name].attrs["units"] = "cm s-1"
+    dataset.to_netcdf("log.nc", engine="h5netcdf")
+    assert apply(*COMPASS, "--uncertainty", "-o", "out.nc", log="log.nc").exit_code == 0
+    with xarray.open_dataset("out.nc", engine="h5netcdf") as found:
+        assert {name: found[name].attrs.get("units") for name in ("heading", "v_east", "U95_v_up", "u_heading")} == {
+            "heading": "degree",
+            "v_east": "cm s-1",
+            "U95_v_up": "cm s-1",
+            "u_heading": "degree",
+        }
+        masks = found["reason"].attrs["flag_masks"].tolist()
+        assert found["reason"].attrs["flag_meanings"].split()[masks.index(128)].startswith("no_heading")
+        assert found["v_north"].values == pytest.approx(BY_HAND["v_north"], abs=2e-6)
+
+
+def test_refusals() -> None:
+    assert "three columns" in refused("--velocity", "u,v", "--columns", "heading=h")
+    assert "--declination needs" in refused("--declination", "4")
+    assert "between -180 and 180" in refused("--magnetometer", "mx,my,mz", "--declination", "361")
+    assert "needs --magnetometer and --uncertainty" in refused(
+        "--magnetometer", "mx,my,mz", "--magnetometer-noise", "1"
+    )
+    assert "no role 'heading'" in refused("--columns", "heading=h")
+    assert "--columns heading=NAME" in refused("--velocity", "u,v,w", kind=InputError)
+    assert "--magnetometer NAME" in refused("--magnetometer", "mx,my,m", kind=InputError)
