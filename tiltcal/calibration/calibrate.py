@@ -16,6 +16,7 @@ from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
+from tiltcal.calibration.ramp import calibrate_ramp
 from tiltcal.calibration.temperature import choose_order, swept, with_order, with_typical_temperature
 from tiltcal.calibration.unit_gravity import directed, require_no_jig, with_verdict
 from tiltcal.core.rounding import round_to
@@ -73,6 +74,8 @@ def calibrate(
     elif procedure.determines.level:
         bench = _with_thermometer(bench, sensors)
         found = [level(_base(one), one.measurements, procedure, bench, settings=settings) for one in sensors]
+    elif procedure.ramp is not None:
+        found = [calibrate_ramp(one, procedure, bench, settings=settings) for one in sensors]
     else:
         found = _fitted(sensors, procedure, _with_thermometer(bench, sensors), settings)
         if typical_temperature:

@@ -67,20 +67,40 @@ def fit_jointly(
         design = seen.design
         remarks = () if design.priors else judge_channels(sensor, estimated)
         one = _with_remarks(_with_hysteresis(estimated, seen.observations), sensor.measurements, design)
-        fit = fit_record(one, design, _largest_noise(sensor.measurements, design.channels))
-        calibrations.append(
-            CalibrationRecord(
-                sensor=replace(sensor.sensor, channels=design.channels),
-                coefficients=rounded(one),
-                uncertainty=uncertainty_of(one, _reading(sensor.measurements, design)),
-                limits=_limits(design, sensor, one.coefficients.thermal is not None),
-                derived=derived_record(one, design, "nominal of the model" if sensor.base is None else OF_BASE),
-                fit=replace(fit, notes=(*fit.notes, *remarks)),
-                procedure=_procedure(procedure, sensor.measurements, settings or {}),
-                positions=tuple(measurement.record(design.channels) for measurement in sensor.measurements),
-            )
-        )
+        found = record_of(one, design, sensor, procedure, settings)
+        calibrations.append(replace(found, fit=replace(found.fit, notes=(*found.fit.notes, *remarks))))
     return calibrations
+
+
+def record_of(
+    found: Estimate,
+    design: Design,
+    sensor: MeasuredSensor,
+    procedure: Procedure,
+    settings: Mapping[str, Any] | None = None,
+) -> CalibrationRecord:
+    """Return the calibration file of an estimate, without its provenance, its numbers rounded to their uncertainty.
+
+    Parameters
+    ----------
+    found : Estimate
+    design : Design
+    sensor : MeasuredSensor
+        Its measurements are those of the estimate.
+    procedure : Procedure
+    settings : mapping, optional
+        How the procedure was run.
+    """
+    return CalibrationRecord(
+        sensor=replace(sensor.sensor, channels=design.channels),
+        coefficients=rounded(found),
+        uncertainty=uncertainty_of(found, _reading(sensor.measurements, design)),
+        limits=_limits(design, sensor, found.coefficients.thermal is not None),
+        derived=derived_record(found, design, "nominal of the model" if sensor.base is None else OF_BASE),
+        fit=fit_record(found, design, _largest_noise(sensor.measurements, design.channels)),
+        procedure=_procedure(procedure, sensor.measurements, settings or {}),
+        positions=tuple(measurement.record(design.channels) for measurement in sensor.measurements),
+    )
 
 
 def _with_hysteresis(found: Estimate, observations: Sequence[Observation]) -> Estimate:

@@ -8,6 +8,7 @@ from math import isfinite
 from typing import Any
 
 from tiltcal.core.estimation.design import STRAIGHT
+from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model, Population
@@ -142,6 +143,8 @@ class MeasuredSensor:
     thermometer : float or None
         Standard uncertainty from the step of the sensor's own thermometer, °C; None where it did not take the
         temperatures.
+    ramp : RampRecord or None
+        Of a ramp, the continuous record; its one measurement is the attitude.
     base : CalibrationRecord or None
         The sensor's own calibration: a mounting or a new level completes it, and its sensitivity stands in where a
         procedure determines none.
@@ -153,3 +156,4 @@ class MeasuredSensor:
     orientation: Sequence[Sequence[float]] = STRAIGHT
     thermometer: float | None = None
     base: CalibrationRecord | None = None
+    ramp: RampRecord | None = None

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from math import degrees, hypot, radians, sqrt
 from typing import Any
 
@@ -23,6 +25,9 @@ from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
 from tiltcal.frozen import frozen
+
+PARTS = 8
+"""Positions that stand for a leg of a ramp."""
 
 SHOWN = 3
 """Correlations and positions that are named."""
@@ -145,6 +150,18 @@ def predict_mounting(
     return PredictedMounting({name: degrees(getattr(straight, name)) for name in ANGLES}, jig)
 
 
+def along_ramp(procedure: Procedure) -> Procedure:
+    """Return a ramp as positions on the way between its turning points, by which its uncertainty is predicted."""
+    turns = [one.temperature or 0.0 for one in procedure.positions]
+    ways = pairwise([procedure.reference or turns[-1], *turns])
+    positions = tuple(
+        replace(procedure.positions[0], name=f"leg-{leg}-{part + 1}", temperature=start + (end - start) * part / PARTS)
+        for leg, (start, end) in enumerate(ways, start=1)
+        for part in range(PARTS)
+    )
+    return replace(procedure, positions=positions)
+
+
 def predict(
     procedure: Procedure,
     model: Model,
@@ -189,6 +206,8 @@ def predict(
         The device is no tilt sensor.
     """
     require_tilt(procedure, model)
+    if procedure.ramp is not None:
+        procedure = along_ramp(procedure)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
     warmth = model.thermometer_rounding if thermometer is None else thermometer
     design = design_of(

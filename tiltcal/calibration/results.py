@@ -12,7 +12,7 @@ from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.intrinsic import IntrinsicQuantity, intrinsic
-from tiltcal.core.model import AXES, Array, Coefficients, Thermal
+from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.files.records import (
     DerivedCoverage,
@@ -46,8 +46,8 @@ def rounded(found: Estimate) -> Coefficients:
     coefficients, u = found.coefficients, found.uncertainty()
     thermal = coefficients.thermal
     if thermal is not None:
-        thermal = Thermal(
-            reference=thermal.reference,
+        thermal = replace(
+            thermal,
             range=None if thermal.range is None else (round(thermal.range[0], 3), round(thermal.range[1], 3)),
             drift=_rounded_rows(thermal.drift, coefficients.channels, "temperature.offset", u),
             gain=_rounded_rows(thermal.gain, coefficients.channels, "temperature.sensitivity", u),

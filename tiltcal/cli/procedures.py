@@ -30,11 +30,16 @@ def command(procedure: str | None, source: bool, as_json: bool) -> None:
     elif procedure is None:
         width = max(len(one.name) for one in shown)
         for one in shown:
-            turning = one.rotation
-            length = f"{len(one.positions)} positions" if turning is None else f"up to {turning.turns} turns"
-            click.echo(f"{one.name:<{width}} {one.title} ({length})")
+            click.echo(f"{one.name:<{width}} {one.title} ({_length(one)})")
     else:
         _show(shown[0])
+
+
+def _length(procedure: Procedure) -> str:
+    """Return how long a procedure is, in its own terms."""
+    if procedure.rotation is not None:
+        return f"up to {procedure.rotation.turns} turns"
+    return f"{len(procedure.positions)} {'positions' if procedure.ramp is None else 'legs'}"
 
 
 def _show(procedure: Procedure) -> None:
@@ -46,7 +51,13 @@ def _show(procedure: Procedure) -> None:
         _show_rotation(procedure.rotation)
         return
     click.echo(f"  determines  {_determined(determines)}")
-    click.echo(f"  samples     {procedure.samples} per position, still for {procedure.settle:g} s")
+    if procedure.ramp is None:
+        click.echo(f"  samples     {procedure.samples} per position, still for {procedure.settle:g} s")
+    else:
+        ramp = procedure.ramp
+        click.echo(
+            f"  samples     one every {ramp.interval:g} s, while the temperature changes by {ramp.pace:g} °C/min"
+        )
     for number, position in enumerate(procedure.positions, start=1):
         click.echo(f"  {number:>2}. {position.name:<12} {position.prompt}")
 

@@ -237,6 +237,7 @@ def _comments(unit: str) -> dict[str, str]:
         "calibration.temperature.range": "°C",
         "calibration.temperature.offset": f"{unit}/°C, {unit}/°C², ...",
         "calibration.temperature.sensitivity": "1/°C, 1/°C², ...",
+        "calibration.temperature.lag": "s, positive where the sensing element is later than the thermometer",
         "calibration.mounting": "degrees",
         "uncertainty": "standard uncertainty, k = 1",
         "limits": "the ranges that were covered, degrees and °C",

@@ -249,6 +249,20 @@ def _right_angle(angle: float, node: Node, context: Context) -> float:
 
 
 @frozen(kw_only=True)
+class Ramp:
+    """How the temperature changes between the positions, which are the turning points of a ramp."""
+
+    pace: float = entry(Number(above=0.0), "of the virtual chamber, and a proposal for a real one, °C/min")
+    within: float = entry(
+        Number(above=0.0), "how close to its temperature a leg ends, °C; a turn need not be exact", default=1.0
+    )
+    interval: float = entry(Number(above=0.0), "seconds between two samples", default=5.0)
+    patience: float = entry(
+        Number(above=0.0), "seconds without a change of temperature after which a leg is ended as it is", default=1800.0
+    )
+
+
+@frozen(kw_only=True)
 class PositionsProcedure:
     """A procedure of positions as it stands in a file."""
 
@@ -277,6 +291,11 @@ class PositionsProcedure:
         "at a new temperature: the window, seconds, and the largest drift in it, °C",
         default=Soak(seconds=20.0, drift=0.3),
         usual="`{seconds: 20, drift: 0.3}`",
+    )
+    ramp: Ramp | None = entry(
+        Section(Ramp),
+        "the sensor is sampled without a break, in one attitude, while the temperature goes from position to position",
+        default=None,
     )
     positions: tuple[Position, ...] = entry(
         Converted(
@@ -314,6 +333,8 @@ class Procedure:
         By how much at most the sensor may sit askew since its calibration, degrees about each axis.
     record : mapping
         The procedure as plain data, before ``angle`` and the turns were put in.
+    ramp : Ramp or None
+        Of a continuous record: its positions are one attitude, and the temperatures at which it turns.
     rotation : Rotation or None
         What is done while a stage turns, in place of positions; such a procedure has none, and determines no tilt.
     """
@@ -331,6 +352,7 @@ class Procedure:
     soak_drift: float = 0.3
     record: Mapping[str, Any] = field(default_factory=dict, compare=False)
     alignment: float = 0.0
+    ramp: Ramp | None = None
     rotation: Rotation | None = None
 
     def require_positions(self) -> None:
@@ -497,6 +519,8 @@ def _of_positions(found: PositionsProcedure, node: Node, context: Context) -> Pr
         raise node.entries()["determines"].error(
             "temperature terms need the key 'reference', the temperature that they are counted from"
         )
+    if found.ramp is not None:
+        _require_ramp(found, node)
     if found.determines.level:
         for item, position in zip(node.entries()["positions"].items(), found.positions, strict=True):
             if position.gravity != LEVEL:
@@ -514,8 +538,19 @@ def _of_positions(found: PositionsProcedure, node: Node, context: Context) -> Pr
         soak_seconds=found.soak.seconds,
         soak_drift=found.soak.drift,
         alignment=found.alignment,
+        ramp=found.ramp,
         record=node.plain(),
     )
+
+
+def _require_ramp(found: PositionsProcedure, node: Node) -> None:
+    """Refuse a ramp that does not go up and down in one attitude."""
+    entries = node.entries()
+    if found.determines.axes or not found.determines.drift or found.determines.gain:
+        raise entries["determines"].error("a ramp determines the drift of the offset alone: axes: [], drift: 3")
+    for position, item in zip(found.positions, entries["positions"].items(), strict=True):
+        if position.temperature is None or position.gravity != found.positions[0].gravity:
+            raise item.error("the positions of a ramp have one attitude, and each a temperature at which it turns")
 
 
 def _with_angle(key: str, found: Mapping[str, Any], context: Context) -> Context:

@@ -18,6 +18,7 @@ from tiltcal.files.declaration import (
     Integer,
     ListOf,
     Number,
+    Range,
     Section,
     Text,
     entry,
@@ -69,6 +70,33 @@ class Hysteresis:
 
     difference: float = entry(Number(), "the later visit less the earlier one, unit")
     between: tuple[str, ...] = entry(ListOf(Text(), 2, 2), "the two positions")
+
+
+@frozen(kw_only=True)
+class RampLeg:
+    """A leg of a ramp, and how well it is predicted from the others."""
+
+    way: str = entry(Text(), "`up` or `down`")
+    temperature: tuple[float, float] = entry(Range(), "`[low, high]`, °C")
+    seconds: float = entry(SHARE, "how long it lasts")
+    pace: float = entry(SHARE, "°C/min")
+    polynomial: Mapping[str, float] = entry(
+        ByChannel(SHARE), "per channel the rms error of the polynomial alone, fitted to the other legs, unit"
+    )
+    lagged: Mapping[str, float] = entry(ByChannel(SHARE), "the same with a lag")
+
+
+@frozen(kw_only=True)
+class RampFitRecord:
+    """The thermal lag that a ramp shows."""
+
+    lag: float = entry(Number(), "that was found, s")
+    u_lag: float = entry(SHARE, "its standard uncertainty, s")
+    used: bool = entry(Flag(), "whether it betters every leg that it was not fitted to, and is in the calibration")
+    explained_percent: Mapping[str, float] = entry(
+        CHANNELS, "per channel which part of the square of the loop it explains, %"
+    )
+    legs: tuple[RampLeg, ...] = entry(ListOf(Section(RampLeg)), "the legs of the record")
 
 
 @frozen(kw_only=True)
@@ -146,6 +174,9 @@ class FitRecord:
         ByChannel(Section(Hysteresis)),
         "after a sweep: per channel the largest difference between two visits to one temperature",
         default={},
+    )
+    ramp: RampFitRecord | None = entry(
+        Section(RampFitRecord), "after a ramp: the thermal lag, and what each leg says of it", default=None
     )
     distinct_attitudes: int | None = entry(
         Integer(minimum=0), "from free positions: how many attitudes differ", default=None

@@ -14,10 +14,12 @@ from tiltcal.calibration.joint_fit import no_sensitivity
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
 from tiltcal.calibration.prediction import require_tilt
 from tiltcal.calibration.unit_gravity import directions, require_no_jig
+from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import significant
+from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.device import Model
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base import bases_of
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.node import require_printable
@@ -28,6 +30,7 @@ from tiltcal.files.segments import Segment, read_segments
 from tiltcal.logs.columns import named_columns
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.log import Progress
+from tiltcal.logs.ramp import read_ramp
 from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
 from tiltcal.logs.static_intervals import (
     RecordedReadings,
@@ -153,13 +156,19 @@ def fit(
     known = bases_of(steps, base, [serial]).get(serial)
     own = None if known is None else known.calibration
     identity = _identity(own, model, steps, unit, serial)
-    positions = source.free_positions(identity, say) if steps.determines.free else source.set_positions(identity, steps)
+    if steps.ramp is not None:
+        positions = source.ramp(identity, steps)
+    elif steps.determines.free:
+        positions = source.free_positions(identity, say)
+    else:
+        positions = source.set_positions(identity, steps)
     measured = MeasuredSensor(
         identity,
         positions.measurements,
         None if model is None or model.unit != identity.unit else Nominal.of(model),
         thermometer=None if model is None else model.thermometer_rounding,
         base=own,
+        ramp=positions.ramp,
     )
     bench = BenchUncertainty(jig, thermometer, table_lean, heading)
     (found,) = calibrate([measured], steps, bench, table=source.table, gravity=gravity)
@@ -176,10 +185,13 @@ class FitPositions:
     measurements : sequence of Measurement
     provenance : Provenance
         Names and checksums of what was read.
+    ramp : RampRecord or None
+        Of a ramp, the continuous record.
     """
 
     measurements: Sequence[Measurement]
     provenance: Provenance
+    ramp: RampRecord | None = None
 
 
 @dataclass(frozen=True)
@@ -210,7 +222,9 @@ class FitSource:
         if self.table and self.columns:
             raise UsageError("a --table names its columns itself (position, x, y, z, ...): leave --columns out")
         free = procedure.determines.free
-        if not free and self.finds and len(procedure.positions) > 1:
+        if procedure.ramp is not None and self.table:
+            raise UsageError(f"{procedure.name} takes a continuous record, not a --table of positions")
+        if not free and self.finds and len(procedure.positions) > 1 and procedure.ramp is None:
             raise UsageError(
                 "say with --segments which rows were taken in which position (or that LOG is a --table of positions); "
                 "only `tiltcal fit free` finds them itself, because it does not need the positions"
@@ -230,6 +244,46 @@ class FitSource:
         """
         holds, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor)
         return FitPositions(placed(holds, procedure, file=self._name), provenance)
+
+    def ramp(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
+        """Return the continuous record of a ramp: the whole log, or the rows of its one segment.
+
+        Raises
+        ------
+        InputError
+            A file is wrong, or there are several segments; the message names file and line.
+        EstimateError
+            The record has too few rows.
+        """
+        segment = None
+        if self.segments is not None:
+            segment, *more = read_segments(_path_or_rows(self.segments, "the segments"))
+            if more:
+                raise InputError(
+                    f"{procedure.name} takes one continuous record, and these are {1 + len(more)} segments: name the "
+                    "first row and the last of the whole ramp",
+                    file=self._name,
+                )
+        named = named_columns(self.columns, sensor.channels)
+        found = read_ramp(self.data, sensor.channels, named, sensor.unit, segment)
+        first = procedure.positions[0]
+        known = {one.name: one.gravity for one in procedure.positions}
+        gravity = first.gravity
+        if segment is not None:
+            gravity = segment.gravity or known.get(segment.name, gravity)
+        attitude = Measurement(
+            first.name if segment is None else segment.name,
+            gravity,
+            first.tilt if gravity == first.gravity else None,
+            None,
+            dict.fromkeys(sensor.channels, SampleSummary(0.0, 0.0, 1, 0.0)),
+        )
+        segments = None if segment is None else _origin(self.segments, SegmentsRecord)
+        provenance = self._provenance(None, segments)
+        log = _origin(self.data, LogRecord)
+        if log is not None:
+            provenance = replace(provenance, log=replace(log, rows=found.rows, missing=found.missing or None))
+        return FitPositions([attitude], provenance, found.record)
 
     def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
         """Positions of a sensor of three channels in the directions that its readings show.

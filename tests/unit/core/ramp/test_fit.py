@@ -1,0 +1,164 @@
+"""The drift and the lag of a ramp, on records that the differential equation makes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tiltcal.core.ramp.fit import fit_ramp
+from tiltcal.core.ramp.record import RampRecord, RecordAverager, legs_of
+from tiltcal.errors import EstimateError
+
+REFERENCE = 24.0
+CURVES = np.array([[1000.0, 0.8, 0.010, -1e-4], [1000.0, -0.5, 0.004, 1e-4]])
+"""unit, unit/°C, ..."""
+
+LOW, SPAN = 5.0, 40.0
+
+
+def chamber(seconds, pace):
+    """From 5 to 45 °C and back, at a pace in °C/min."""
+    return LOW + SPAN * np.abs((seconds / (SPAN / pace * 60.0) + 1.0) % 2.0 - 1.0)
+
+
+def delayed(seconds, pace, lag):
+    def slope(t, e):
+        return (chamber(t, pace) - e) / lag
+
+    return solve_ivp(slope, (0.0, seconds[-1]), [LOW], t_eval=seconds, max_step=lag / 2.0, rtol=1e-7).y[0]
+
+
+def read(element):
+    return np.stack([np.polynomial.polynomial.polyval(element - REFERENCE, curve) for curve in CURVES], axis=1)
+
+
+def recorded(seconds, thermometer, readings):
+    averager = RecordAverager(readings.shape[1])
+    averager.add(seconds, thermometer, readings)
+    return averager.record()
+
+
+def made(pace, *, lag=0.0, legs=4, noise=1.0, seed=1, wander=0.0):
+    """A record of a row every two seconds or more, of about 2000 rows."""
+    draw = np.random.default_rng(seed)
+    seconds = np.linspace(0.0, legs * SPAN / pace * 60.0, 2400)
+    thermometer = chamber(seconds, pace)
+    element = thermometer
+    if lag > 0.0:
+        element = delayed(seconds, pace, lag)
+    elif lag < 0.0:
+        thermometer = delayed(seconds, pace, -lag)
+    readings = read(element) + noise * draw.normal(size=(len(seconds), 2))
+    readings += wander * np.cumsum(draw.normal(size=readings.shape), axis=0)
+    return recorded(seconds, thermometer, readings)
+
+
+def curve_error(found, at=None):
+    """How far the curves are off, shape (channels, temperatures), unit."""
+    at = np.linspace(LOW + 2.0, LOW + SPAN - 2.0, 10) - REFERENCE if at is None else at
+    own = np.vander(at, found.shape[1], increasing=True) @ found.T
+    return (own - np.vander(at, 4, increasing=True) @ CURVES.T).T
+
+
+def u_of_curve(fit, channel):
+    p, at = fit.order + 1, np.linspace(LOW + 2.0, LOW + SPAN - 2.0, 10) - REFERENCE
+    covariance = fit.covariance[channel * p : channel * p + p, channel * p : channel * p + p].copy()
+    covariance[0, 0] += fit.loop_variance[channel]
+    powers = np.vander(at, p, increasing=True)
+    return np.sqrt(np.einsum("ij,jk,ik->i", powers, covariance, powers))
+
+
+@pytest.mark.parametrize(("pace", "legs"), [(0.25, 2), (2.0, 4)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_lag_of_120_s_is_found_within_1_percent(pace, legs, sign):
+    fit = fit_ramp(made(pace, lag=sign * 120.0, legs=legs, noise=0.1), reference=REFERENCE)
+    assert fit.lag == pytest.approx(sign * 120.0, rel=0.01)
+    assert min(fit.explained) > 0.99
+
+
+def test_the_curve_is_ten_times_closer_than_that_of_a_polynomial_alone():
+    """An odd number of legs: the ways do not cancel."""
+    record = made(1.0, lag=120.0, legs=3, noise=0.1)
+    fit = fit_ramp(record, reference=REFERENCE)
+    alone = np.polynomial.polynomial.polyfit(record.temperature - REFERENCE, record.readings, 3).T
+    assert np.max(np.abs(curve_error(fit.coefficients))) < np.max(np.abs(curve_error(alone))) / 10.0
+
+
+def test_without_a_lag_none_is_used():
+    fit = fit_ramp(made(1.0), reference=REFERENCE)
+    assert not fit.uses_lag
+    assert abs(fit.found_lag) < 4.0 * fit.u_lag
+
+
+def test_hysteresis_without_time_is_no_lag_and_its_loop_is_in_the_uncertainty():
+    """A play of 2 °C makes at one pace the loop of a lag of 60 s."""
+    seconds = np.linspace(0.0, 4 * 2400.0, 2400)
+    temperature = chamber(seconds, 1.0)
+    element, place = temperature.copy(), temperature[0]
+    for k, value in enumerate(temperature):
+        element[k] = place = min(max(place, value - 1.0), value + 1.0)
+    readings = read(element) + 0.5 * np.random.default_rng(4).normal(size=(2400, 2))
+    fit = fit_ramp(recorded(seconds, temperature, readings), reference=REFERENCE)
+    assert not fit.uses_lag
+    half = np.abs(0.8 * 1.0), np.abs(0.5 * 1.0)
+    assert all(1.96 * u_of_curve(fit, channel).min() > half[channel] for channel in (0, 1))
+
+
+@pytest.mark.parametrize(("lag", "wander"), [(0.0, 0.0), (120.0, 0.0), (0.0, 0.05)], ids=["none", "lag", "wander"])
+def test_the_uncertainty_covers_the_curve(lag, wander):
+    inside = []
+    for seed in range(5):
+        fit = fit_ramp(made(1.0, lag=lag, wander=wander, seed=seed), reference=REFERENCE)
+        error = curve_error(fit.coefficients)
+        inside += [np.abs(error[c]) < 1.96 * u_of_curve(fit, c) for c in (0, 1)]
+    # Ten curves, of ten places that depend on each other: 95 % within what so few curves can show.
+    assert np.mean(inside) > 0.8
+
+
+def test_the_legs_are_told_by_the_turns_of_the_temperature():
+    legs = legs_of(made(2.0, legs=3))
+    assert [leg.way for leg in legs] == ["up", "down", "up"]
+    assert [leg.pace for leg in legs] == pytest.approx([2.0] * 3, rel=0.01)
+    assert [leg.seconds for leg in legs] == pytest.approx([1200.0] * 3, rel=0.01)
+
+
+def test_one_way_is_refused_with_the_pace_to_take():
+    with pytest.raises(EstimateError, match=r"goes only up.*let it come back.*at 2 °C/min or slower"):
+        fit_ramp(made(2.0, legs=1), reference=REFERENCE)
+
+
+def test_ways_that_share_too_little_are_refused():
+    record = made(2.0, legs=2)
+    part = slice(0, int(len(record.time) * 0.65))
+    cut = RampRecord(record.time[part], record.temperature[part], record.readings[part], record.noise, record.rows)
+    with pytest.raises(EstimateError, match="the ways up and down share 12 °C of 40 °C"):
+        fit_ramp(cut, reference=REFERENCE)
+
+
+def test_too_fast_a_pace_is_refused_with_the_pace_to_take():
+    """Legs of 240 s against a lag of 120 s; eight lags are 40 °C at 2.5 °C/min."""
+    with pytest.raises(EstimateError, match=r"a leg lasts 239 s.*change the temperature by 2\.5 °C/min or slower"):
+        fit_ramp(made(10.0, lag=120.0, noise=0.1), reference=REFERENCE)
+
+
+def test_a_zero_that_wanders_too_far_is_refused():
+    with pytest.raises(EstimateError, match="does not tell it from drift"):
+        fit_ramp(made(0.25, legs=2, wander=3.0, seed=2), reference=REFERENCE)
+
+
+def test_a_record_of_any_length_becomes_few_means():
+    """The means of 100,000 rows that come in pieces are those of numpy."""
+    n = 100_000
+    seconds = np.arange(n, dtype=float)
+    readings = np.random.default_rng(5).normal(size=(n, 1)) + seconds[:, None]
+    averager = RecordAverager(1)
+    for start in range(0, n, 7777):
+        part = slice(start, start + 7777)
+        averager.add(seconds[part], seconds[part] * 2.0, readings[part])
+    record = averager.record()
+    size = round(record.time[1] - record.time[0])
+    whole = len(record.time) * size
+    assert 4096 <= len(record.time) < 8192
+    assert record.readings[:, 0] == pytest.approx(readings[:whole, 0].reshape(-1, size).mean(axis=1))
+    assert record.temperature == pytest.approx(2.0 * record.time)

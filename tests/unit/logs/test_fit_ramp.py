@@ -1,0 +1,129 @@
+"""``fit ramp``: from a log to a calibration, and back by ``apply``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tiltcal.calibration.calibration import Calibration, read
+from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.logs.fit import fit
+
+REAL = Path(__file__).parents[4] / "shared" / "data" / "thermal_ramp.csv"
+LAG = 120.0
+
+
+def chamber(seconds):
+    return 5.0 + 40.0 * np.abs((seconds / 2400.0 + 1.0) % 2.0 - 1.0)
+
+
+@pytest.fixture(scope="module")
+def record():
+    """A level SCA100T-D02, whose element follows the chamber 120 s later, and its thermometer at once."""
+    seconds = np.arange(0.0, 9600.0, 4.0)
+    found = solve_ivp(
+        lambda t, e: (chamber(t) - e) / LAG, (0.0, 9600.0), [5.0], t_eval=seconds, max_step=60.0, rtol=1e-7
+    )
+    warmer, draw = found.y[0] - 24.0, np.random.default_rng(8)
+    return {
+        "seconds": seconds,
+        "x": 1024.0 + 2.0 * warmer + 0.02 * warmer**2 + 0.5 * draw.normal(size=len(seconds)),
+        "y": 1020.0 - 3.0 * warmer + 0.5 * draw.normal(size=len(seconds)),
+        "temperature": chamber(seconds),
+    }
+
+
+@pytest.fixture(scope="module")
+def calibration(record):
+    return fit("ramp", record, serial="S-1", sensor="sca100t-d02", jig=0.0, columns={"time": "seconds"})
+
+
+def test_the_file_has_the_lag_and_what_each_leg_says_of_it(calibration, tmp_path):
+    calibration.save(tmp_path / "S-1.yaml")
+    found = read(tmp_path / "S-1.yaml")
+    ramp = found.record.fit.ramp
+    assert found.coefficients.thermal.lag == pytest.approx(LAG, rel=0.01)
+    assert found.uncertainty["temperature.lag"] < 1.2
+    assert (ramp.used, [leg.way for leg in ramp.legs]) == (True, ["up", "down", "up", "down"])
+    assert all(leg.lagged["y"] < leg.polynomial["y"] / 5.0 for leg in ramp.legs)
+    assert ramp.explained_percent["x"] > 99.0
+    assert {one.position.rsplit("-", 1)[0] for one in found.positions} == {"up-1", "down-2", "up-3", "down-4"}
+
+
+def test_the_curve_is_that_of_the_sensor(calibration):
+    drift, offset = calibration.coefficients.thermal.drift, calibration.offset
+    assert drift[0, :2] == pytest.approx([2.0, 0.02], rel=0.02)
+    assert drift[1, 0] == pytest.approx(-3.0, rel=0.01)
+    assert offset["x"] == pytest.approx(1024.0, abs=0.2)
+    assert calibration.uncertainty["temperature.offset.y.1"] < 0.01
+
+
+def test_apply_takes_the_loop_out_of_the_log(calibration, record):
+    """The tilt of the level sensor: within 0.1° everywhere, where the thermometer alone leaves 4 °C, or 0.8°."""
+    columns = {"time": "seconds"}
+    with_lag = calibration.apply(record, columns=columns)["tilt_y"]
+    without = calibration.apply({k: v for k, v in record.items() if k != "seconds"})["tilt_y"]
+    means = [np.abs(tilt.reshape(-1, 20).mean(axis=1)) for tilt in (with_lag, without)]
+    assert means[0].max() < 0.05
+    assert means[1].max() > 0.4
+
+
+def test_a_log_without_times_is_refused(record):
+    with pytest.raises(InputError, match="there is no column 'time'"):
+        fit("ramp", record, serial="S-1", sensor="sca100t-d02")
+
+
+def test_a_ramp_is_no_table(record):
+    with pytest.raises(UsageError, match="takes a continuous record, not a --table"):
+        fit("ramp", record, serial="S-1", sensor="sca100t-d02", table=True)
+
+
+def test_several_segments_are_refused(record):
+    segments = [{"position": "down-5", "start": 0, "end": 1000}, {"position": "up-40", "start": 1000, "end": 2400}]
+    with pytest.raises(InputError, match="one continuous record, and these are 2 segments"):
+        fit("ramp", record, serial="S-1", sensor="sca100t-d02", segments=segments, columns={"time": "seconds"})
+
+
+def test_a_segment_names_rows_and_attitude(record):
+    """With +Y up, the data sheet's 819 count/g come off the reading of y."""
+    segments = [{"position": "hung", "start": 0, "end": 2400, "gx": 0.0, "gy": 1.0, "gz": 0.0}]
+    found = fit(
+        *("ramp", record),
+        serial="S-1",
+        sensor="sca100t-d02",
+        segments=segments,
+        columns={"time": "seconds"},
+        jig=0.0,
+    )
+    assert found.offset["y"] == pytest.approx(1020.0 - 819.0, abs=0.5)
+    assert found.uncertainty["offset.y"] == pytest.approx(found.uncertainty["sensitivity.y.y"], rel=0.05)
+
+
+@pytest.mark.skipif(not REAL.exists(), reason="thermal_ramp.csv is not there")
+def test_the_recorded_ramp_gets_no_lag_and_is_on_no_leg_worse_than_a_polynomial(tmp_path):
+    """Its README: a lag helps two axes on one leg and harms on the other; part of the loop is hysteresis."""
+    base = tmp_path / "base.yaml"
+    base.write_text(
+        "tiltcal: 1\nkind: tilt\nsensor: {model: recorded, serial: IMU1, unit: m/s2, channels: [x, y, z]}\n"
+        "calibration:\n  offset: {x: 0.0, y: 0.0, z: 0.0}\n  sensitivity:\n    x: {x: 9.81, y: 0.0, z: 0.0}\n"
+        "    y: {x: 0.0, y: 9.81, z: 0.0}\n    z: {x: 0.0, y: 0.0, z: 9.81}\n"
+        "uncertainty: {}\nlimits: {}\nderived: {}\nfit: {}\nprocedure: {}\npositions: []\nprovenance: {}\n"
+    )
+    rows = {"columns": "time=row", "base": base}
+    with pytest.raises(EstimateError, match=r"z reads 2 g away.*--segments"):
+        fit("ramp", REAL, serial="IMU1", **rows)
+    down = [{"position": "down", "start": 0, "end": 8400, "gx": 0.0, "gy": 0.0, "gz": -1.0}]
+    found: Calibration = fit("ramp", REAL, serial="IMU1", segments=down, **rows)
+    ramp = found.record.fit.ramp
+    assert [(leg.way, round(leg.temperature[0]), round(leg.temperature[1])) for leg in ramp.legs] == [
+        ("down", -18, 52),
+        ("up", -18, 74),
+        ("down", 34, 74),
+    ]
+    assert not ramp.used
+    assert found.coefficients.thermal.lag == 0.0
+    # The loop that is left is in the uncertainty: the residuals of z are up to 0.1 m/s².
+    assert found.uncertainty["offset.z"] > 0.02

@@ -1,0 +1,335 @@
+"""From a continuous record in one attitude, while the temperature goes up and down, to a calibration of the drift."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import hypot, inf, radians, sqrt
+from typing import Any
+
+import numpy as np
+
+from tiltcal.calibration.joint_fit import design_of, record_of
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.core.budget import Budget
+from tiltcal.core.estimation.design import Design
+from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
+from tiltcal.core.estimation.estimate import Estimate
+from tiltcal.core.model import Array, Coefficients, Thermal, with_vector
+from tiltcal.core.ramp.fit import RampFit, fit_ramp
+from tiltcal.core.ramp.record import RampRecord
+from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.thermal_lag import SMOOTHING
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.records import CrossValidation, Hysteresis, RampLeg, RampFitRecord
+
+GROUPS = 8
+"""Parts of a leg that the file lists as positions."""
+
+FAR = 0.5
+"""g; an offset that differs by more from that of the base calibration belongs to another attitude."""
+
+
+def calibrate_ramp(
+    sensor: MeasuredSensor,
+    procedure: Procedure,
+    bench: BenchUncertainty,
+    *,
+    settings: Mapping[str, Any] | None = None,
+) -> CalibrationRecord:
+    """Calibrate the drift of a sensor from its ramp.
+
+    Parameters
+    ----------
+    sensor : MeasuredSensor
+        With a ``ramp``; its first measurement states the attitude.
+    procedure : Procedure
+    bench : BenchUncertainty
+        A stated thermometer is an error that all temperatures share; a step of its reading averages.
+    settings : mapping, optional
+        How the procedure was run, for the file.
+
+    Raises
+    ------
+    EstimateError
+        The record cannot tell a thermal lag from drift, or there is no sensitivity to stand in.
+    """
+    if sensor.ramp is None:
+        raise EstimateError(f"{procedure.name} takes a continuous record, and there is none of {sensor.sensor.serial}")
+    record, attitude = sensor.ramp, sensor.measurements[0]
+    temperatures = (round(float(record.temperature.min()), 3), round(float(record.temperature.max()), 3))
+    reference = _reference(temperatures, procedure)
+    design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
+    fit = fit_ramp(record, reference=reference, highest=procedure.determines.drift)
+    design = replace(design, drift=fit.order, reference=reference)
+    groups = _groups(fit, record, attitude)
+    found = _estimate(fit, design, np.array(attitude.gravity), temperatures, groups, bench)
+    step = design.thermometer or sensor.thermometer or 0.0
+    if fit.lag < 0.0:
+        # The inverse filter amplifies what is random in the thermometer.
+        step *= 1.0 + 1.0 / SMOOTHING
+    pace = max(leg.leg.pace for leg in fit.held_out) / 60.0
+    uncertain = hypot(step, fit.u_lag * pace if fit.uses_lag else 0.0)
+    made = record_of(found, design, replace(sensor, measurements=groups), procedure, settings)
+    _require_attitude(made, sensor)
+    u = made.uncertainty
+    if fit.uses_lag:
+        thermal = made.coefficients.thermal
+        made = replace(
+            made,
+            coefficients=replace(
+                made.coefficients,
+                thermal=None if thermal is None else replace(thermal, lag=round_to(fit.lag, fit.u_lag)),
+            ),
+        )
+        u = replace(u, standard={**u.standard, "temperature.lag": significant(fit.u_lag, 4)})
+    reading = {**u.single_reading, **({"temperature": significant(uncertain, 4)} if uncertain else {})}
+    return replace(
+        made,
+        uncertainty=replace(u, single_reading=reading),
+        limits=replace(made.limits, temperature=temperatures),
+        fit=replace(
+            made.fit,
+            cross_validation=CrossValidation(
+                order=fit.order,
+                error_by_order={str(order): significant(error, 4) for order, error in fit.error_by_order.items()},
+            ),
+            hysteresis=_hysteresis(fit, design.channels),
+            ramp=_ramp_record(fit, design.channels),
+        ),
+    )
+
+
+def _require_attitude(found: CalibrationRecord, sensor: MeasuredSensor) -> None:
+    """Refuse a record in another attitude than is stated, where a base calibration shows it."""
+    if sensor.base is None:
+        return
+    known, u = sensor.base.coefficients, found.coefficients
+    for channel, before, after, row in zip(known.channels, known.offset, u.offset, known.sensitivity, strict=True):
+        off = abs(float(after - before)) / float(np.max(np.abs(row)))
+        if off > FAR:
+            raise EstimateError(
+                f"{channel} reads {off:.2g} g away from what the base calibration expects in the attitude of the "
+                "procedure: state the true one with --segments (position,start,end,gx,gy,gz)"
+            )
+
+
+def _reference(temperatures: tuple[float, float], procedure: Procedure) -> float:
+    """Return the reference temperature of the procedure, or the middle of a record that does not contain it, °C."""
+    low, high = temperatures
+    stated = procedure.reference
+    return stated if stated is not None and low <= stated <= high else round((low + high) / 2.0, 1)
+
+
+def _estimate(
+    fit: RampFit,
+    design: Design,
+    gravity: Array,
+    temperatures: tuple[float, float],
+    groups: Sequence[Measurement],
+    bench: BenchUncertainty,
+) -> Estimate:
+    """Return the coefficients with their covariance: that of the record, and what is stated of the bench."""
+    coefficients, places = _coefficients(fit, design, gravity, temperatures)
+    names = tuple(
+        name for model in coefficients.models for name in model.coefficients if not name.startswith("nonlinearity")
+    )
+    index = {name: k for k, name in enumerate(names)}
+    channels, order = len(design.channels), fit.order
+    size = len(names)
+    variance: dict[str, Array] = {}
+    covariance = np.zeros((size, size))
+
+    def add(source: str, part: Array) -> None:
+        nonlocal covariance
+        covariance = covariance + part
+        variance[source] = variance.get(source, np.zeros(size)) + np.diag(part)
+
+    rows = [index[name] for name in places]
+    noise = np.zeros((size, size))
+    noise[np.ix_(rows, rows)] = fit.covariance[:-1, :-1]
+    add(NOISE, noise)
+    offsets = [index[f"offset.{channel}"] for channel in design.channels]
+    loop = np.zeros(size)
+    loop[offsets] = fit.loop_variance
+    if loop.any():
+        add(HYSTERESIS, np.diag(loop))
+    _add_prior(add, coefficients, design, gravity, index)
+    across = np.array([np.cross(gravity, row) for row in _by_gravity(coefficients, gravity)])
+    for source, u in ((JIG, design.jig), (TABLE, design.table)):
+        if u and u < inf:
+            part = np.zeros((size, size))
+            part[np.ix_(offsets, offsets)] = radians(u) ** 2 * across @ across.T
+            add(source, part)
+    if bench.thermometer:
+        shift = np.zeros(size)
+        for c in range(channels):
+            slopes = fit.coefficients[c, 1:] * np.arange(1, order + 1)
+            for k, slope in enumerate(slopes.tolist()):
+                shift[rows[c * (order + 1) + k]] = slope * bench.thermometer
+        add(THERMOMETER, np.outer(shift, shift))
+    residuals = np.array([[one.summaries[c].mean for c in design.channels] for one in groups]) - _modelled(fit, groups)
+    return Estimate(
+        coefficients,
+        names,
+        Budget(covariance, variance, np.full(size, inf)),
+        tuple(one.position for one in groups),
+        residuals,
+        residuals,
+        max(len(fit.means) - order - 1, 0) * channels,
+        None,
+        None,
+        stated=False,
+        notes=_notes(fit, design),
+    )
+
+
+def _coefficients(
+    fit: RampFit, design: Design, gravity: Array, temperatures: tuple[float, float]
+) -> tuple[Coefficients, list[str]]:
+    """Return the coefficients, and the names of those that the record determines, in the order of its covariance."""
+    channels = design.channels
+    own = np.array([[channel == axis for axis in design.axes] for channel in channels], dtype=float)
+    coefficients = Coefficients(
+        channels,
+        design.axes,
+        np.zeros(len(channels)),
+        own,
+        Thermal(
+            design.reference,
+            temperatures,
+            fit.coefficients[:, 1:].copy(),
+            np.zeros((len(channels), 0)),
+        ),
+        nonlinearity=np.zeros((len(channels), design.nonlinearity)) if design.nonlinearity else None,
+    )
+    known = design.priors
+    coefficients = with_vector(coefficients, list(known), np.array([one.value for one in known.values()]))
+    signal = coefficients.predict(gravity[None, :])[0]
+    coefficients = replace(coefficients, offset=fit.coefficients[:, 0] - signal)
+    places = [
+        name
+        for channel in channels
+        for name in (
+            f"offset.{channel}",
+            *(f"temperature.offset.{channel}.{power}" for power in range(1, fit.order + 1)),
+        )
+    ]
+    return coefficients, places
+
+
+def _by_gravity(coefficients: Coefficients, gravity: Array) -> list[Array]:
+    """Return the derivative of each channel's reading by gravity, unit/g, shape (3,) each."""
+    return [
+        model.read(theta, gravity[None, :], np.zeros(1)).by_gravity[0]
+        for model, theta in zip(coefficients.models, coefficients.vectors, strict=True)
+    ]
+
+
+def _add_prior(add: Any, coefficients: Coefficients, design: Design, gravity: Array, index: Mapping[str, int]) -> None:
+    """Add the uncertainty of a sensitivity that stands in, and what it makes of the offset."""
+    size = len(index)
+    part = np.zeros((size, size))
+    for model, theta in zip(coefficients.models, coefficients.vectors, strict=True):
+        derivatives = model.read(theta, gravity[None, :], np.zeros(1)).by_coefficient[0]
+        for name, derivative in zip(model.coefficients, derivatives.tolist(), strict=True):
+            prior = design.priors.get(name)
+            if prior is None or not prior.u or name not in index:
+                continue
+            moved = np.zeros(size)
+            moved[index[name]] = prior.u
+            moved[index[f"offset.{model.name}"]] = -derivative * prior.u
+            part += np.outer(moved, moved)
+    if part.any():
+        add(PRIOR, part)
+
+
+def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Measurement]:
+    """Return parts of the legs as positions: what they read, and at which temperature of the thermometer."""
+    means, groups = fit.means, []
+    element = means.element(0.0) + 0.0
+    share = record.rows / len(means)
+    for number, leg in enumerate(means.legs, start=1):
+        rows = np.flatnonzero(means.leg == number - 1)
+        for k, part in enumerate(np.array_split(rows, min(GROUPS, len(rows))), start=1):
+            n = max(round(share * len(part)), 1)
+            summaries = {
+                channel: SampleSummary(float(values.mean()), float(noise), n, float(noise) / sqrt(n))
+                for channel, values, noise in zip(attitude.summaries, means.readings[part].T, record.noise, strict=True)
+            }
+            groups.append(
+                replace(
+                    attitude,
+                    position=f"{leg.way}-{number}-{k}",
+                    temperature=float(element[part].mean()) + fit.reference,
+                    summaries=summaries,
+                )
+            )
+    return groups
+
+
+def _modelled(fit: RampFit, groups: Sequence[Measurement]) -> Array:
+    """Return what the model reads on average in each group, shape (groups, channels)."""
+    means = fit.means
+    modelled = means.powers(fit.lag, fit.order) @ fit.coefficients.T
+    parts = [
+        part
+        for number in range(len(means.legs))
+        for rows in [np.flatnonzero(means.leg == number)]
+        for part in np.array_split(rows, min(GROUPS, len(rows)))
+    ]
+    return np.array([modelled[part].mean(axis=0) for part in parts])
+
+
+def _hysteresis(fit: RampFit, channels: Sequence[str]) -> dict[str, Hysteresis]:
+    """Return the largest loop that is left, per channel."""
+    at = np.argmax(np.abs(fit.loops.differences), axis=0)
+    return {
+        channel: Hysteresis(
+            difference=significant(float(fit.loops.differences[k, c]), 4),
+            between=tuple(f"{way} at {fit.loops.temperatures[k] + fit.reference:.1f} °C" for way in ("down", "up")),
+        )
+        for c, (channel, k) in enumerate(zip(channels, at.tolist(), strict=True))
+    }
+
+
+def _ramp_record(fit: RampFit, channels: Sequence[str]) -> RampFitRecord:
+    def told(values: Array) -> dict[str, float]:
+        return {channel: significant(value, 3) for channel, value in zip(channels, values.tolist(), strict=True)}
+
+    return RampFitRecord(
+        lag=round_to(fit.found_lag, fit.u_lag),
+        u_lag=significant(fit.u_lag, 4),
+        used=fit.uses_lag,
+        explained_percent=told(100.0 * fit.explained),
+        legs=tuple(
+            RampLeg(
+                way=one.leg.way,
+                temperature=(round(one.leg.low, 2), round(one.leg.high, 2)),
+                seconds=round(one.leg.seconds, 1),
+                pace=significant(one.leg.pace, 3),
+                polynomial=told(one.polynomial),
+                lagged=told(one.lagged),
+            )
+            for one in fit.held_out
+        ),
+    )
+
+
+def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
+    lag = f"a thermal lag of {fit.found_lag:.3g} ± {2.0 * fit.u_lag:.2g} s"
+    explains = ", ".join(
+        f"{channel} {100.0 * part:.0f} %" for channel, part in zip(design.channels, fit.explained.tolist(), strict=True)
+    )
+    notes = [
+        f"{lag} is used: it betters every leg that it was not fitted to, and explains of the loop {explains}"
+        if fit.uses_lag
+        else f"{lag} is not used: it does not better every leg that it was not fitted to (of the loop it explains "
+        f"{explains})"
+    ]
+    if any(fit.loop_variance):
+        notes.append("the ways up and down differ: half of the largest difference to either side is in the uncertainty")
+    return tuple(notes)

@@ -1,0 +1,287 @@
+"""The drift of a sensor at rest whose temperature goes up and down: polynomial, thermal lag, and what loop is left.
+
+A reading of channel i, in one attitude, at the thermometer's temperature T(t)::
+
+    u_i(t) = c_i0 + c_i1 dT + c_i2 dT² + ... + noise,    dT = F(T; lag)(t) - T_ref
+
+F being the filter of :mod:`tiltcal.core.thermal_lag`. For a given lag this is linear; the lag is found by variable
+projection (Golub and Pereyra, 1973). A lag separates the way up from the way down by a loop as wide as the lag times
+the pace, and so does hysteresis; a zero that wanders separates any two legs. What distinguishes them is whether a lag
+that is fitted to some legs predicts another one. So every leg is left out once, and the lag is used only where it
+predicts each of them better, and where hysteresis without time does not explain the record as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.model import Array
+from tiltcal.core.ramp.loops import Loops, error_of_play, loops
+from tiltcal.core.ramp.means import FittedMeans
+from tiltcal.core.ramp.noise import noise_covariance
+from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
+from tiltcal.errors import EstimateError
+
+LEG_LAGS = 4.0
+"""A leg must last so many lags: else the element does not follow."""
+
+UNTOLD = 0.1
+"""A lag that is known no better than the time in which the temperature crosses this part of its range is not told."""
+
+RESOLVED = 2.0
+"""Standard uncertainties that a lag is away from 0 where it is used."""
+
+WORSE = 0.02
+"""Part by which the mean square error of a channel may grow on a leg without anyone seeing it."""
+
+_LAGS, _STEPS, _CONVERGED = 14, 8, 0.01
+
+
+@dataclass(frozen=True)
+class HeldOutLeg:
+    """How well a leg is predicted from the others.
+
+    Attributes
+    ----------
+    leg : Leg
+    polynomial, lagged : ndarray, shape (channels,)
+        Root mean square error of the polynomial alone, and of the one with a lag, unit.
+    """
+
+    leg: Leg
+    polynomial: Array
+    lagged: Array
+
+
+@dataclass(frozen=True)
+class RampFit:
+    """The drift that a record shows.
+
+    Attributes
+    ----------
+    reference : float
+        °C.
+    coefficients : ndarray, shape (channels, order + 1)
+        Reading at the reference temperature, unit, and its polynomial, unit/°C, ...
+    lag : float
+        s; 0 where none is used.
+    covariance : ndarray, shape (channels (order + 1) + 1,) twice
+        Of the coefficients, channel by channel, and of the lag.
+    found_lag, u_lag : float
+        The lag that was found, used or not, and its standard uncertainty, s.
+    explained : ndarray, shape (channels,)
+        Part of the loop's square that it explains.
+    loops : Loops
+        What is left.
+    loop_variance : ndarray, shape (channels,)
+        What that adds to the variance of the reading, unit².
+    held_out : tuple of HeldOutLeg
+    error_by_order : mapping of int to float
+        Mean square error of predicting a leg that was left out, over the variance of the residuals.
+    means : FittedMeans
+    """
+
+    reference: float
+    coefficients: Array
+    lag: float
+    covariance: Array
+    found_lag: float
+    u_lag: float
+    explained: Array
+    loops: Loops
+    loop_variance: Array
+    held_out: tuple[HeldOutLeg, ...]
+    error_by_order: Mapping[int, float]
+    means: FittedMeans
+
+    @property
+    def uses_lag(self) -> bool:
+        """Whether the lag is part of the result."""
+        return self.lag != 0.0
+
+    @property
+    def order(self) -> int:
+        """The order of the polynomial."""
+        return int(self.coefficients.shape[1]) - 1
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """Polynomials of shape (order + 1, channels) for a lag, and their sum of squares over the scale."""
+
+    lag: float
+    coefficients: Array
+    error: float
+
+
+def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampFit:
+    """Find the drift of a record, its order, and its lag.
+
+    Parameters
+    ----------
+    record : RampRecord
+    reference : float
+        °C.
+    highest : int
+        The highest order that is tried.
+
+    Raises
+    ------
+    EstimateError
+        The legs cannot tell lag from drift; the message has the pace to take.
+    """
+    legs = legs_of(record)
+    means = FittedMeans(record, legs, reference)
+    longest = max(leg.seconds for leg in legs)
+    grid = np.geomspace(longest / 1000.0, longest / 2.0, _LAGS)
+    lags, none = np.concatenate([-grid[::-1], [0.0], grid]), np.zeros(1)
+    scale = _scale(means, highest)
+    everything = np.ones(len(means), dtype=bool)
+    polynomial, before = _choose_order(means, highest, none, scale)
+    lagged, after = _choose_order(means, highest, lags, scale)
+    found = _solve(means, everything, lagged, lags, scale)
+    told, _, covariance = _estimate(means, found.lag, lagged, with_lag=True)
+    u_told = sqrt(covariance[-1, -1])
+    _require_told(legs, told, u_told)
+    better = np.mean((before[polynomial] - after[lagged]) / scale**2, axis=1) > 0.0
+    used = (
+        bool(better.all() and np.all(after[lagged] <= (1.0 + WORSE) * before[polynomial]))
+        and abs(told) > RESOLVED * u_told
+        and found.error < error_of_play(means, lagged, scale)
+    )
+    order = lagged if used else polynomial
+    lag, coefficients, covariance = _estimate(means, told if used else 0.0, order, with_lag=used)
+    left = loops(means, lag, coefficients.T)
+    plain = _solve(means, everything, lagged, none, scale)
+    explained = loops(means, 0.0, plain.coefficients).explained_by(loops(means, found.lag, found.coefficients))
+    spread = np.diag(covariance)[:-1].reshape(coefficients.shape)[:, 0]
+    errors = after if used else before
+    return RampFit(
+        reference,
+        coefficients,
+        lag,
+        covariance,
+        lag if used else told,
+        sqrt(covariance[-1, -1]) if used else u_told,
+        explained,
+        left,
+        # The ways of two legs alone differ by what wanders too, which is in the variance already.
+        left.variance if left.repeated else np.maximum(left.variance - spread, 0.0),
+        tuple(
+            HeldOutLeg(leg, np.sqrt(b), np.sqrt(a))
+            for leg, b, a in zip(legs, before[polynomial], after[lagged], strict=True)
+        ),
+        {order: float(np.mean(error / scale**2)) for order, error in errors.items()},
+        means,
+    )
+
+
+def _least_squares(x: Array, y: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(x, y, rcond=None)[0], dtype=np.float64)
+
+
+def _scale(means: FittedMeans, order: int) -> Array:
+    """Return the scatter about a polynomial, shape (channels,): what errors of several channels are compared by."""
+    x = means.powers(0.0, order)
+    left = means.readings - x @ _least_squares(x, means.readings)
+    smallest = 1e-12 * np.max(np.abs(means.readings), axis=0) + np.finfo(float).tiny
+    return np.asarray(np.maximum(np.std(left, axis=0), smallest))
+
+
+def _choose_order(means: FittedMeans, highest: int, lags: Array, scale: Array) -> tuple[int, dict[int, Array]]:
+    """Return the order that predicts left-out legs best, and mean square errors (legs, channels) by order."""
+    errors = {}
+    for order in range(1, highest + 1):
+        rows = []
+        for number in range(len(means.legs)):
+            out = means.leg == number
+            found = _solve(means, ~out, order, lags, scale)
+            left = means.readings[out] - means.powers(found.lag, order)[out] @ found.coefficients
+            rows.append(np.mean(left**2, axis=0))
+        errors[order] = np.array(rows)
+    return min(errors, key=lambda order: float(np.mean(errors[order] / scale**2))), errors
+
+
+def _solve(means: FittedMeans, kept: NDArray[np.bool_], order: int, lags: Array, scale: Array) -> _Solution:
+    """Fit polynomial and lag to some means: the best of some lags, then Gauss-Newton steps."""
+    y = means.readings[kept]
+
+    def at(lag: float) -> _Solution:
+        x = means.powers(lag, order)[kept]
+        coefficients = _least_squares(x, y)
+        return _Solution(lag, coefficients, float(np.sum(((y - x @ coefficients) / scale) ** 2)))
+
+    best = min((at(lag) for lag in lags.tolist()), key=lambda one: one.error)
+    if len(lags) == 1:
+        return best
+    for _ in range(_STEPS):
+        x = means.powers(best.lag, order)[kept]
+        slope = means.by_lag(best.lag, best.coefficients)[kept]
+        slope = slope - x @ _least_squares(x, slope)
+        steepness = float(np.sum((slope / scale) ** 2))
+        if not steepness > 0.0:
+            break
+        change = float(np.sum(slope * (y - x @ best.coefficients) / scale**2)) / steepness
+        one = at(round(best.lag + float(np.clip(change, lags[0] / 2.0, lags[-1] / 2.0)), 6))
+        if not one.error < best.error:
+            break
+        best = one
+    return best
+
+
+def _estimate(means: FittedMeans, lag: float, order: int, *, with_lag: bool) -> tuple[float, Array, Array]:
+    """Return lag, coefficients and their covariance, by generalised least squares under the noise of the record."""
+    y = means.readings
+    channels, p = y.shape[1], order + 1
+    size = channels * p + with_lag
+    factors: list[Array] = []
+    covariance = np.zeros((channels * p + 1, channels * p + 1))
+    coefficients = _least_squares(means.powers(lag, order), y)
+    for _ in range(_STEPS):
+        x = means.powers(lag, order)
+        slope = means.by_lag(lag, coefficients)
+        designs = [np.column_stack([x, slope[:, c]]) if with_lag else x for c in range(channels)]
+        if not factors:
+            factors = [
+                np.asarray(np.linalg.cholesky(noise_covariance(means, one, y[:, c])), dtype=np.float64)
+                for c, one in enumerate(designs)
+            ]
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        for c, (factor, design) in enumerate(zip(factors, designs, strict=True)):
+            places = [*range(c * p, (c + 1) * p), *([channels * p] if with_lag else [])]
+            white = np.linalg.solve(factor, np.column_stack([design, y[:, c] - x @ coefficients[:, c]]))
+            normal[np.ix_(places, places)] += white[:, :-1].T @ white[:, :-1]
+            right[places] += white[:, :-1].T @ white[:, -1]
+        scale = 1.0 / np.sqrt(np.diag(normal))
+        covariance[:size, :size] = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
+        change = covariance[:size, :size] @ right
+        coefficients = coefficients + change[: channels * p].reshape(channels, p).T
+        if not with_lag:
+            break
+        lag += float(change[-1])
+        if abs(change[-1]) < _CONVERGED * sqrt(covariance[-1, -1]):
+            break
+    return lag, np.asarray(coefficients.T), covariance
+
+
+def _require_told(legs: list[Leg], lag: float, u: float) -> None:
+    """Refuse a lag that the legs cannot tell from drift."""
+    shortest = min(leg.seconds for leg in legs)
+    widest = max(leg.high - leg.low for leg in legs)
+    pace = float(np.mean([leg.pace for leg in legs]))
+    if abs(lag) * LEG_LAGS > shortest and abs(lag) > RESOLVED * u:
+        slower = widest / (2.0 * LEG_LAGS * abs(lag)) * 60.0
+        raise EstimateError(
+            f"at {pace:.2g} °C/min a leg lasts {shortest:.0f} s, and the lag is about {abs(lag):.0f} s: so short a leg "
+            f"cannot tell it from drift; change the temperature by {slower:.2g} °C/min or slower"
+        )
+    if not 2.0 * u * pace / 60.0 < UNTOLD * widest:
+        raise EstimateError(
+            f"at {pace:.2g} °C/min the lag is known to ±{2.0 * u:.2g} s, which does not tell it from drift: the zero "
+            f"wanders, or the noise is too large; take more legs, at {4.0 * pace:.2g} °C/min"
+        )

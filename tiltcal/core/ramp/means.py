@@ -1,0 +1,97 @@
+"""The means that are fitted, and the temperature of the element at them for any lag."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.model import Array
+from tiltcal.core.ramp.record import Leg, RampRecord
+from tiltcal.core.thermal_lag import ThermalLag
+
+BLOCKS = 256
+"""Means of a record that are fitted."""
+
+
+SMOOTHING = 0.02
+"""Of the derivative of the thermometer, where it is later, as a part of its lag: the means average its noise."""
+
+
+class FittedMeans:
+    """A record in few means; temperatures are filtered before they are averaged.
+
+    Parameters
+    ----------
+    record : RampRecord
+    legs : sequence of Leg
+    reference : float
+        °C.
+    """
+
+    def __init__(self, record: RampRecord, legs: list[Leg], reference: float) -> None:
+        self._record = record
+        self._reference = reference
+        n = len(record.time)
+        self._starts = np.unique(np.linspace(0, n, min(BLOCKS, n) + 1).astype(int)[:-1])
+        self._sizes = np.diff([*self._starts, n])
+        self._elements: dict[float, Array] = {}
+        self.legs = legs
+        self.time = self._mean(record.time)
+        self.readings = np.stack([self._mean(column) for column in record.readings.T], axis=1)
+        self.leg: NDArray[np.intp] = np.searchsorted([one.start for one in legs], self._starts, side="right") - 1
+        """Which leg each mean belongs to."""
+
+    def __len__(self) -> int:
+        """Return the number of means."""
+        return len(self.time)
+
+    def _mean(self, values: Array) -> Array:
+        return np.asarray(np.add.reduceat(values, self._starts) / self._sizes)
+
+    def element(self, lag: float) -> Array:
+        """Return the temperature of the element from the reference, °C, shape (means,)."""
+        if lag not in self._elements:
+            filtered = ThermalLag(lag, SMOOTHING)(self._record.time, self._record.temperature)
+            self._elements[lag] = self._mean(filtered) - self._reference
+        return self._elements[lag]
+
+    def powers(self, lag: float, order: int) -> Array:
+        """Return the powers 0 to ``order`` of that temperature, shape (means, order + 1)."""
+        return np.vander(self.element(lag), order + 1, increasing=True)
+
+    def played(self, width: float, order: int) -> Array:
+        """Return the powers of a temperature with a play of some °C: hysteresis that takes no time."""
+        place, half = float(self._record.temperature[0]), width / 2.0
+        follows = np.empty(len(self._record.time))
+        for k, value in enumerate(self._record.temperature.tolist()):
+            place = min(max(place, value - half), value + half)
+            follows[k] = place
+        return np.vander(self._mean(follows) - self._reference, order + 1, increasing=True)
+
+    def by_lag(self, lag: float, coefficients: Array) -> Array:
+        """Return the derivative of the readings by the lag, unit/s, shape (means, channels).
+
+        Parameters
+        ----------
+        lag : float
+            s.
+        coefficients : ndarray, shape (order + 1, channels)
+        """
+        order = len(coefficients) - 1
+        slope = self.powers(lag, order - 1) @ (coefficients[1:] * np.arange(1, order + 1)[:, None])
+        low, high = lag - self._step, lag + self._step
+        return np.asarray(slope * ((self.element(high) - self.element(low)) / (high - low))[:, None])
+
+    @cached_property
+    def _step(self) -> float:
+        return 1e-4 * float(np.ptp(self._record.time))
+
+    @cached_property
+    def correlations(self) -> list[tuple[Array, Array, Array]]:
+        """Return correlations that decay with time, each with its eigenvalues and eigenvectors."""
+        span = float(np.ptp(self.time))
+        distance = np.abs(self.time[:, None] - self.time[None, :])
+        found = [np.exp(-distance / decay) for decay in np.geomspace(span / 64.0, span, 7)]
+        return [(one, *np.linalg.eigh(one)) for one in found]

@@ -1,0 +1,69 @@
+"""The noise of a long record: white, and a process whose correlation decays with time.
+
+Their sizes and the correlation time are not known. The restricted likelihood (Patterson and Thompson, 1971) weighs
+them, and the covariance is the mean over what it allows: an estimate of them alone would make the intervals too narrow.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from tiltcal.core.budget import COVERAGE, NORMAL_FACTOR
+from tiltcal.core.model import Array
+from tiltcal.core.ramp.means import FittedMeans
+
+_RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])
+"""Variance of the process over that of the white noise."""
+
+_PRIOR = np.concatenate([[0.5], np.full(len(_RATIOS) - 1, 0.5 / (len(_RATIOS) - 1))])
+"""Half of the weight is on white noise alone."""
+
+_BISECTIONS = 40
+
+
+def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:
+    """Return the covariance of the noise of one channel, shape (means, means).
+
+    Parameters
+    ----------
+    means : FittedMeans
+    design : ndarray, shape (means, p)
+        Columns that the noise is left by; the first is constant.
+    values : ndarray, shape (means,)
+
+    Notes
+    -----
+    The mean over sizes and correlation times is scaled so that 1.96 standard uncertainties of the constant hold 95 % of
+    its distribution, which is a mixture.
+    """
+    from scipy.special import erf
+
+    n, p = design.shape
+    x = np.linalg.qr(design)[0]
+    likelihood, variances, spreads = [], [], []
+    for _, eigenvalues, vectors in means.correlations:
+        xr, yr = vectors.T @ x, vectors.T @ values
+        weight = 1.0 / (1.0 + _RATIOS[:, None] * np.maximum(eigenvalues, 0.0))
+        normal = np.einsum("ni,rn,nj->rij", xr, weight, xr, optimize=True)
+        solution = np.linalg.solve(normal, ((weight * yr) @ xr)[:, :, None])[:, :, 0]
+        left = yr - solution @ xr.T
+        variance = np.maximum(np.sum(weight * left**2, axis=1) / (n - p), np.finfo(float).tiny)
+        determinant = np.linalg.slogdet(normal)[1] - np.sum(np.log(weight), axis=1)
+        likelihood.append(np.log(_PRIOR) - 0.5 * ((n - p) * np.log(variance) + determinant))
+        variances.append(variance)
+        spreads.append(np.sqrt(variance / normal[:, 0, 0]))
+    weights = np.exp(np.array(likelihood) - np.max(likelihood))
+    weights /= weights.sum()
+    parts = weights * np.array(variances)
+    covariance = float(parts.sum()) * np.eye(n)
+    for (correlation, _, _), part in zip(means.correlations, parts, strict=True):
+        covariance += float(part @ _RATIOS) * correlation
+    spread = np.array(spreads)
+    low, high = 0.0, 10.0 * float(spread.max())
+    for _ in range(_BISECTIONS):
+        half = 0.5 * (low + high)
+        held = float(np.sum(weights * erf(half / spread / sqrt(2.0))))
+        low, high = (half, high) if held < COVERAGE else (low, half)
+    return np.asarray(covariance * (high / NORMAL_FACTOR) ** 2 / float(np.sum(weights * spread**2)))
