@@ -51,7 +51,7 @@ class Pulses:
         if fault is not None and fault.kind == "stuck":
             reading = truth.reading(channel, LEVEL, truth.ambient)
         else:
-            reading = truth.reading(channel, self._fixture.gravity, self._fixture.temperature())
+            reading = truth.reading(channel, self._fixture.gravity, self._fixture.temperature(truth.lag))
             reading += truth.noise.get(channel, 0.0) * normal(truth.seed, f"noise {channel}", number)
         return min(max(reading, 0.0), 1.0)
 

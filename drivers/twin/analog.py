@@ -113,7 +113,7 @@ class SensorWiring(Wiring):
         if fault is not None and fault.kind == "stuck":
             # Held at its level value: a function of the fault alone, so a resumed session reads the same voltage.
             return self._truth.reading(channel, LEVEL, self._truth.ambient) / NOMINAL
-        reading = self._truth.reading(channel, self._fixture.gravity, self._fixture.temperature())
+        reading = self._truth.reading(channel, self._fixture.gravity, self._fixture.temperature(self._truth.lag))
         noise = self._truth.noise.get(channel, 0.0)
         if noise:
             reading += noise * normal(self._truth.seed, f"noise {channel}", now_ns)

@@ -45,7 +45,7 @@ def columns_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: 
         if fault is not None and fault.kind == "stuck":
             return truth.reading(name, LEVEL, truth.ambient)
         noise = truth.noise.get(name, 0.0) * normal(truth.seed, f"noise {name}", line)
-        return truth.reading(name, fixture.gravity, fixture.temperature()) + noise
+        return truth.reading(name, fixture.gravity, fixture.temperature(truth.lag)) + noise
 
     def line(place: int) -> bytes:
         return between.join(f"{number(name, place):.9g}".encode() for name in columns.names) + b"\r\n"

@@ -71,7 +71,7 @@ class Conversions:
         scale : float
             Counts of the measuring range that is set, to those of the truth.
         """
-        gravity, temperature = self._fixture.gravity, self._fixture.temperature()
+        gravity, temperature = self._fixture.gravity, self._fixture.temperature(self._truth.lag)
         now = self._clock.now_ns() / 1e9
         fault = self.fault()
         if fault is not None and fault.kind == "stuck":

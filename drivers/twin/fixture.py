@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import cos, exp, radians, sin
+from dataclasses import dataclass
+from itertools import pairwise
+from math import copysign, cos, exp, radians, sin
 from typing import TYPE_CHECKING, Protocol
 
 from tiltcal.drivers.twin.noise import normal
@@ -22,9 +24,55 @@ class HeldPose(Protocol):
         """Up in the sensor frame, g."""
         ...
 
-    def temperature(self) -> float:
-        """Return the temperature of the sensor, °C."""
+    def temperature(self, lag: float = 0.0) -> float:
+        """Return the temperature of the sensor, or of what follows it with a time constant of ``lag`` s, °C."""
         ...
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the chamber's temperature.
+
+    Attributes
+    ----------
+    start_ns : int
+    start, target : float
+        °C.
+    pace : float
+        °C/s on a straight way; 0 for an exponential one.
+    time_constant : float
+        Of the exponential way, s; 0 is an immediate change.
+    """
+
+    start_ns: int
+    start: float
+    target: float
+    pace: float
+    time_constant: float
+
+    def temperature(self, now_ns: int) -> float:
+        """Return the temperature of the chamber, °C."""
+        elapsed, way = (now_ns - self.start_ns) / 1e9, self.target - self.start
+        if self.pace:
+            return self.target if elapsed >= abs(way) / self.pace else self.start + copysign(self.pace * elapsed, way)
+        return self.target - way * exp(-elapsed / self.time_constant) if self.time_constant else self.target
+
+    def followed(self, now_ns: int, lag: float, before: float) -> float:
+        """Return the temperature of what follows with a lag, s, and had the temperature ``before`` at the start."""
+        elapsed, way = (now_ns - self.start_ns) / 1e9, self.target - self.start
+        if self.pace:
+            slope, arrival = copysign(self.pace, way), abs(way) / self.pace
+            ramped = min(elapsed, arrival)
+            steady = self.start + slope * (ramped - lag)
+            there = steady + (before - self.start + slope * lag) * exp(-ramped / lag)
+            return self.target + (there - self.target) * exp(-(elapsed - ramped) / lag)
+        constant = self.time_constant
+        if constant == lag:
+            constant *= 1.0 + 1e-9
+        # The chamber's own exponential, amplified by how much slower it is than what follows.
+        part = -way * constant / (constant - lag) if constant else 0.0
+        own = part * exp(-elapsed / constant) if constant else 0.0
+        return self.target + own + (before - self.target - part) * exp(-elapsed / lag)
 
 
 class Fixture:
@@ -56,10 +104,10 @@ class Fixture:
         self._time_constant = time_constant
         self._moves = 0
         self._asked: Vector | None = None
-        self._start_ns, self._start_temperature, self._target = 0, ambient, ambient
+        self._changes = [Change(0, ambient, ambient, 0.0, time_constant)]
         self.gravity: Vector = (0.0, 0.0, 1.0)
 
-    def move(self, gravity: Vector, temperature: float | None = None) -> None:
+    def move(self, gravity: Vector, temperature: float | None = None, pace: float = 0.0) -> None:
         """Take a position with an angle error, and set the chamber.
 
         If the position is the present one, its angle error stays the same.
@@ -70,13 +118,14 @@ class Fixture:
             Up in the fixture frame, a unit vector.
         temperature : float, optional
             New set point, °C; without it the set point stays the same.
+        pace : float
+            °C/min by which the chamber goes there; 0 for its time constant.
         """
         if gravity != self._asked:
             self._set(gravity)
-        if temperature is not None and temperature != self._target:
-            self._start_temperature = self.temperature()
-            self._start_ns = self._clock.now_ns()
-            self._target = temperature
+        if temperature is not None and temperature != self._changes[-1].target:
+            change = Change(self._clock.now_ns(), self.temperature(), temperature, pace / 60.0, self._time_constant)
+            self._changes.append(change)
 
     def _set(self, gravity: Vector) -> None:
         errors = [self._jig * normal(self._seed, f"jig {axis}", self._moves) for axis in "xyz"]
@@ -94,12 +143,16 @@ class Fixture:
         """
         return Pose(self, seen)
 
-    def temperature(self) -> float:
-        """Return the temperature of the chamber now, °C."""
-        if self._time_constant == 0.0:
-            return self._target
-        elapsed = (self._clock.now_ns() - self._start_ns) / 1e9
-        return self._target + (self._start_temperature - self._target) * exp(-elapsed / self._time_constant)
+    def temperature(self, lag: float = 0.0) -> float:
+        """Return the temperature of the chamber now, °C, or of what follows it with a time constant of ``lag`` s."""
+        now_ns = self._clock.now_ns()
+        if lag == 0.0:
+            return self._changes[-1].temperature(now_ns)
+        follows = self._changes[0].start
+        for change, until in pairwise((*self._changes, None)):
+            if change is not None:
+                follows = change.followed(now_ns if until is None else until.start_ns, lag, follows)
+        return follows
 
 
 class Pose:
@@ -126,9 +179,9 @@ class Pose:
             self._gravity = self._seen(self._held)
         return self._gravity
 
-    def temperature(self) -> float:
-        """Return the temperature of the chamber now, °C."""
-        return self._fixture.temperature()
+    def temperature(self, lag: float = 0.0) -> float:
+        """Return the temperature of the chamber now, °C, or of what follows it with a time constant of ``lag`` s."""
+        return self._fixture.temperature(lag)
 
 
 def _rotated(vector: Vector, angles: list[float]) -> Vector:

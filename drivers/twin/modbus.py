@@ -90,4 +90,4 @@ class ModbusTwin:
             return truth.reading(name, LEVEL, truth.ambient)
         noise = truth.noise.get(name, 0.0)
         drawn = normal(truth.seed, f"noise {name}", int(self._clock.now_ns() / 1e9 * RATE)) if noise else 0.0
-        return truth.reading(name, self._fixture.gravity, self._fixture.temperature()) + noise * drawn
+        return truth.reading(name, self._fixture.gravity, self._fixture.temperature(truth.lag)) + noise * drawn

@@ -95,7 +95,9 @@ class Sca100tTwin:
             self._latched = self._instant()
 
     def _instant(self) -> Instant:
-        return Instant(self._clock.now_ns(), self._fixture.gravity, self._fixture.temperature())
+        fixture = self._fixture
+        element = fixture.temperature(self._truth.lag)
+        return Instant(self._clock.now_ns(), fixture.gravity, element, fixture.temperature())
 
     def _driven(self, out: bytes, fault: Fault | None) -> bytes:
         """Return the bytes that the part drives; none for an invalid command, where the line floats."""
@@ -144,7 +146,7 @@ class Sca100tTwin:
 
     def _thermometer(self) -> int:
         """Return the temperature register, by the datasheet's formula."""
-        seen = self._latched.temperature + self._truth.thermometer_error
+        seen = self._latched.thermometer + self._truth.thermometer_error
         return min(max(round(197.0 - 1.083 * seen), 0), 255)
 
 
@@ -158,13 +160,14 @@ class Instant:
         Session time.
     gravity : tuple of float
         Up in the sensor frame, g.
-    temperature : float
-        °C.
+    temperature, thermometer : float
+        Of the sensing element and of the part's thermometer, °C.
     """
 
     now_ns: int
     gravity: Vector
     temperature: float
+    thermometer: float = 0.0
 
     @property
     def conversion(self) -> int:

@@ -47,6 +47,8 @@ class Truth:
         Per channel, white, standard deviation of one sample, unit.
     thermometer_error : float
         Error of the sensor's own thermometer, positive if it reads too high, °C.
+    lag : float
+        By how much the sensing element is later than the chamber and the thermometer, s.
     supply : float
         Supply of an analog sensor, V; its coefficients always refer to 5 V.
     mounting : tuple of float
@@ -66,6 +68,7 @@ class Truth:
     nonlinearity: Mapping[str, Polynomial] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     thermometer_error: float = 0.0
+    lag: float = 0.0
     supply: float = 5.0
     mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
     seed: int = 0

@@ -21,6 +21,7 @@ from tiltcal.bench.session_plan import SessionPlan, stamp
 from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.plausibility import ExpectedReadings
+from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Reading
 from tiltcal.drivers.twin.fixture import Fixture
@@ -68,6 +69,11 @@ class PositionRunner:
         self._log = log
         self._clock = clock
         self._fixture = fixture
+
+    @property
+    def records(self) -> Mapping[str, RampRecord]:
+        """The continuous record of each sensor, by serial number, where the procedure is a ramp."""
+        return {}
 
     def run(self) -> list[PositionResult]:
         """Return every position of the procedure, accepted, in its order.
@@ -199,15 +205,19 @@ class PositionRunner:
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
         measurements, expected, expectations = {}, {}, self._expectations(accepted)
-        time = stamp(self._plan.started + timedelta(microseconds=self._log.now_ns() / 1000))
+        time = self._now()
         for index, one in enumerate(self._sensors.sensors):
             readings = [sample[index] for _, sample in held]
             require_off_rails(readings, one.model)
-            measurements[one.serial] = _measurement(one, position, readings, typed, time)
+            measurements[one.serial] = measurement_of(one, position, readings, typed, time)
             gravity = measurements[one.serial].gravity
             predicted = one.model.scaled and not self._procedure.determines.free
             expected[one.serial] = expectations[one.serial].expected(gravity) if predicted else {}
         return PositionResult(position, measurements, typed is not None, expected)
+
+    def _now(self) -> str:
+        """Return the time of the session as a stamp."""
+        return stamp(self._plan.started + timedelta(microseconds=self._log.now_ns() / 1000))
 
     def _check(self, result: PositionResult, accepted: Sequence[PositionResult]) -> None:
         """Refuse a position whose temperature is absurd, whose sensor is stuck, or that is another position.
@@ -269,7 +279,7 @@ class PositionRunner:
                     raise Unsettled(why)
 
 
-def _measurement(
+def measurement_of(
     sensor: ConnectedSensor, position: Position, readings: Sequence[Reading], typed: float | None, time: str
 ) -> Measurement:
     """Return one sensor's samples of a position as the estimator takes them, in the sensor's own frame."""

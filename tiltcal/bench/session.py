@@ -212,8 +212,9 @@ class Session:
             if rotation is not None:
                 return self._match(rotation, opened, cast(RotationOperator, operator or SimRotationOperator()))
             positions = cast(PositionOperator, operator or SimOperator())
-            accepted = self._position_runner(opened, positions).run()
-            found = tilt_calibrations(self.plan, opened.sensors.sensors, accepted)
+            runner = self._position_runner(opened, positions)
+            accepted = runner.run()
+            found = tilt_calibrations(self.plan, opened.sensors.sensors, accepted, runner.records)
             files = {self._output(device): device for device in self.plan.sensors if device.serial in found}
             opened.log.ask("write", positions.confirm_write, list(files))
             end = self._finish(opened)
@@ -245,6 +246,11 @@ class Session:
 
     def _position_runner(self, opened: _OpenSession, operator: PositionOperator) -> PositionRunner:
         fixture = self._virtual.fixture if self.plan.virtual and opened.live else None
+        if self.plan.procedure.ramp is not None:
+            from tiltcal.bench.ramp_runner import RampRunner
+
+            ramp = self.plan.procedure.ramp
+            return RampRunner(ramp, self.plan, opened.sensors, operator, opened.log, opened.clock, fixture)
         return PositionRunner(self.plan, opened.sensors, operator, opened.log, opened.clock, fixture)
 
     def _match(self, rotation: Rotation, opened: _OpenSession, operator: RotationOperator) -> SessionResult:

@@ -13,6 +13,7 @@ from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, stamp
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Nominal
+from tiltcal.core.ramp.record import RampRecord
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.records import VIRTUAL, BenchRecord, FileRecord, Provenance
 
@@ -40,7 +41,10 @@ class SessionEnd:
 
 
 def tilt_calibrations(
-    plan: SessionPlan, sensors: Sequence[ConnectedSensor], accepted: Sequence[PositionResult]
+    plan: SessionPlan,
+    sensors: Sequence[ConnectedSensor],
+    accepted: Sequence[PositionResult],
+    records: Mapping[str, RampRecord],
 ) -> dict[str, CalibrationRecord]:
     """Return the calibration of each sensor by its serial number, without its provenance.
 
@@ -51,6 +55,8 @@ def tilt_calibrations(
         Those that were not given up.
     accepted : sequence of PositionResult
         Every position, in the procedure's order.
+    records : mapping of str to RampRecord
+        Of a ramp, the continuous record of each sensor.
 
     Raises
     ------
@@ -68,6 +74,7 @@ def tilt_calibrations(
                 one.orientation.matrix,
                 one.model.thermometer_rounding if own_thermometers else None,
                 base.calibration if (base := plan.bases.get(one.serial)) else None,
+                records.get(one.serial),
             )
             for one in sensors
         ],

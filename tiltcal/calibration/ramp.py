@@ -24,7 +24,7 @@ from tiltcal.core.thermal_lag import SMOOTHING
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.records import CrossValidation, Hysteresis, RampLeg, RampFitRecord
+from tiltcal.files.records import CrossValidation, Hysteresis, RampFitRecord, RampLeg
 
 GROUPS = 8
 """Parts of a leg that the file lists as positions."""
@@ -266,6 +266,7 @@ def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Mea
                     position=f"{leg.way}-{number}-{k}",
                     temperature=float(element[part].mean()) + fit.reference,
                     summaries=summaries,
+                    when={},
                 )
             )
     return groups

@@ -147,6 +147,9 @@ class TruthSection:
     thermometer_error: float = entry(
         Number("°C"), "what the sensor's thermometer reads too high, °C", default=Truth.thermometer_error
     )
+    lag: float = entry(
+        _SHARE, "by how much the sensing element is later than chamber and thermometer, s", default=Truth.lag
+    )
     jig: float = entry(
         _SHARE,
         "standard deviation of each set angle, degrees; jig and chamber are those of the bench's first virtual sensor",
@@ -159,7 +162,9 @@ class TruthSection:
 
 def _truth_of(found: TruthSection, node: Node, context: Context) -> Truth:
     thermal, mounting = found.temperature or ThermalTruth(reference=Truth.reference), found.mounting
-    shared = ("supply", "nonlinearity", "noise", "thermometer_error", "jig", "ambient", "time_constant", "faults")
+    shared = (
+        *("supply", "nonlinearity", "noise", "thermometer_error", "lag", "jig", "ambient", "time_constant", "faults"),
+    )
     return Truth(
         channels=tuple(axis for axis in AXES if axis in found.offset),
         offset=found.offset,

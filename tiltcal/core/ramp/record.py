@@ -64,6 +64,7 @@ class RecordAverager:
         self._waiting = np.zeros((0, 2 + channels))
         self._size = 1
         self._squares = np.zeros(channels)
+        self._last = np.zeros((0, 2 + channels))
         self._rows = 0
 
     def add(self, time: Array, temperature: Array, readings: Array) -> None:
@@ -78,7 +79,8 @@ class RecordAverager:
         rows = np.column_stack([time, temperature, readings])
         rows = rows[np.isfinite(rows).all(axis=1)]
         self._rows += len(rows)
-        self._squares += np.sum(np.diff(rows[:, 2:], axis=0) ** 2, axis=0)
+        self._squares += np.sum(np.diff(np.concatenate([self._last, rows])[:, 2:], axis=0) ** 2, axis=0)
+        self._last = rows[-1:] if len(rows) else self._last
         waiting = np.concatenate([self._waiting, rows])
         whole = len(waiting) // self._size * self._size
         sums = waiting[:whole].reshape(-1, self._size, waiting.shape[1]).sum(axis=1)
