@@ -73,9 +73,9 @@ def _children() -> set[int]:
     A thread of a library may end at any time, with its folder: between its listing and its reading too.
     """
     found: set[int] = set()
-    for listed in PROCESS.glob("task/*/children"):
-        with suppress(FileNotFoundError, ProcessLookupError):
-            found.update(map(int, listed.read_text().split()))
+    for thread in os.listdir(PROCESS / "task"):
+        with suppress(FileNotFoundError, ProcessLookupError), open(f"/proc/self/task/{thread}/children") as listed:
+            found.update(map(int, listed.read().split()))
     return found
 
 

@@ -88,16 +88,26 @@ class Truth:
         temperature : float
             Of the sensor, °C.
         """
-        row = self.sensitivity[channel]
-        signal = sum(row.get(axis, 0.0) * g for axis, g in zip("xyz", gravity, strict=True))
+        row, (x, y, z) = self.sensitivity[channel], gravity
+        signal = row.get("x", 0.0) * x + row.get("y", 0.0) * y + row.get("z", 0.0) * z
         own = row[channel]
-        a = signal / own
-        bend = own * sum(k * a ** (power + 2) for power, k in enumerate(self.nonlinearity.get(channel, ())))
+        bend = own * _powers(self.nonlinearity.get(channel, ()), signal / own, 2)
         dt = temperature - self.reference
-        drift = sum(k * dt ** (power + 1) for power, k in enumerate(self.drift.get(channel, ())))
-        gain = sum(k * dt ** (power + 1) for power, k in enumerate(self.gain.get(channel, ())))
+        drift = _powers(self.drift.get(channel, ()), dt, 1)
+        gain = _powers(self.gain.get(channel, ()), dt, 1)
         return self.offset[channel] + drift + (1.0 + gain) * (signal + bend)
 
     def fault(self, seconds: float) -> Fault | None:
         """Return the fault that is present ``seconds`` after the session began, if any."""
-        return next((fault for fault in self.faults if fault.start <= seconds < fault.end), None)
+        for fault in self.faults:
+            if fault.start <= seconds < fault.end:
+                return fault
+        return None
+
+
+def _powers(coefficients: Polynomial, variable: float, lowest: int) -> float:
+    """Return a polynomial that begins with a power."""
+    total = 0.0
+    for power, coefficient in enumerate(coefficients, lowest):
+        total += coefficient * variable**power
+    return total
