@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support import FIXTURES
 from support.command import tiltcal
 from support.json_program import lead
 
 from tiltcal.bench.measure import measure
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.core.model import Thermal
 from tiltcal.files.calibration import read_calibration
 
 BASE = FIXTURES / "complete.yaml"
@@ -88,6 +92,45 @@ def test_six_sensors_bring_their_calibrations_in_a_folder(tmp_path: Path) -> Non
         assert read_calibration(tmp_path / "again" / f"T-{number}.yaml").fit.level is not None
     refused = tiltcal("measure", "level", "--base", "T-1.yaml", *options, cwd=tmp_path)
     assert "one file for 3 sensors" in refused.stderr
+
+
+def test_a_level_without_the_temperature_that_counts_is_asked_for_again(tmp_path: Path) -> None:
+    """An SCA3000-E04 has no thermometer: the operator types the temperature."""
+    own = read_calibration(FIXTURES / "free.yaml")
+    thermal = Thermal(24.0, (5.0, 30.0), np.full((3, 1), 0.1), np.zeros((3, 0)))
+    base = replace(
+        own,
+        sensor=replace(own.sensor, model="sca3000-e04"),
+        coefficients=replace(own.coefficients, thermal=thermal),
+    )
+    Calibration(base).save(tmp_path / "base.yaml")
+    typed = iter([{"answer": "ready"}, {"answer": "ready", "temperature": 12.0}])
+    led = lead(
+        *("measure", "level", "--base", "base.yaml", "--sensor", "sca3000-e04", "--address", "sim:"),
+        *("--serial", "SIM-42", "--jig", "0.05", "--samples", "20", "-o", "again.yaml"),
+        cwd=tmp_path,
+        answer=lambda message: next(typed) if "ask" in message else None,
+    )
+    assert led.exit_code == 0, led.errors
+    assert "changes with temperature, and level has none" in led.events("refused")[0]["why"]
+    assert read_calibration(tmp_path / "again.yaml").fit.level.temperature == 12.0
+
+
+def test_a_three_axis_sensor_that_hangs_upside_down(tmp_path: Path) -> None:
+    """Its z reads -1 g where the instrument is level; the mounting of the base says so."""
+    own = read_calibration(FIXTURES / "free.yaml")
+    Calibration(own).with_mounting("roll=180").save(tmp_path / "base.yaml")
+    twin = (FIXTURES / "twins" / "sca3000.yaml").read_text(encoding="utf-8")
+    (tmp_path / "hanging.yaml").write_text(
+        twin.replace("jig: 4.0", "jig: 0.05") + "  mounting: {roll: 180.0}\n", encoding="utf-8"
+    )
+    sensor = ("--sensor", own.sensor.model, "--serial", own.sensor.serial, "--address", "sim:twin=hanging.yaml")
+    options = ("--jig", "0.05", "--samples", "20", "--operator", "sim", "-o", "x.yaml")
+    done = tiltcal("measure", "level", "--base", "base.yaml", *sensor, *options, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = read_calibration(tmp_path / "x.yaml")
+    assert found.coefficients.offset[2] == pytest.approx(own.coefficients.offset[2], abs=10.0)
+    assert found.uncertainty["offset.z"] > 0.0
 
 
 @pytest.mark.parametrize(

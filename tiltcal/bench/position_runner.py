@@ -19,6 +19,7 @@ from tiltcal.bench.sample_checks import far_off, require_agreement, require_few,
 from tiltcal.bench.sensor_set import ConnectedSensor, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan, stamp
 from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_still
+from tiltcal.calibration import level
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.ramp.record import RampRecord
@@ -211,7 +212,7 @@ class PositionRunner:
             require_off_rails(readings, one.model)
             measurements[one.serial] = measurement_of(one, position, readings, typed, time)
             gravity = measurements[one.serial].gravity
-            predicted = one.model.scaled and not self._procedure.determines.free
+            predicted = one.model.scaled and not self._procedure.determines.free and not self._mounted
             expected[one.serial] = expectations[one.serial].expected(gravity) if predicted else {}
         return PositionResult(position, measurements, typed is not None, expected)
 
@@ -229,6 +230,11 @@ class PositionRunner:
         """
         last = len(accepted) == len(self._procedure.positions) - 1
         require_agreement(result, accepted, asked=result.asked)
+        if self._procedure.determines.level:
+            for serial, measurement in result.measurements.items():
+                why = level.objection(self._plan.bases[serial].calibration, measurement)
+                if why:
+                    raise Unsettled(why)
         for one in self._sensors.sensors:
             require_living(one, result, accepted, last=last)
         self._require_plausible(result, self._expectations(accepted), accepted)
@@ -251,7 +257,7 @@ class PositionRunner:
     ) -> None:
         """Refuse a position that a sensor sees as another one."""
         determines = self._procedure.determines
-        if determines.mounting:
+        if determines.mounting or self._mounted:
             return
         if determines.free:
             self._require_new(result, expectations, accepted)
@@ -266,6 +272,11 @@ class PositionRunner:
             why = expectations[one.serial].objection(result.position.name, seen, result.mean(one.serial), temperature)
             if why:
                 raise Unsettled(why if len(self._sensors.sensors) == 1 else f"{one.serial}: {why}")
+
+    @property
+    def _mounted(self) -> bool:
+        """Whether the positions are those of an application in which a sensor sits in a way of its own."""
+        return any(base.calibration.coefficients.mounting is not None for base in self._plan.bases.values())
 
     def _require_new(
         self, result: PositionResult, expectations: Mapping[str, ExpectedReadings], accepted: Sequence[PositionResult]

@@ -80,7 +80,9 @@ def level(
     EstimateError
         A position is not level, or its temperature is missing and counts.
     """
-    _require_level(base, measurements)
+    why = next(filter(None, (objection(base, one) for one in measurements)), "")
+    if why:
+        raise EstimateError(why)
     found = _Renewal.of(base, measurements, bench)
     stated = bench.jig is not None or bench.table is not None
     u = found.budget.u[: len(found.offset)]
@@ -344,16 +346,18 @@ def _inputs(base: CalibrationRecord) -> tuple[tuple[str, ...], Array, Array]:
     return known.names, known.covariance, known.factors
 
 
-def _require_level(base: CalibrationRecord, measurements: Sequence[Measurement]) -> None:
+def objection(base: CalibrationRecord, measurement: Measurement) -> str:
+    """Return why a position cannot renew the offset of a calibration; empty where it can."""
+    if measurement.gravity[2] < cos(radians(NEARLY_LEVEL)):
+        return (
+            f"{measurement.position} is not level, it was set to gravity "
+            f"({', '.join(f'{g:.3g}' for g in measurement.gravity)}); how the sensor sits belongs into the mounting of "
+            "its calibration: tiltcal combine CAL --mounting"
+        )
     thermal = base.coefficients.thermal
-    for one in measurements:
-        if one.gravity[2] < cos(radians(NEARLY_LEVEL)):
-            raise EstimateError(
-                f"{one.position} is not level, it was set to gravity ({', '.join(f'{g:.3g}' for g in one.gravity)}); "
-                "how the sensor sits belongs into the mounting of its calibration: tiltcal combine CAL --mounting"
-            )
-        if one.temperature is None and thermal is not None and (thermal.drift.any() or thermal.gain.any()):
-            raise EstimateError(
-                f"the offset of {base.sensor.serial} changes with temperature, and {one.position} has none: "
-                "type it at the prompt (t), name a thermometer in the bench file, or a column of the log"
-            )
+    if measurement.temperature is None and thermal is not None and (thermal.drift.any() or thermal.gain.any()):
+        return (
+            f"the offset of {base.sensor.serial} changes with temperature, and {measurement.position} has none: type "
+            "it at the prompt (t), name a thermometer in the bench file, or a column of the log"
+        )
+    return ""

@@ -43,6 +43,10 @@ def _channels(found: tuple[str, ...], node: Node, context: Context) -> tuple[str
     return found
 
 
+UNKNOWN_MODEL = "recorded"
+"""The model of a sensor that `fit` was told none of."""
+
+
 @frozen
 class SensorIdentity:
     """The sensor that a calibration belongs to."""

@@ -21,7 +21,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base import bases_of
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
+from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.node import require_printable
 from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure, find_procedure
@@ -43,7 +43,6 @@ from tiltcal.logs.static_intervals import (
 )
 from tiltcal.logs.streams import sha256_of
 
-UNKNOWN_MODEL = "recorded"
 SHORTEST = 4
 """Rows of a window over which a sensor can be still."""
 

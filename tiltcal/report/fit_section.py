@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from tiltcal.calibration.summary import INCREDIBLE, objections
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.records import FitRecord, MountingFit, PositionRecord, PositionSet
+from tiltcal.files.records import FitRecord, LevelFit, MountingFit, PositionRecord, PositionSet
 from tiltcal.report.number_format import AlignedNumber, at_place, column, measured, plain, signed
 
 
@@ -108,6 +108,7 @@ def _sentences(fit: FitRecord, unit: str) -> Iterator[str]:
         yield f"The misfit of the length of gravity is {plain(fit.misfit_rms_mg, 3)} mg rms{where}."
     yield from _swept(fit, unit)
     yield from _mounted(fit.mounting)
+    yield from _levelled(fit.level, unit)
 
 
 def _judged(fit: FitRecord) -> Iterator[str]:
@@ -163,6 +164,16 @@ def _mounted(fit: MountingFit | None) -> Iterator[str]:
         f"residual {plain(fit.residuals_degrees[worst], 3)}° in {worst}"
         + ("." if fit.chi_square is None else f", χ² {plain(fit.chi_square, 4)}.")
     )
+
+
+def _levelled(fit: LevelFit | None, unit: str) -> Iterator[str]:
+    if fit is None:
+        return
+    told = [
+        f"{channel} by {signed(plain(change, 3))} ± {plain(fit.change_uncertainty.get(channel, 0.0), 2)} {unit}"
+        for channel, change in fit.change.items()
+    ]
+    yield f"A level position has renewed the offset: it changed in {' and in '.join(told)}; {fit.verdict}."
 
 
 def _mean(record: PositionRecord, channel: str) -> str:

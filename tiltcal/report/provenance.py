@@ -21,6 +21,9 @@ _WORDS = {
     "bench.axes": "Axes on the bench",
     "bench.thermometer": "Thermometer",
     "software": "Software",
+    "base.name": "Calibration it builds on",
+    "base.sha256": "SHA-256 of that calibration",
+    "sources": "Combined of",
     "journal.name": "Journal",
     "journal.sha256": "SHA-256 of the journal",
     "log.name": "Log",
@@ -108,9 +111,10 @@ def procedure_facts(calibration: CalibrationRecord) -> list[Fact]:
         ("Samples per position", run.samples and str(run.samples)),
         ("Still before sampling", run.settle_seconds is not None and f"{run.settle_seconds:g} s"),
     ]
-    if run.mounting is not None:
-        kept = _leaves(Section(CompletingRun).write(run.mounting))
-        said.append(("Mounting", "; ".join(f"{name.replace('_', ' ')} {value}" for name, value in kept)))
+    for label, completing in (("Mounting", run.mounting), ("Level", run.level)):
+        if completing is not None:
+            kept = _leaves(Section(CompletingRun).write(completing))
+            said.append((label, "; ".join(f"{name.replace('_', ' ')} {value}" for name, value in kept)))
     return [Fact(label, value) for label, value in said if value]
 
 

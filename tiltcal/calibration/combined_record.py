@@ -1,0 +1,200 @@
+"""The calibration file of a combination: what it states of its sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import degrees
+from pathlib import Path
+
+import numpy as np
+
+import tiltcal
+from tiltcal.calibration.combined_session import KINDS, CombinedSession
+from tiltcal.calibration.results import (
+    DIGITS,
+    NOISE_ALONE,
+    SHARE_DIGITS,
+    derived_record,
+    rounded,
+    rounded_covariance,
+    uncertainty_of,
+)
+from tiltcal.core.angle_uncertainty import TURN
+from tiltcal.core.combination import ASSUMED, Combination
+from tiltcal.core.estimation.design import Design
+from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
+from tiltcal.core.model import Limits
+from tiltcal.core.rounding import significant
+from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
+from tiltcal.files.records import FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.uncertainty import Uncertainty
+
+
+def combined_record(
+    sessions: Sequence[CombinedSession], found: Combination, remarks: Sequence[str]
+) -> CalibrationRecord:
+    """Return the calibration that a combination gives, with remarks on what it left out."""
+    records = [one.record for one in sessions]
+    scaled = [one for one in sessions if not one.assumes("sensitivity")]
+    measured = bool(scaled)
+    positions, renamed = _positions(sessions)
+    fits = [one.fit for one in records]
+    dofs = [one.degrees_of_freedom for one in fits]
+    estimate = Estimate(
+        coefficients=found.coefficients,
+        names=found.names,
+        budget=found.budget,
+        positions=(),
+        residuals=np.zeros((0, 0)),
+        remainders=np.zeros((0, 0)),
+        dof=found.dof,
+        chi_square=found.chi_square if found.dof else None,
+        p=None,
+        stated=True,
+    )
+    sensor = next((one.sensor for one in records if one.sensor.model != UNKNOWN_MODEL), records[0].sensor)
+    design = Design(found.coefficients.channels, found.coefficients.axes, jig=0.0)
+    derived = derived_record(estimate, design, "") if measured else records[0].derived
+    kept = tuple(sessions[0].assumes(kind) or "" for kind in KINDS if all(one.assumes(kind) for one in sessions))
+    sources = {one.uncertainty_from for one in fits if one.uncertainty_from}
+    left = [note for one in fits for note in one.notes if note != NO_FREEDOM or not found.dof]
+    notes = dict.fromkeys([f"combined of {' and '.join(_told(one) for one in sessions)}", *remarks, *left])
+    return CalibrationRecord(
+        sensor=sensor,
+        coefficients=replace(rounded(estimate), mounting=found.coefficients.mounting),
+        uncertainty=_uncertainty(sessions, estimate, found),
+        limits=_limits(records, [one.record for one in scaled] or records),
+        derived=replace(derived, assumed=tuple(kept)),
+        fit=FitRecord(
+            residuals={renamed[n, name]: row for n, one in enumerate(fits) for name, row in one.residuals.items()},
+            degrees_of_freedom=None if None in dofs else sum(one or 0 for one in dofs) + found.dof,
+            chi_square=significant(found.chi_square + sum(one.chi_square or 0.0 for one in fits), DIGITS)
+            if all(one.chi_square is not None or not one.degrees_of_freedom for one in fits)
+            else None,
+            uncertainty_from=NOISE_ALONE if NOISE_ALONE in sources else "; ".join(sorted(sources)) or None,
+            thermometer_celsius=max((one.thermometer_celsius or 0.0 for one in fits), default=0.0) or None,
+            budget=_budget(sessions, found),
+            notes=tuple(notes),
+            mounting=next((one.mounting for one in fits if one.mounting), None),
+            level=next((one.level for one in fits if one.level), None),
+        ),
+        procedure=ProcedureRecord(
+            name=" + ".join(one.record.procedure.name or one.label for one in sessions),
+            title=f"Combined of {len(sessions)} calibrations",
+            set={
+                renamed[n, name]: one for n, record in enumerate(records) for name, one in record.procedure.set.items()
+            },
+            mounting=next((one.procedure.mounting for one in records if one.procedure.mounting), None),
+            level=next((one.procedure.level for one in records if one.procedure.level), None),
+        ),
+        positions=positions,
+        provenance=combined_provenance(sessions),
+    )
+
+
+def _told(session: CombinedSession) -> str:
+    name, ended = session.record.procedure.name, session.record.provenance.ended
+    more = ", ".join(filter(None, (name, ended and ended[:10])))
+    return f"{session.label} ({more})" if more else session.label
+
+
+def _positions(sessions: Sequence[CombinedSession]) -> tuple[tuple[PositionRecord, ...], dict[tuple[int, str], str]]:
+    """Return all positions, and the name that each has now by the number of its session and its name there."""
+    every = [(n, one.position) for n, session in enumerate(sessions) for one in session.record.positions]
+    every += [(n, name) for n, session in enumerate(sessions) for name in session.record.fit.residuals]
+    every += [(n, name) for n, session in enumerate(sessions) for name in session.record.procedure.set]
+    every = list(dict.fromkeys(every))
+    count = [name for _, name in every]
+    renamed = {
+        (n, name): name if count.count(name) == 1 else f"{Path(sessions[n].label).stem}/{name}" for n, name in every
+    }
+    groups: list[list[PositionRecord]] = [[], [], []]
+    for n, session in enumerate(sessions):
+        record = session.record
+        fitted = record.positions_with(mounting=(), level=())
+        mounted = record.positions_with(level=())[len(fitted) :]
+        levelled = record.positions[len(fitted) + len(mounted) :]
+        for group, own in zip(groups, (fitted, mounted, levelled), strict=True):
+            group += [replace(one, position=renamed[n, one.position]) for one in own]
+    return tuple(one for group in groups for one in group), renamed
+
+
+def _uncertainty(sessions: Sequence[CombinedSession], estimate: Estimate, found: Combination) -> Uncertainty:
+    """Return the uncertainty of all coefficients, and that of a mounting with its covariance."""
+    single: dict[str, float] = {}
+    for one in sessions:
+        for name, u in one.record.uncertainty.single_reading.items():
+            single[name] = max(u, single.get(name, 0.0))
+    both = uncertainty_of(estimate, single)
+    both = replace(both, alignment=max(one.record.uncertainty.alignment for one in sessions))
+    for session in sessions:
+        names, covariance, factors = session.known
+        turns = [k for k, name in enumerate(names) if name.startswith(TURN)]
+        if not turns:
+            continue
+        across = np.zeros((len(found.names), len(turns)))
+        for statement, by in zip(found.statements, found.parts, strict=True):
+            if statement.label == session.label:
+                across = by @ covariance[np.ix_([names.index(name) for name in statement.names], turns)]
+        own, scale = covariance[np.ix_(turns, turns)], degrees(1.0)
+        joint = np.block([[estimate.covariance, across * scale], [across.T * scale, own * scale**2]])
+        mounted = {name: u for name, u in session.record.uncertainty.items() if name.startswith("mounting.")}
+        return replace(
+            both,
+            standard={**both.standard, **mounted},
+            coverage_factor={**both.coverage_factor, **{names[k]: round(float(factors[k]), 3) for k in turns}},
+            covariance=rounded_covariance((*estimate.names, *(names[k] for k in turns)), joint),
+        )
+    return both
+
+
+def _budget(sessions: Sequence[CombinedSession], found: Combination) -> dict[str, dict[str, float]]:
+    """Return the share of each source in each variance, by the sessions' own budgets."""
+    shares: dict[str, dict[str, float]] = {}
+    measured = {one.label: one.names for one in found.statements}
+    own = {
+        one.label: {name: row for name, row in one.record.fit.budget.items() if name in measured.get(one.label, ())}
+        for one in sessions
+    }
+    for k, name in enumerate(found.names):
+        row: dict[str, float] = {}
+        for label, column in found.budget.shares.items():
+            sources = own.get(label, {}).get(name) or {ASSUMED if label == ASSUMED else "other sessions": 1.0}
+            for source, share in sources.items():
+                row[source] = row.get(source, 0.0) + share * float(column[k])
+        shares[name] = {source: part for source, share in row.items() if (part := round(share, SHARE_DIGITS))}
+    return shares
+
+
+def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRecord]) -> Limits:
+    """Return the tilts that the sensitivity was measured in, the temperatures of the drift, the rails of all."""
+    tilt: dict[str, tuple[float, float]] = {}
+    reading: dict[str, tuple[float, float]] = {}
+    for one in scaled:
+        for axis, (low, high) in one.limits.tilt.items():
+            before = tilt.get(axis, (low, high))
+            tilt[axis] = min(low, before[0]), max(high, before[1])
+    for one in records:
+        for channel, (low, high) in one.limits.reading.items():
+            before = reading.get(channel, (low, high))
+            reading[channel] = max(low, before[0]), min(high, before[1])
+    met = [one.limits.temperature for one in records if one.limits.temperature and one.coefficients.thermal]
+    return Limits(tilt, (min(low for low, _ in met), max(high for _, high in met)) if met else None, reading)
+
+
+def combined_provenance(sessions: Sequence[CombinedSession]) -> Provenance:
+    """Return where the calibrations come from, with their SHA-256."""
+    each = [one.record.provenance for one in sessions]
+    started, ended = (
+        [t for t in times if t] for times in zip(*((one.started, one.ended) for one in each), strict=True)
+    )
+    made = dict.fromkeys(one.made_by for one in each if one.made_by)
+    return Provenance(
+        made_by=f"combination of calibrations by {' and '.join(made)}" if made else "combination of calibrations",
+        operator=" and ".join(dict.fromkeys(one.operator for one in each if one.operator)) or None,
+        sources=tuple(FileRecord(name=one.label, sha256=one.sha256) for one in sessions),
+        software=f"tiltcal {tiltcal.__version__}",
+        started=min(started) if started else None,
+        ended=max(ended) if ended else None,
+    )

@@ -1,0 +1,167 @@
+"""One session of a combination: what its calibration has measured, and what it has assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from hashlib import sha256
+from math import hypot
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.core.angle_uncertainty import TURN
+from tiltcal.core.combination import Statement, conditional
+from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.named_coefficients import values
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import CalibrationRecord, calibration_of, dump_calibration
+from tiltcal.files.document import checked_kind, parse_document, read_text
+from tiltcal.files.uncertainty import stated_uncertainty
+from tiltcal.frozen import frozen
+
+KINDS = {"sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
+"""The coefficients that ``derived.assumed`` names by their first word."""
+
+
+@frozen
+class CombinedSession:
+    """One calibration, with what messages call it and the SHA-256 of its file."""
+
+    label: str
+    sha256: str
+    record: CalibrationRecord
+
+    @classmethod
+    def of(cls, given: Calibration | str | Path) -> CombinedSession:
+        if isinstance(given, Calibration):
+            return cls(given.procedure.name or "a calibration", _sha(dump_calibration(given.record)), given.record)
+        text = read_text(given)
+        return cls(Path(given).name, _sha(text), calibration_of(checked_kind(parse_document(text, str(given)), "tilt")))
+
+    @property
+    def coefficients(self) -> Coefficients:
+        return self.record.coefficients
+
+    def assumes(self, kind: str) -> str | None:
+        """Return what the session has assumed of ``sensitivity`` or ``temperature``; None where it measured it."""
+        return next((one for one in self.record.derived.assumed if one.startswith(f"{kind}:")), None)
+
+    @cached_property
+    def assumed(self) -> frozenset[str]:
+        """The coefficients that were not measured."""
+        starts = tuple(start for kind, all_ in KINDS.items() if self.assumes(kind) for start in all_)
+        return frozenset(name for name in values(self.coefficients) if starts and name.startswith(starts))
+
+    @cached_property
+    def known(self) -> tuple[tuple[str, ...], Array, Array]:
+        """Names, covariance and coverage factors of what is uncertain, turns of the mounting in radians."""
+        try:
+            stated = stated_uncertainty(self.record.uncertainty, self.coefficients).inputs
+        except EstimateError as failure:
+            raise EstimateError(f"{self.label}: {failure}") from failure
+        some = np.flatnonzero(np.diag(stated.covariance) > 0.0)
+        return tuple(stated.names[k] for k in some), stated.covariance[np.ix_(some, some)], stated.factors[some]
+
+    @property
+    def exact(self) -> frozenset[str]:
+        """The coefficients that were measured and whose uncertainty is not stated."""
+        return frozenset(values(self.coefficients)) - self.assumed - set(self.known[0])
+
+    @property
+    def places(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which of :attr:`known` are measured coefficients, and which assumed ones."""
+        names = self.known[0]
+        assumed = np.array([name in self.assumed for name in names], dtype=bool)
+        return ~assumed & np.array([not name.startswith(TURN) for name in names], dtype=bool), assumed
+
+    @property
+    def temperature(self) -> tuple[float, float] | None:
+        """Where the offset holds, °C, and the standard uncertainty of that; None where nobody knows."""
+        thermal, fit = self.coefficients.thermal, self.record.fit
+        if thermal is not None:
+            return thermal.reference, 0.0
+        met = [one.temperature for one in self.record.positions if one.temperature is not None]
+        if not met:
+            return None
+        return float(np.mean(met)), hypot(float(np.std(met)), fit.thermometer_celsius or 0.0)
+
+    @property
+    def gravity(self) -> Array | None:
+        """Up in the sensor's frame, where it is the same in every position of the session."""
+        seen = [
+            np.array(one.gravity if one.tilt is None else gravity_from_tilt(one.tilt))
+            for one in self.record.procedure.set.values()
+            if one.gravity is not None or one.tilt is not None
+        ]
+        return seen[0] if seen and all(np.allclose(one, seen[0], atol=1e-6) for one in seen) else None
+
+    def statement(self, target: Coefficients) -> tuple[Statement, str]:
+        """Return what the session states of a sensor with the axes and temperature terms of a target; and a remark."""
+        names, covariance, factors = self.known
+        measured, assumed = self.places
+        stated = values(self.coefficients)
+        own = [name for name, kept in zip(names, measured, strict=True) if kept]
+        both = measured | assumed
+        conditioned, by = conditional(
+            [name for name, kept in zip(names, both, strict=True) if kept],
+            covariance[np.ix_(both, both)],
+            measured[both],
+        )
+        uncertain = [name for name, kept in zip(names, assumed, strict=True) if kept]
+        value = np.array([stated[name] for name in own])
+        wanted = set(values(target))
+        given, columns = [], []
+        for k, name in enumerate(uncertain):
+            if name in wanted:
+                given.append(name)
+                columns.append(-by[:, k])
+        for name in self._missing(target, uncertain):
+            if self.gravity is None:
+                continue
+            _, channel, axis = name.split(".")
+            column = np.array([float(row == f"offset.{channel}") * self.gravity[AXES.index(axis)] for row in own])
+            if name in wanted:
+                given.append(name)
+                columns.append(column)
+            else:  # the target's offset holds what this axis adds
+                value = value + column * stated[name]
+        kept = list(range(len(own)))
+        at, remark = self.temperature, ""
+        if target.thermal is None:
+            at = None
+        elif at is None:
+            kept = [k for k in kept if not own[k].startswith("offset.")]
+            remark = f"{self.label} states no temperature: its offset is left out"
+        return (
+            Statement(
+                self.label,
+                tuple(own[k] for k in kept),
+                value[kept],
+                conditioned[np.ix_(kept, kept)],
+                factors[measured][kept],
+                None if at is None else at[0],
+                0.0 if at is None else at[1],
+                tuple(given),
+                np.array([stated.get(name, 0.0) for name in given]),
+                np.array(columns).reshape(len(given), len(own)).T[kept],
+            ),
+            remark,
+        )
+
+    def _missing(self, target: Coefficients, uncertain: Sequence[str]) -> Iterator[str]:
+        """Yield the sensitivities that the session took as exact, or left out."""
+        if not self.assumes("sensitivity"):
+            return
+        for channel in target.channels:
+            for axis in AXES:
+                name = f"sensitivity.{channel}.{axis}"
+                if name not in uncertain and (axis in target.axes or axis in self.coefficients.axes):
+                    yield name
+
+
+def _sha(text: str) -> str:
+    return sha256(text.encode()).hexdigest()
