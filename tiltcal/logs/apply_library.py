@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +41,7 @@ SERIAL_NOTES = ("serial", "serial_number", "sensor_serial_number", "instrument_s
 
 _FIRST_MOMENT = 1e8  # seconds since 1970: what counts fewer of them is no moment
 _LAST_MOMENT = 1e11
+_MOST_PIECES = 1000  # of a block, compensated one by one
 _OUTSIDE = 1 << 16  # steps before the first calibration and after the last one are counted from here
 _GROWTH = 8  # steps of the time outside, for each doubling of it
 
@@ -201,16 +203,18 @@ class LibraryKernel:
         return flagged(table, lost, NO_TEMPERATURE)
 
     def _compensated(self, values: RoleValues, time: Array, steps: NDArray[np.int64]) -> Table:
-        first, last = int(steps.min()), int(steps.max())
-        if first == last:
-            return self._flagged(self._of_step(first, values, time), first)
-        table: dict[str, NDArray[np.generic]] = {}
-        for step in np.unique(steps).tolist():
-            rows = np.flatnonzero(steps == step)
-            part = self._flagged(self._of_step(step, _taken(values, rows), time[rows]), step)
-            for name, column in part.items():
-                table.setdefault(name, np.empty(len(time), column.dtype))[rows] = column
-        return table  # type: ignore[return-value]
+        if np.count_nonzero(np.diff(steps)) > _MOST_PIECES:  # the rows are in no order
+            order = np.argsort(steps, kind="stable")
+            table = self._compensated(_taken(values, order), time[order], steps[order])
+            return {name: column[np.argsort(order)] for name, column in table.items()}
+        ends = [0, *(np.flatnonzero(np.diff(steps)) + 1).tolist(), len(steps)]
+        parts = []
+        for begin, end in pairwise(ends):
+            rows, step = slice(begin, end), int(steps[begin])
+            parts.append(self._flagged(self._of_step(step, _taken(values, rows), time[rows]), step))
+        if len(parts) == 1:
+            return parts[0]
+        return {name: np.concatenate([part[name] for part in parts]) for name in self.columns}
 
     def _times(self, values: RoleValues) -> Array:
         """Return the time of each row, seconds since 1970; a row without one has that of the row before."""
@@ -280,12 +284,15 @@ class LibraryKernel:
         share = seconds / (self._dates[k + 1] - self._dates[k])
         shifted = np.empty(values.readings.shape[::-1]).T
         for i, channel in enumerate(late.channels):
+            reading = values.readings[:, i]
             change: Array | float = float(late.offset[i] - early.offset[i])
             if late.thermal is not None and early.thermal is not None and values.temperature is not None:
-                dt = np.nan_to_num(values.temperature - late.thermal.reference)
-                change = change + polynomial(late.thermal.drift[i], dt) - polynomial(early.thermal.drift[i], dt)
-            reading = values.readings[:, i]
-            np.subtract(reading, share * change, out=shifted[:, i])
+                drifts = late.thermal.drift[i], early.thermal.drift[i]
+                if not np.array_equal(*drifts):
+                    dt = np.nan_to_num(values.temperature - late.thermal.reference)
+                    change = change + polynomial(drifts[0], dt) - polynomial(drifts[1], dt)
+            np.multiply(share, change, out=shifted[:, i])
+            np.subtract(reading, shifted[:, i], out=shifted[:, i])
             if channel in after.limits.reading:  # what is at the rail stays there
                 low, high = after.limits.reading[channel]
                 stuck = (reading <= low) | (reading >= high)
@@ -382,7 +389,8 @@ def _bench(
     )
 
 
-def _taken(values: RoleValues, rows: NDArray[np.intp]) -> RoleValues:
+def _taken(values: RoleValues, rows: slice | NDArray[np.intp]) -> RoleValues:
     """Return some of the rows."""
-    others = {name: column for name, column in vars(values).items() if name != "readings" and column is not None}
-    return RoleValues(values.readings.T[:, rows].T, **{name: column[rows] for name, column in others.items()})
+    if isinstance(rows, slice) and rows == slice(0, len(values)):
+        return values
+    return replace(values, **{name: column[rows] for name, column in vars(values).items() if column is not None})

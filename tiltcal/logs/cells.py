@@ -24,6 +24,7 @@ MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 
 _CUT_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)[eE][+-]?|\d*\.)?")
 _OPEN_POINT = r"\.([^0-9]|$)"
+_MOMENT = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z"
 _ZONE = r"T.*(?:Z|[+-]\d\d:?\d\d)$"
 
 
@@ -79,6 +80,9 @@ def seconds(cells: pl.Series) -> Array:
     """
     import polars as pl
 
+    recorded = _moments_of_recorder(cells)
+    if recorded is not None:
+        return recorded
     values, wrong = numbers(cells)
     if wrong is None:
         return values
@@ -92,3 +96,19 @@ def seconds(cells: pl.Series) -> Array:
     moments = zoned["text"].str.to_datetime("%Y-%m-%dT%H:%M:%S%.f%#z", time_unit="us", time_zone="UTC", strict=False)
     values[wrong] = (moments.dt.epoch("us") / 1e6).fill_null(float("nan")).to_numpy()
     return values
+
+
+def _moments_of_recorder(cells: pl.Series) -> Array | None:
+    """Parse moments such as ``2026-05-01T12:00:00.5Z``, each minute once; None where a cell is laid out otherwise."""
+    import polars as pl
+
+    first = cells.first()
+    if not isinstance(first, str) or not re.fullmatch(_MOMENT, first) or not cells.str.contains(f"^{_MOMENT}$").all():
+        return None
+    minutes = cells.str.slice(0, 16).rle().struct.unnest()
+    begun = minutes["value"].str.to_datetime("%Y-%m-%dT%H:%M", time_unit="us", strict=False).dt.epoch("us")
+    within = cells.str.slice(17).str.strip_chars_end("Z").cast(pl.Float64)
+    if begun.null_count() or cells.null_count() or not within.max() < 60.0:  # type: ignore[operator]
+        return None
+    micros = np.repeat(begun.to_numpy(), minutes["len"].to_numpy()) + np.rint(within.to_numpy() * 1e6)
+    return np.asarray(micros / 1e6)

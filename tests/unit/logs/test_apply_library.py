@@ -69,6 +69,10 @@ def test_a_row_has_the_same_result_wherever_its_block_begins(tmp_path: Path) -> 
     days = np.linspace(-10.0, 110.0, 1201)
     frame = {"time": seconds(days), "x": np.linspace(500.0, 1500.0, 1201), "y": np.full(1201, 1100.0)}
     whole = library.apply(frame, uncertainty=True)
+    order = np.random.default_rng(1).permutation(1201)
+    mixed = library.apply({name: column[order] for name, column in frame.items()}, uncertainty=True)
+    for name, column in whole.items():
+        np.testing.assert_array_equal(mixed[name], column[order])
     for row in (0, 100, 101, 700, 1200):
         alone = library.apply({name: column[row : row + 1] for name, column in frame.items()}, uncertainty=True)
         assert {name: column[0] for name, column in alone.items()} == {name: whole[name][row] for name in whole}
