@@ -56,6 +56,28 @@ class TestTemperaturePoint:
         assert not (tmp_path / "S-1.yaml").exists()
 
 
+class TestFastRamp:
+    """A ramp of 0.5 °C/min, whose thermometer is 1 °C ahead of an element that is 120 s late."""
+
+    @pytest.mark.parametrize(("seconds", "timed"), [(5, True), (20, True), (60, True), (20, False), (60, False)])
+    def test_a_short_segment_is_refused_as_a_long_one_is(self, tmp_path: Path, seconds: int, timed: bool) -> None:
+        time = np.arange(2400.0)
+        rows = np.column_stack([1024.0 + 0.02 * time, 1024.0 - 0.02 * time, 24.0 - time * 0.5 / 60.0])
+        rows += np.random.default_rng(3).normal(0.0, (0.5, 0.5, 0.02), rows.shape)
+        columns = np.column_stack([time, rows]) if timed else rows
+        names = "time,x,y,temperature" if timed else "x,y,temperature"
+        np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header=names, comments="", fmt="%.4f")
+        ends = "".join(f"{name},{end - seconds},{end}\n" for name, end in (("level-warm", 300), ("level-cold", 2300)))
+        (tmp_path / "segments.csv").write_text(f"position,start,end\n{ends}")
+        result = tiltcal(
+            *("fit", "two-temperature", "log.csv", "--segments", "segments.csv", "--sensor", "sca100t-d02"),
+            *("--serial", "S-1", "-o", "S-1.yaml"),
+            cwd=tmp_path,
+        )
+        assert result.returncode == 2
+        assert "segments.csv:2: segment level-warm: the temperature drifts by -" in result.stderr
+
+
 class TestSweep:
     """A log of ``temperature-sweep``: a straight drift, and x is 0.8 count higher on the way up at 15 °C."""
 

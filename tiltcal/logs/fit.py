@@ -40,6 +40,7 @@ from tiltcal.logs.static_intervals import (
     oriented,
     placed,
     read_record,
+    read_timed_record,
 )
 from tiltcal.logs.streams import sha256_of
 
@@ -241,7 +242,9 @@ class FitSource:
         InputError
             A file is wrong; the message names file and line.
         """
-        holds, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor)
+        thermal = procedure.determines.drift or procedure.determines.gain
+        soak = procedure.soak_seconds if thermal else 0.0
+        holds, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor, soak)
         return FitPositions(placed(holds, procedure, file=self._name), provenance)
 
     def ramp(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
@@ -324,14 +327,14 @@ class FitSource:
             return str(self.segments) if isinstance(self.segments, str | Path) else "the segments"
         return str(self.data) if isinstance(self.data, str | Path) else "the table"
 
-    def _given(self, sensor: SensorIdentity) -> tuple[list[StaticInterval], Provenance]:
+    def _given(self, sensor: SensorIdentity, soak: float = 0.0) -> tuple[list[StaticInterval], Provenance]:
         """Return what the sensor read in the segments or the table that were given, and where these come from."""
         if self.segments is None:
             holds = holds_of_table(read_positions(_path_or_rows(self.data, "the table"), sensor.channels))
             return holds, self._provenance()
         segments = read_segments(_path_or_rows(self.segments, "the segments"))
-        record = self._record(sensor)
-        holds = holds_of(record, segments, file=self._name)
+        record = self._record(sensor, timed=soak > 0.0)
+        holds = holds_of(record, segments, file=self._name, soak=soak)
         return holds, self._provenance(record, _origin(self.segments, SegmentsRecord))
 
     def _whole(self, sensor: SensorIdentity, procedure: Procedure) -> tuple[list[StaticInterval], Provenance]:
@@ -340,9 +343,10 @@ class FitSource:
         whole = [Segment(procedure.positions[0].name, 0, record.rows, None, None)]
         return holds_of(record, whole, file=record.name), self._provenance(record)
 
-    def _record(self, sensor: SensorIdentity) -> RecordedReadings:
+    def _record(self, sensor: SensorIdentity, *, timed: bool = False) -> RecordedReadings:
         named = named_columns(self.columns, sensor.channels)
-        return read_record(self.data, sensor.channels, named, sensor.unit, self.progress)
+        read = read_timed_record if timed else read_record
+        return read(self.data, sensor.channels, named, sensor.unit, self.progress)
 
     def _provenance(self, record: RecordedReadings | None = None, segments: SegmentsRecord | None = None) -> Provenance:
         log = None if record is None else _origin(self.data, LogRecord)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from itertools import groupby
 from math import sqrt
@@ -23,7 +23,7 @@ from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
 from tiltcal.logs.apply import require_unit
-from tiltcal.logs.columns import TEMPERATURE, locate_columns
+from tiltcal.logs.columns import TEMPERATURE, TIME, locate_columns
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import Progress
 
@@ -32,6 +32,9 @@ FEWEST = 2
 
 FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
 """Samples that tell a rise from their scatter, and by how many of its standard deviations."""
+
+SOAKS = 3
+"""Soaks up to the end of a segment over which the temperature is judged."""
 
 TILTED = 0.1
 """How far a channel's axis has to move before its reading must, g."""
@@ -46,7 +49,7 @@ class RecordedReadings:
     name : str
         The log as the user named it.
     roles : sequence of str
-        The channels and, where there is one, the temperature behind them.
+        The channels and, behind them, the time and the temperature where these are read.
     values : ndarray, shape (roles, rows)
         NaN where a value is missing.
     """
@@ -68,7 +71,7 @@ class RecordedReadings:
     @property
     def readings(self) -> Array:
         """The channels side by side, shape (rows, channels)."""
-        return self.values[: len(self.roles) - (TEMPERATURE in self.roles)].T
+        return self.values[: len(self.roles) - len({TEMPERATURE, TIME}.intersection(self.roles))].T
 
 
 @dataclass(frozen=True)
@@ -105,12 +108,29 @@ class StaticInterval:
     where: Mapping[str, Any] = field(default_factory=dict)
 
 
+def read_timed_record(
+    log: object,
+    channels: Sequence[str],
+    named: Mapping[str, str],
+    unit: str,
+    progress: Progress | None = None,
+) -> RecordedReadings:
+    """Read the readings of a log with its times, where it has any; the arguments are those of :func:`read_record`."""
+    try:
+        return read_record(log, channels, named, unit, progress, (TIME,))
+    except InputError:
+        if TIME in named:
+            raise
+        return read_record(log, channels, named, unit, progress)
+
+
 def read_record(
     log: object,
     channels: Sequence[str],
     named: Mapping[str, str],
     unit: str,
     progress: Progress | None = None,
+    others: Sequence[str] = (),
 ) -> RecordedReadings:
     """Read the readings of a log.
 
@@ -124,6 +144,8 @@ def read_record(
         Of the readings.
     progress : callable, optional
         Called with the bytes that have been read, after each block.
+    others : sequence of str
+        Further roles that are needed, such as time.
 
     Raises
     ------
@@ -131,9 +153,10 @@ def read_record(
         A column is missing or in another unit, or a row cannot be parsed.
     """
     with open_log(log, progress=progress) as reader:
-        where = locate_columns(reader.names, channels, named, file=reader.name, line=reader.header_line)
+        where = locate_columns(reader.names, channels, named, others, file=reader.name, line=reader.header_line)
         require_unit(reader, [where[channel] for channel in channels], unit, "the --unit")
-        blocks = deque(block.readings(tuple(where.values())).T for block in reader.rows(sorted(set(where.values()))))
+        rows = reader.rows(sorted(set(where.values())), where.get(TIME))
+        blocks = deque(block.readings(tuple(where.values())).T for block in rows)
     values = np.empty((len(where), sum(block.shape[1] for block in blocks)))
     row = 0
     while blocks:  # each goes as it is copied, so that the log is in memory once
@@ -143,7 +166,9 @@ def read_record(
     return RecordedReadings(reader.name, tuple(where), values)
 
 
-def holds_of(record: RecordedReadings, segments: Sequence[Segment], *, file: str) -> list[StaticInterval]:
+def holds_of(
+    record: RecordedReadings, segments: Sequence[Segment], *, file: str, soak: float = 0.0
+) -> list[StaticInterval]:
     """Return what the sensor read in each segment.
 
     Parameters
@@ -153,6 +178,8 @@ def holds_of(record: RecordedReadings, segments: Sequence[Segment], *, file: str
         Segments of one name that follow each other are parts of one hold.
     file : str
         Where the segments stand, for messages.
+    soak : float
+        Seconds over which a temperature must stand still: the rise is also judged over the rows before a segment.
 
     Raises
     ------
@@ -161,8 +188,15 @@ def holds_of(record: RecordedReadings, segments: Sequence[Segment], *, file: str
     """
     parts = [list(group) for _, group in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
     names = _distinct([part[0].name for part in parts])
-    step = resolution(values for role, values in record.columns.items() if role != TEMPERATURE)
+    step = resolution(values for role, values in record.columns.items() if role not in (TEMPERATURE, TIME))
     holds = [_hold(record, step, part, name, file) for part, name in zip(parts, names, strict=True)]
+    if soak and TEMPERATURE in record.columns:
+        ends = [0, *(part[-1].end for part in parts)]
+        before = [max((end for end in ends if end <= part[0].start), default=0) for part in parts]
+        holds = [
+            replace(hold, warming=max(hold.warming, _rise_before(record, part, first, soak), key=abs))
+            for hold, part, first in zip(holds, parts, before, strict=True)
+        ]
     _require_alive(holds, step, file)
     return holds
 
@@ -261,7 +295,7 @@ def _require_steady(hold: StaticInterval, procedure: Procedure, file: str) -> No
     """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
     if abs(hold.warming) > procedure.soak_drift:
         raise InputError(
-            f"segment {hold.name}: the temperature drifts by {hold.warming:+.2f} °C within it, more than the "
+            f"segment {hold.name}: the temperature drifts by {hold.warming:+.2f} °C up to its end, more than the "
             f"{procedure.soak_drift:g} °C that {procedure.name} allows: thermometer and sensor are apart while they "
             "change; take rows where both stand still, or go slower",
             file=file,
@@ -315,6 +349,7 @@ def _require_moved(measurements: Sequence[Measurement], file: str) -> None:
 def _hold(record: RecordedReadings, step: float, parts: Sequence[Segment], name: str, file: str) -> StaticInterval:
     samples = {role: _samples(record, role, parts) for role in record.columns}
     temperature = samples.pop(TEMPERATURE, None)
+    samples.pop(TIME, None)
     for part in parts:
         _require_readings(record, part, list(samples), file)
     known = None if temperature is None else temperature[np.isfinite(temperature)]
@@ -328,6 +363,31 @@ def _hold(record: RecordedReadings, step: float, parts: Sequence[Segment], name:
         0.0 if known is None else _rise(known),
         {"rows": tuple((part.start, part.end) for part in parts)},
     )
+
+
+def _rise_before(record: RecordedReadings, parts: Sequence[Segment], first: int, soak: float) -> float:
+    """Return the rise up to the end of a segment, °C: over several soaks, or over as many times its own rows.
+
+    A short segment of a steady ramp looks still, and the sensor is as far behind its thermometer as in a long one.
+
+    Parameters
+    ----------
+    record : RecordedReadings
+    parts : sequence of Segment
+    first : int
+        The row behind the segment before, from which on rows are of this one where the log has no times.
+    soak : float
+        s.
+    """
+    start, end = parts[0].start, parts[-1].end
+    times = record.columns.get(TIME)
+    if times is None:
+        start = max(first, start - (SOAKS - 1) * (end - start))
+    else:
+        early = np.flatnonzero(~(times[:end] >= times[end - 1] - SOAKS * soak))
+        start = min(start, int(early[-1]) + 1 if len(early) else 0)
+    temperature = record.columns[TEMPERATURE][start:end]
+    return _rise(temperature[np.isfinite(temperature)])
 
 
 def _rise(values: Array) -> float:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from support import DATA
 
 from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.logs.fit import fit
 
-REAL = Path(__file__).parents[4] / "shared" / "data" / "thermal_ramp.csv"
+REAL = DATA / "thermal_ramp.csv"
 LAG = 120.0
 
 
