@@ -13,15 +13,13 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.combined_record import combined_provenance, combined_record
 from tiltcal.calibration.combined_session import KINDS, CombinedSession
 from tiltcal.calibration.known_mounting import mounting_in_words, stated_mounting, with_mounting
-from tiltcal.calibration.results import (
-    NOISE_ALONE,
-)
 from tiltcal.calibration.verdict import judge
 from tiltcal.core.combination import ASSUMED, Combination, Statement, combine_statements
 from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.core.named_coefficients import values
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, require_same_sensor
+from tiltcal.files.records import NOISE_ALONE
 
 
 def combine(

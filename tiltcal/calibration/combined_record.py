@@ -13,7 +13,6 @@ import tiltcal
 from tiltcal.calibration.combined_session import KINDS, CombinedSession
 from tiltcal.calibration.results import (
     DIGITS,
-    NOISE_ALONE,
     SHARE_DIGITS,
     derived_record,
     rounded,
@@ -27,7 +26,7 @@ from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
 from tiltcal.core.model import Limits
 from tiltcal.core.rounding import significant
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
-from tiltcal.files.records import FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.records import NOISE_ALONE, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.results import NOISE_ALONE
 from tiltcal.calibration.verdict import Verdict, judge
 from tiltcal.core.named_coefficients import CoefficientChange
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
+from tiltcal.files.records import NOISE_ALONE
 from tiltcal.frozen import frozen
 
 _INCOMPLETE = (

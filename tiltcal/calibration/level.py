@@ -22,7 +22,7 @@ import numpy as np
 
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement
-from tiltcal.calibration.results import DIGITS, NOISE_ALONE, SHARE_DIGITS, intrinsic_record, rounded_covariance
+from tiltcal.calibration.results import DIGITS, SHARE_DIGITS, intrinsic_record, rounded_covariance
 from tiltcal.calibration.verdict import judge
 from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.budget import Budget, Part, coverage_factor
@@ -35,7 +35,7 @@ from tiltcal.core.rounding import round_to, significant
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.records import CompletingRun, LevelFit
+from tiltcal.files.records import NOISE_ALONE, CompletingRun, LevelFit
 from tiltcal.files.uncertainty import Uncertainty, stated_uncertainty
 from tiltcal.frozen import frozen
 

@@ -15,6 +15,7 @@ from tiltcal.core.intrinsic import IntrinsicQuantity, intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.files.records import (
+    NOISE_ALONE,
     DerivedCoverage,
     DerivedRecord,
     DerivedUncertainty,
@@ -36,9 +37,6 @@ SHARE_DIGITS = 3
 
 TOO_GOOD = 0.02
 """A chi-square that is so small with no more than this probability shows that less was uncertain than stated."""
-
-NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
-"""Where an uncertainty comes from that leaves out how well the positions were set."""
 
 
 def rounded(found: Estimate) -> Coefficients:

@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 from math import exp, fsum, inf, pi, sqrt
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tiltcal.frozen import frozen
 
 BLOCKS = 10
@@ -53,7 +56,7 @@ class SampleSummary:
         return sqrt(max(self.u**2 - self.quantisation**2, 0.0))
 
 
-def summarise(samples: Sequence[float], resolution: float = 0.0) -> SampleSummary:
+def summarise(samples: Sequence[float] | NDArray[np.float64], resolution: float = 0.0) -> SampleSummary:
     """Mean, standard deviation and the mean's standard uncertainty.
 
     The uncertainty is what the scatter of ten block means says, because samples of a real record are correlated and
@@ -62,16 +65,17 @@ def summarise(samples: Sequence[float], resolution: float = 0.0) -> SampleSummar
 
     Parameters
     ----------
-    samples : sequence of float
+    samples : sequence of float, or ndarray of shape (n,)
         At least one.
     resolution : float
         The step of the reading; 0 where it is continuous.
     """
-    n = len(samples)
+    values = np.asarray(samples, dtype=float)
+    n, listed = len(values), values.tolist()
     # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
-    mean = samples[0] if min(samples) == max(samples) else fsum(samples) / n
-    std = sqrt(fsum((sample - mean) ** 2 for sample in samples) / (n - 1)) if n > 1 else 0.0
-    noise, dof, correlation = _type_a(samples, std)
+    mean = listed[0] if values.min() == values.max() else fsum(listed) / n
+    std = sqrt(fsum(np.square(values - mean).tolist()) / (n - 1)) if n > 1 else 0.0
+    noise, dof, correlation = _type_a(listed, std)
     step = rounding_left(std, resolution)
     return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
 

@@ -31,6 +31,9 @@ CHANNELS = ByChannel(Number())
 
 SHARE = Number(minimum=0.0)
 
+NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
+"""Where an uncertainty comes from that leaves out how well the positions were set."""
+
 VIRTUAL = "the virtual bench: no real sensor was measured"
 """``made_by`` of a file that no real sensor made."""
 
