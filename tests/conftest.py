@@ -55,16 +55,21 @@ def nothing_is_left_behind() -> Iterator[None]:
         return
     threads, children, files = set(threading.enumerate()), _children(), _open_files()
     yield
-    for thread in set(threading.enumerate()) - threads:
+    for thread in _new_threads(threads):
         thread.join(SHORTLY)
     if _open_files().keys() - files.keys():
         gc.collect()  # what a cycle of references holds is not left behind, it is only not collected yet
     left = {
-        "threads": sorted(thread.name for thread in set(threading.enumerate()) - threads),
+        "threads": sorted(thread.name for thread in _new_threads(threads)),
         "processes": sorted(_children() - children),
         "files": sorted(target for number, target in _open_files().items() if files.get(number) != target),
     }
     assert not any(left.values()), f"left behind: {left}"
+
+
+def _new_threads(before: set[threading.Thread]) -> set[threading.Thread]:
+    """Return the threads that Python has started since; one of a library is a dummy here from its first call on."""
+    return {thread for thread in set(threading.enumerate()) - before if not isinstance(thread, threading._DummyThread)}
 
 
 def _children() -> set[int]:

@@ -26,8 +26,9 @@ def worker_processes(number: int) -> Iterator[ProcessPoolExecutor]:
     try:
         yield pool
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
         _end()
+        # Waits for the thread of the pool, whose semaphores would otherwise be left to the system, with a warning.
+        pool.shutdown(cancel_futures=True)
         raise
     pool.shutdown()
 

@@ -155,7 +155,9 @@ def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float | Ar
     weighted = np.zeros_like(variance)
     for part, dof in parts:
         weighted += part**2 / dof
-    return np.asarray(np.where(weighted > 0.0, variance**2 / np.where(weighted > 0.0, weighted, 1.0), np.inf))
+    # A part so small that the quotient is no number is none.
+    counts = weighted > variance**2 * np.finfo(float).tiny
+    return np.divide(variance**2, weighted, out=np.full_like(weighted, np.inf), where=counts)
 
 
 def propagated(function: Callable[[Array], Array], parameters: Array, covariance: Array) -> Array:
