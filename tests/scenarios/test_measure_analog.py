@@ -80,7 +80,7 @@ def test_plane_at_an_ads1115_and_4_9_volts(rate: str, tmp_path: Path) -> None:
 def test_plane_at_an_mcp3208_and_4_9_volts(tmp_path: Path) -> None:
     pytest.importorskip("spidev", reason="the spidev package is not installed")
     address, part = "mcp3208+spi:///dev/spidev0.0?x=0&y=1&vref=5.0", Mcp3208Sca100t()
-    with run_on_spi(program(address, tmp_path), part) as bench:
+    with run_on_spi(program(address, tmp_path, "--samples", "25"), part) as bench:
         assert_true(found(bench, tmp_path), part)
 
 
@@ -139,8 +139,9 @@ def test_faults_at_the_bus_end_with_exit_code_3(part: PartFacts, at: int, why: s
 @pytest.mark.parametrize("procedure", ["plane", "cross-axis", "zero-45", "mavs"])
 def test_every_procedure_runs_on_the_virtual_bench(procedure: str, model: str, address: str, tmp_path: Path) -> None:
     angle = ["--tilt", "25"] if model == "sca100t-d01-analog" and procedure in ("zero-45", "mavs") else []
-    place = ["--sensor", model, "--address", address, "--serial", "S-7", "-o", "S-7.yaml"]
-    result = tiltcal("measure", procedure, *place, "--operator", "sim", *angle, cwd=tmp_path)
+    place = ["--sensor", model, "--address", address, "--serial", "S-7", "-o", "S-7.yaml", "--operator", "sim"]
+    quick = [] if procedure == "mavs" else ["--samples", "30", "--settle", "0.2"]
+    result = tiltcal("measure", procedure, *place, *quick, *angle, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     read = read_calibration(tmp_path / "S-7.yaml")
     truth = find_model(model).default_truth(3)
