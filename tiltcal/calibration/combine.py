@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -13,11 +14,11 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.combined_record import combined_provenance, combined_record
 from tiltcal.calibration.combined_session import KINDS, CombinedSession
 from tiltcal.calibration.known_mounting import mounting_in_words, stated_mounting, with_mounting
-from tiltcal.calibration.verdict import judge
+from tiltcal.calibration.verdict import Verdict, judge
 from tiltcal.core.combination import ASSUMED, Combination, Statement, combine_statements
 from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.core.named_coefficients import values
-from tiltcal.errors import UsageError
+from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, require_same_sensor
 from tiltcal.files.records import NOISE_ALONE
 
@@ -113,13 +114,39 @@ def _origins(session: CombinedSession) -> set[str]:
 
 def _combined(sessions: Sequence[CombinedSession]) -> CalibrationRecord:
     target = _target(sessions)
-    told = [one.statement(target) for one in sessions]
-    statements = [one for one, _ in told if one.names]
+    found, remarks = _estimate(sessions, target, unlevelled=True)
+    verdict = judge([change for _, change in found.differences])
+    if verdict.changed and any(one.level_unstated for one in sessions):
+        try:
+            found, remarks = _estimate(sessions, target, unlevelled=False)
+        except EstimateError:
+            _refuse(sessions, found, verdict)
+        verdict = judge([change for _, change in found.differences])
+    if verdict.changed:
+        _refuse(sessions, found, verdict)
+    return combined_record(sessions, found, remarks)
+
+
+def _estimate(
+    sessions: Sequence[CombinedSession], target: Coefficients, *, unlevelled: bool
+) -> tuple[Combination, list[str]]:
+    """Return what the sessions together state, and remarks on what was left out.
+
+    Raises
+    ------
+    EstimateError
+        No session determines an offset.
+    """
+    stated = [one.statement(target, unlevelled=unlevelled) for one in sessions]
+    statements = [one for one, _ in stated if one.names]
+    remarks = [remark for _, remark in stated if remark]
     names = [name for name in values(target) if any(name in one.names for one in statements)]
+    lost = [name for name in values(target) if name.startswith("offset.") and name not in names]
+    if lost and not any(lost[0] in one.exact for one in sessions):
+        raise EstimateError(f"no calibration determines {' and '.join(lost)}: {'; '.join(remarks)}")
     assumed = _assumed(sessions, names, target)
-    found = combine_statements([*statements, *assumed], target, [*names, *(n for one in assumed for n in one.names)])
-    _require_agreement(sessions, found)
-    return combined_record(sessions, found, [remark for _, remark in told if remark])
+    every = [*names, *(name for one in assumed for name in one.names)]
+    return combine_statements([*statements, *assumed], target, every), remarks
 
 
 def _target(sessions: Sequence[CombinedSession]) -> Coefficients:
@@ -234,16 +261,13 @@ def _assumed(sessions: Sequence[CombinedSession], measured: Sequence[str], targe
     return []
 
 
-def _require_agreement(sessions: Sequence[CombinedSession], found: Combination) -> None:
+def _refuse(sessions: Sequence[CombinedSession], found: Combination, verdict: Verdict) -> NoReturn:
     """Refuse sessions that differ by more than their uncertainty.
 
     Raises
     ------
     UsageError
     """
-    verdict = judge([change for _, change in found.differences])
-    if not verdict.changed:
-        return
     told = []
     for label, change in found.differences:
         if change.name in verdict.changed and change.u:

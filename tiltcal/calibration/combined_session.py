@@ -20,6 +20,7 @@ from tiltcal.core.named_coefficients import values
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, calibration_of, dump_calibration
 from tiltcal.files.document import checked_kind, parse_document, read_text
+from tiltcal.files.records import NOISE_ALONE
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.frozen import frozen
 
@@ -99,8 +100,17 @@ class CombinedSession:
         ]
         return seen[0] if seen and all(np.allclose(one, seen[0], atol=1e-6) for one in seen) else None
 
-    def statement(self, target: Coefficients) -> tuple[Statement, str]:
-        """Return what the session states of a sensor with the axes and temperature terms of a target; and a remark."""
+    @property
+    def level_unstated(self) -> bool:
+        """Whether nothing is stated of how level a session lay that determined no sensitivity."""
+        return bool(self.assumes("sensitivity")) and self.record.fit.uncertainty_from == NOISE_ALONE
+
+    def statement(self, target: Coefficients, *, unlevelled: bool = True) -> tuple[Statement, str]:
+        """Return what the session states of a sensor with the axes and temperature terms of a target; and a remark.
+
+        The offset is left out where its temperature is not known, and that of a session whose level is not stated where
+        the sessions contradict (not ``unlevelled``).
+        """
         names, covariance, factors = self.known
         measured, assumed = self.places
         stated = values(self.coefficients)
@@ -136,6 +146,9 @@ class CombinedSession:
         elif at is None:
             kept = [k for k in kept if not own[k].startswith("offset.")]
             remark = f"{self.label} states no temperature: its offset is left out"
+        if self.level_unstated and not unlevelled:
+            kept = [k for k in kept if not own[k].startswith("offset.")]
+            remark = f"{self.label} does not state how level it was (--jig), and its offset contradicts: it is left out"
         return (
             Statement(
                 self.label,

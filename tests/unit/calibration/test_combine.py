@@ -205,6 +205,17 @@ def test_an_offset_without_a_temperature_is_left_out() -> None:
     assert "zero-45 states no temperature: its offset is left out" in found.fit.notes
 
 
+def test_an_offset_whose_level_nobody_stated_gives_way_where_it_contradicts() -> None:
+    """The cooler stood 0.6° askew, 9 counts, and its session states no jig; the drift does not suffer."""
+    drift = MeasuredSensor(SENSOR, measured(TWO, 2), NOMINAL, base=SCALE.record)
+    run = calibrate([drift], TWO, BenchUncertainty())[0]
+    askew = replace(run, coefficients=replace(run.coefficients, offset=run.coefficients.offset + np.array([9.0, 0.0])))
+    found = combine([SCALE, Calibration(askew)])
+    assert found.offset == pytest.approx(SCALE.offset, abs=0.3)
+    assert found.coefficients.thermal.drift[0, 0] == pytest.approx(0.3, abs=0.02)
+    assert any("does not state how level it was" in note for note in found.fit.notes)
+
+
 def test_a_run_at_level_with_the_nominal_sensitivity_goes_with_a_whole_matrix() -> None:
     """Its offset holds S_xz, because it was level: 0 g is S_xz below."""
     whole = tiltcal.read(FIXTURES / "cross-axis.yaml")
