@@ -22,7 +22,7 @@ help:
 	@echo "make demo       calibrate a virtual sensor, show what that does to a recorded log, and write its report"
 	@echo "make test       run the tests"
 	@echo "make check      lint, types, layers, and what the wheel holds"
-	@echo "make bench      measure how fast it is; benchmarks/README.md has the long ones"
+	@echo "make bench      measure how fast it is, beside polars and others; benchmarks/README.md has the long ones"
 	@echo "make fixtures   make the recorded sessions and golden files of the tests anew"
 	@echo "make reference  write the generated pages of docs/reference anew"
 	@echo "make firmware   build the firmware for the ADXL202's microcontroller (firmware/build/adxl202.hex)"
