@@ -66,7 +66,7 @@ def fit_jointly(
     for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
         design = seen.design
         remarks = () if design.priors else judge_channels(sensor, estimated)
-        one = _with_remarks(_with_hysteresis(estimated, seen.observations), sensor.measurements, design)
+        one = _with_remarks(with_hysteresis(estimated, seen.observations), sensor.measurements, design)
         found = record_of(one, design, sensor, procedure, settings)
         calibrations.append(replace(found, fit=replace(found.fit, notes=(*found.fit.notes, *remarks))))
     return calibrations
@@ -103,7 +103,7 @@ def record_of(
     )
 
 
-def _with_hysteresis(found: Estimate, observations: Sequence[Observation]) -> Estimate:
+def with_hysteresis(found: Estimate, observations: Sequence[Observation]) -> Estimate:
     """Return the estimate with the loops between temperatures that were met twice in the uncertainty of the offsets.
 
     The truth is anywhere between the two ways: half a loop to either side, with a rectangular distribution.
@@ -122,7 +122,7 @@ def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: 
     """Return the estimate with notes on what its uncertainty stands on, and does not."""
     notes = list(found.notes)
     correlated = correlated_noise(_summaries(measurements, design.channels))
-    if correlated is not None:
+    if correlated is not None and correlated.certain:
         notes.append(correlated.note)
     if design.thermal and not design.thermometer:
         notes.append(EXACT_TEMPERATURES)

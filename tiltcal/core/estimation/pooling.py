@@ -38,8 +38,11 @@ FLOOR = 1e-5
 CORRELATED = 4.0
 """Standard deviations above the correlation of white noise's block means from which a correlation is no chance."""
 
-UPPER = 2.0
-"""Standard deviations of the correlation within which the longest correlation time counts."""
+POSSIBLE = 1.5
+"""The same from which it counts, without a remark: white noise shows as much in one session of fifteen."""
+
+UPPER, LIKELY = 2.0, 1.0
+"""Standard deviations of the correlation within which the longest correlation time counts, above both limits."""
 
 SPREAD = 0.27
 """Standard deviation of the correlation of ten block means of white noise."""
@@ -69,10 +72,13 @@ class CorrelatedNoise:
         By what the uncertainty of a mean from its block means is to be multiplied.
     longer : float
         By what the time of a position is to be multiplied for blocks that are not correlated.
+    certain : bool
+        False where it may be chance.
     """
 
     factor: float
     longer: float
+    certain: bool = True
 
     @property
     def note(self) -> str:
@@ -88,18 +94,22 @@ def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | No
 
     Notes
     -----
-    The noise is taken for one with an exponential memory. The factor is that of the longest correlation time within two
-    standard deviations of the correlation that was found, because the record is too short to show it better.
+    The noise is taken for one with an exponential memory. Where the correlation is no chance, the factor is that of the
+    longest correlation time within two standard deviations of what was found, because the record is too short to show
+    it better. A memory of a third of a block hardly shows in twelve positions and takes a fifth off the uncertainty:
+    where the correlation may be chance, the longest correlation time within one standard deviation counts.
     """
     found = [summary.correlation for summary in summaries if summary.correlation is not None]
     if not found:
         return None
     mean, error = sum(found) / len(found), SPREAD / sqrt(len(found))
-    if mean <= -1.0 / BLOCKS + CORRELATED * error:
+    above = (mean + 1.0 / BLOCKS) / error
+    if above <= POSSIBLE:
         return None
+    certain = above > CORRELATED
     shown, factors = np.array([_of_correlation_time(time) for time in TIMES.tolist()]).T
-    place = min(int(np.searchsorted(shown, mean + UPPER * error)), len(TIMES) - 1)
-    return CorrelatedNoise(float(factors[place]), max(ENOUGH * float(TIMES[place]), 1.0))
+    place = min(int(np.searchsorted(shown, mean + (UPPER if certain else LIKELY) * error)), len(TIMES) - 1)
+    return CorrelatedNoise(float(factors[place]), max(ENOUGH * float(TIMES[place]), 1.0), certain)
 
 
 def _of_correlation_time(time: float) -> tuple[float, float]:
@@ -136,27 +146,30 @@ def noise_of_means(
     variance = np.array([summary.noise**2 for summary in summaries])
     dof = np.array([summary.dof for summary in summaries])
     rounding = np.array([summary.quantisation for summary in summaries])
+    drawn = np.isfinite(dof)
+    common = float(np.mean(variance[drawn])) if drawn.any() else 0.0
+    coarse = None if correlated is not None and correlated.certain else _coarse_rounding(summaries)
+    if coarse is not None:
+        return np.where(drawn, common, variance), np.where(drawn, float(np.sum(dof[drawn])), inf), coarse
     if correlated is not None:
         # Correlated block means scatter by chance in the ratio of ten: their logarithms are of no use.
-        drawn = np.isfinite(dof)
         few = CORRELATED_DOF * float(np.sum(drawn))
-        common = float(np.mean(variance[drawn])) if drawn.any() else 0.0
         variance = correlated.factor**2 * np.where(drawn, common, variance)
         return variance, np.where(drawn, few, inf), rounding
+    return (*pooled(variance, dof), rounding)
+
+
+def _coarse_rounding(summaries: Sequence[SampleSummary]) -> Array | None:
+    """Return the rounding uncertainty of each mean where the noise is below half a step; None where it is not."""
     weight = np.array([float(summary.n - 1) for summary in summaries])
     step = max(summary.resolution for summary in summaries)
-    if step > 0.0 and weight.sum() > 0.0:
-        scatter = float(weight @ np.array([summary.std**2 for summary in summaries]) / weight.sum())
-        noise = noise_under_rounding(scatter, step)
-        if noise < COARSE * step:
-            drawn = np.isfinite(dof)
-            common = float(np.mean(variance[drawn])) if drawn.any() else 0.0
-            return (
-                np.where(drawn, common, variance),
-                np.where(drawn, float(np.sum(dof[drawn])), inf),
-                sqrt(_rounding_variance(noise, step)) * np.sqrt(_alike(summaries, step)),
-            )
-    return (*pooled(variance, dof), rounding)
+    if step == 0.0 or weight.sum() == 0.0:
+        return None
+    scatter = float(weight @ np.array([summary.std**2 for summary in summaries]) / weight.sum())
+    noise = noise_under_rounding(scatter, step)
+    if noise >= COARSE * step:
+        return None
+    return np.asarray(sqrt(_rounding_variance(noise, step)) * np.sqrt(_alike(summaries, step)))
 
 
 def _alike(summaries: Sequence[SampleSummary], step: float) -> Array:

@@ -123,13 +123,27 @@ class TestCorrelatedNoise:
             variance, dof, _ = noise_of_means(summaries, correlated)
             half = coverage_factor(dof) * np.sqrt(variance)
             hits.append(np.mean(np.abs([one.mean for one in summaries]) <= half))
-            alarms.append(correlated is not None and "at least" in correlated.note)
+            alarms.append(correlated is not None and correlated.certain and "at least" in correlated.note)
         assert np.mean(hits) >= 0.93 - 3 * np.std(hits) / sqrt(20)
         assert np.mean(alarms) > 0.8
 
     def test_white_noise_raises_no_alarm(self) -> None:
         rng = np.random.default_rng(6)
-        assert not any(correlated_noise(records(rng, 0.0, 12, 100)) for _ in range(50))
+        found = [correlated_noise(records(rng, 0.0, 12, 100)) for _ in range(50)]
+        assert not any(one.certain for one in found if one is not None)
+        assert sum(one is not None for one in found) <= 10
+
+    @pytest.mark.parametrize(("memory", "samples"), [(0.8, 100), (0.9, 300)])
+    def test_a_memory_that_hardly_shows_is_counted(self, memory: float, samples: int) -> None:
+        """A memory of 4.5 and 9.5 samples in blocks of 10 and 30: 93 % hold, where block means alone hold 88."""
+        rng = np.random.default_rng([11, samples])
+        hits = []
+        for _ in range(60):
+            summaries = records(rng, memory, 12, samples)
+            variance, dof, _ = noise_of_means(summaries, correlated_noise(summaries))
+            half = coverage_factor(dof) * np.sqrt(variance)
+            hits.append(np.mean(np.abs([one.mean for one in summaries]) <= half))
+        assert np.mean(hits) >= 0.93 - 2 * np.std(hits) / sqrt(60)
 
 
 class TestCoarseConverter:
