@@ -145,6 +145,8 @@ class Calibration:
         velocity: Sequence[str] | str = (),
         declination: float | None = None,
         magnetometer_noise: float | None = None,
+        average: int | None = None,
+        every: str | float | None = None,
         unit: str | None = None,
     ) -> Any:
         """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
@@ -173,6 +175,10 @@ class Calibration:
             How far magnetic north is east of true north, degrees; added to the heading, of a column as well.
         magnetometer_noise : float, optional
             With `uncertainty`: standard uncertainty of a component of the field, in its unit.
+        average : int, optional
+            Apply to the means of so many rows each: the frame has a row for each mean, and ``count``.
+        every : str or float, optional
+            Apply to the means of so much time each, such as ``"10s"``, or in seconds; it needs a column of times.
         unit : str, optional
             Of the readings; an xarray Dataset states it itself. One that is not the calibration's is refused.
 
@@ -202,6 +208,8 @@ class Calibration:
             velocity=velocity,
             declination=declination,
             magnetometer_noise=magnetometer_noise,
+            average=average,
+            every=every,
             unit=unit,
         )
 

@@ -29,6 +29,7 @@ Examples:
   tiltcal apply --calibrations calibrations night.csv --serial S-0042 -o night-tilt.csv
   tiltcal apply S-0042.yaml night.csv --mounting roll=180 -o hanging.csv
   tiltcal apply S-0042.yaml dive.csv --magnetometer mx,my,mz --declination -14.3 --velocity u,v,w -o currents.csv
+  tiltcal apply S-0042.yaml night.csv --every 10s --uncertainty -o night-means.csv
   zcat night.csv.gz | tiltcal apply S-0042.yaml - | gzip > night-tilt.csv.gz
 """
 
@@ -119,6 +120,17 @@ Examples:
     help="With --uncertainty: standard uncertainty of a component of the magnetic field, in its unit [0].",
 )
 @click.option(
+    "--average",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Average the readings of each N rows before they are converted; adds count.",
+)
+@click.option(
+    "--every",
+    metavar="TIME",
+    help="Average the readings of each TIME, such as 10s, 5min or 1h, before they are converted; adds count.",
+)
+@click.option(
     "--jobs",
     type=click.IntRange(min=1),
     metavar="N",
@@ -156,6 +168,8 @@ def command(
     velocity: str,
     declination: float | None,
     magnetometer_noise: float | None,
+    average: int | None,
+    every: str | None,
     jobs: int | None,
     force: bool,
     scheduler: str | None,
@@ -182,6 +196,11 @@ def command(
     --magnetometer adds heading, how far the horizontal part of +X points clockwise from north, 0 to 360; --velocity
     adds v_east, v_north and v_up. The magnetometer has the axes of the sensor, and a mounting turns both; the velocity
     is in the application frame. A heading from a column counts as true unless --declination is there.
+
+    --average and --every put the readings of several rows into their mean before they are converted: OUT has a row for
+    each mean, and count. Rows with a missing reading are left out; a row at the rail gives its mean flag 4. Columns of
+    numbers and times get their mean, all others the value of the first row. --uncertainty then adds u_random_tilt_x,
+    which falls with √count, and u_common_tilt_x, which no averaging makes less.
 
     With --calibrations each row takes the calibration of its time: between two calibrations of the sensor their
     coefficients are interpolated linearly, and before the first and after the last one the nearest is taken and the
@@ -217,6 +236,8 @@ def command(
         velocity,
         declination,
         magnetometer_noise,
+        average,
+        every,
     )
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
         tasks = tasks_of(calibration, options, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)

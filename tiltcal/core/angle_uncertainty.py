@@ -143,7 +143,7 @@ class CompensationWithUncertainty:
     @property
     def added(self) -> tuple[str, ...]:
         """Names of the columns behind those of the compensation."""
-        return (*(f"u_{angle}" for angle in self._angles), *self.expanded)
+        return uncertainty_columns(self._angles)
 
     def table(self, found: AngleUncertainty) -> dict[str, NDArray[np.float64] | Bytes]:
         """Return the columns of a result under the names that :attr:`columns` lists."""
@@ -229,6 +229,12 @@ class Propagation:
         self._pairs = {pair: k for k, pair in enumerate(_pairs(len(lift)))}
 
     def __call__(self, chunk: KernelChunk) -> Array:
+        """Return standard and expanded uncertainty of every angle, rounded up, shape (2, angles, n), degrees."""
+        room = self.exact(chunk)
+        round_up(room)
+        return room
+
+    def exact(self, chunk: KernelChunk) -> Array:
         """Return standard and expanded uncertainty of every angle, shape (2, angles, n), degrees."""
         count = len(chunk.out.flag)
         room = np.empty((2, self._angles, count))
@@ -236,7 +242,6 @@ class Propagation:
             rows = slice(start, start + self._rows)
             self._fill(_part(chunk, rows), room[:, :, rows])
             np.degrees(room[:, :, rows], out=room[:, :, rows])
-            round_up(room[:, :, rows])
         lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)
         if lost.any():
             room[:, :, lost] = np.nan
@@ -274,7 +279,7 @@ class Propagation:
             signals = self._signals(part)
             for row, gradient in enumerate(gradients):
                 by_own = self._by_measured(part, signals, gradient.by_up[:, rows])
-                parts = self._quantity(signals, by_own, gradient.by_turn[:, rows])
+                parts = self._quantity(part, signals, by_own, gradient.by_turn[:, rows])
                 parts[-1] += gradient.variance[rows] + self._of_alignment(part, by_own)
                 halves[row, rows], factors[row, rows] = self._half(parts)
         return halves, factors
@@ -286,7 +291,7 @@ class Propagation:
         if self._sees_all:
             return own
         # g_z follows from the length of up, which stays 1.
-        along, _ = self._half(self._quantity(signals, gravity[:2], np.zeros_like(by_up)))
+        along, _ = self._half(self._quantity(chunk, signals, gravity[:2], np.zeros_like(by_up)))
         q = self._coupling
         share = (q @ own[:2] - own[2]) / _slope_of_root(gravity[2] - q @ gravity[:2], along)
         return np.asarray(own[:2] + share * gravity[:2])
@@ -303,7 +308,7 @@ class Propagation:
         turned: Array = self._alignment * np.cross(moved, by_gravity, axis=0)
         return np.asarray(np.einsum("in,in->n", turned, turned))
 
-    def _quantity(self, signals: Signals, by_measured: Array, by_turn: Array) -> Array:
+    def _quantity(self, chunk: KernelChunk, signals: Signals, by_measured: Array, by_turn: Array) -> Array:
         """Return the variance of a quantity, shape (kinds, n), from its gradients."""
         derivatives, slopes, by_temperature = signals
         by_signal = self._compensation.inverse.T @ by_measured
@@ -314,7 +319,7 @@ class Propagation:
             np.einsum("kn,kn->n", table, covariance @ table, out=found[kind])
         found[-1] += np.einsum("cn,cn->n", by_signal, np.stack(by_temperature)) ** 2
         for one, slope, noise in zip(by_signal, slopes, self._readings, strict=True):
-            found[-1] += (one * slope * noise) ** 2
+            found[-1] += (one * slope * noise) ** 2 * chunk.share
         return found
 
     # ------------------------------------------------------------------------------------- from errors to components
@@ -354,7 +359,7 @@ class Propagation:
                 if self._temperature:
                     found[-1, k] += by_temperature[a] * by_temperature[b]
                 if a == b:
-                    found[-1, k] += (slopes[a] * self._readings[a]) ** 2
+                    found[-1, k] += (slopes[a] * self._readings[a]) ** 2 * chunk.share
         variances = np.asarray(np.matmul(self._pair_lift, found))
         if self._alignment:
             self._add_alignment(variances[-1], self._compensation.sensed(chunk))
@@ -511,6 +516,31 @@ def _through_arcsine(argument: Array, half: Array) -> Array:
     return width
 
 
+def uncertainty_columns(quantities: Sequence[str], *, averaged: bool = False) -> tuple[str, ...]:
+    """Return the names of the columns that hold the uncertainties of some quantities; of means, with their shares."""
+    leads = ("u_", "U95_", *(("u_random_", "u_common_") if averaged else ()))
+    return tuple(f"{lead}{name}" for lead in leads for name in quantities)
+
+
+def with_shares(total: Array, common: Array) -> Array:
+    """Return what means add to the standard uncertainty: the share of independent readings, then the common one.
+
+    Parameters
+    ----------
+    total, common : ndarray, shape (2, k, n)
+        Standard and expanded uncertainty of k quantities: of the means, and without the noise of readings.
+
+    Returns
+    -------
+    ndarray, shape (4 k, n)
+        Rounded up: standard and expanded uncertainty, then both shares of the standard one.
+    """
+    random = np.sqrt(np.maximum(total[0] ** 2 - common[0] ** 2, 0.0))
+    found = np.concatenate([total[0], total[1], random, common[0]])
+    round_up(found)
+    return found
+
+
 def round_up(room: Array) -> None:
     """Round to four digits, or five, in place: an uncertainty has no more."""
     scale = np.take(_SCALES, np.frexp(room)[1] - _LOWEST, mode="clip")
@@ -529,4 +559,5 @@ def _part(chunk: KernelChunk, rows: slice) -> KernelChunk:
         chunk.own[:, rows],
         None if chunk.hidden is None else chunk.hidden[rows],
         Compensated(out.gravity[rows], out.tilt[rows], None, None, None, out.flag[rows], out.reason[rows]),
+        chunk.share if isinstance(chunk.share, float) else chunk.share[rows],
     )

@@ -140,6 +140,8 @@ class KernelChunk:
         g_z in the sensor's frame, of a sensor that sees x and y only, where it is needed.
     out : Compensated
         What comes out.
+    share : ndarray, shape (n,), or float
+        What a row has of the variance of a single reading: 1 over the number of readings of which it is the mean.
     """
 
     rows: slice
@@ -148,6 +150,7 @@ class KernelChunk:
     own: Array
     hidden: Array | None
     out: Compensated
+    share: Array | float = 1.0
 
 
 class Compensation:

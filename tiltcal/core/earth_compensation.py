@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import radians
 
 import numpy as np
 
+from tiltcal.core.angle_uncertainty import round_up, uncertainty_columns, with_shares
 from tiltcal.core.compensation import (
     CLIP_LIMIT,
     CLIPPED,
@@ -39,6 +41,8 @@ class EarthFrameCompensation:
         Added to the heading, degrees, positive where magnetic north is east of true north.
     uncertainty : EarthUncertainty, optional
         Adds the uncertainty of each column.
+    averaged : bool
+        Rows are means: adds the random and the common share of each uncertainty.
 
     Raises
     ------
@@ -59,12 +63,14 @@ class EarthFrameCompensation:
         velocity: bool,
         declination: float = 0.0,
         uncertainty: EarthUncertainty | None = None,
+        averaged: bool = False,
     ) -> None:
         if not {"x", "y"} <= set(compensation.axes):
             raise EstimateError("heading and velocities take a sensor that measures at least x and y")
         self._compensation = compensation
         self._declination = radians(declination)
         self._uncertainty = uncertainty
+        self._averaged = averaged
         self._own = (*((HEADING,) if magnetometer else ()), *(VELOCITY if velocity else ()))
 
     @property
@@ -75,7 +81,9 @@ class EarthFrameCompensation:
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of a call, in order."""
-        return (*self._own, *(name.replace("U95_", "u_") for name in self.expanded), *self.expanded)
+        if self._uncertainty is None:
+            return self._own
+        return (*self._own, *uncertainty_columns(self._own, averaged=self._averaged))
 
     def __call__(self, chunk: KernelChunk, field: Array | None, heading: Array | None, velocity: Array | None) -> Array:
         """Return the columns of some rows, shape (columns, n), and mark their flags.
@@ -113,7 +121,12 @@ class EarthFrameCompensation:
         found = np.stack(rows)
         if self._uncertainty is None:
             return found
-        return np.concatenate([found, *self._uncertainty(chunk, frame, turned, instrument)])
+        total = np.stack(self._uncertainty(chunk, frame, turned, instrument))
+        if not self._averaged:
+            round_up(total)
+            return np.concatenate([found, *total])
+        common = np.stack(self._uncertainty(replace(chunk, share=0.0), frame, turned, instrument))
+        return np.concatenate([found, with_shares(total, common)])
 
     def _up(self, chunk: KernelChunk) -> Array:
         """Return the unit vector that points up in the application's frame, shape (3, n); NaN where it is unknown."""

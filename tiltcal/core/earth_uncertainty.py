@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiltcal.core.angle_uncertainty import ANYWHERE, HALF_TURN, Propagation, UpGradient, round_up
+from tiltcal.core.angle_uncertainty import ANYWHERE, HALF_TURN, Propagation, UpGradient
 from tiltcal.core.compensation import MISSING, NO_TEMPERATURE, KernelChunk
 from tiltcal.core.earth_frame import EarthFrame, cross
 from tiltcal.core.model import Array
@@ -50,7 +50,7 @@ class EarthUncertainty:
     def __call__(
         self, chunk: KernelChunk, frame: EarthFrame, field: Array | None, velocity: Array | None
     ) -> tuple[Array, Array]:
-        """Return standard and expanded uncertainty of each column, each of shape (columns, n).
+        """Return standard and expanded uncertainty of each column, not rounded, each of shape (columns, n).
 
         Degrees for the heading, which is a column where there is a field, and the velocity's unit.
 
@@ -63,7 +63,8 @@ class EarthUncertainty:
             In the application's frame.
         """
         expanded, factors = self._propagation.half_widths(
-            chunk, [self._through(one, frame, field) for one in _gradients(frame, velocity)[field is None :]]
+            chunk,
+            [self._through(one, frame, field, chunk.share) for one in _gradients(frame, velocity)[field is None :]],
         )
         if velocity is not None:
             _add_second_order(expanded[-3:], velocity)
@@ -73,18 +74,17 @@ class EarthUncertainty:
             expanded[0] = np.degrees(np.minimum(expanded[0], HALF_TURN))
         lost = (chunk.out.flag == MISSING) | (chunk.out.reason & NO_TEMPERATURE > 0) | ~np.isfinite(frame.heading)
         for room in (standard, expanded):
-            round_up(room)
             room[:, lost] = np.nan
         return standard, expanded
 
-    def _through(self, gradient: _Gradient, frame: EarthFrame, field: Array | None) -> UpGradient:
+    def _through(self, gradient: _Gradient, frame: EarthFrame, field: Array | None, share: Array | float) -> UpGradient:
         """Return what a quantity has of up, of the mounting's turn, and of the field's noise."""
         by_turn = cross(frame.up, gradient.by_up)
         if field is None or frame.horizontal is None or frame.magnetic_east is None:
             return UpGradient(gradient.by_up, by_turn, np.zeros_like(gradient.by_azimuth))
         by_field = -gradient.by_azimuth / frame.horizontal
         by_turn += cross(field, by_field * frame.magnetic_east)
-        return UpGradient(gradient.by_up, by_turn, (by_field * self._field_noise) ** 2)
+        return UpGradient(gradient.by_up, by_turn, (by_field * self._field_noise) ** 2 * share)
 
 
 @frozen

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tiltcal.errors import InputError
 from tiltcal.logs.apply_summary import ApplySummary
 from tiltcal.logs.cf_attributes import same_unit
-from tiltcal.logs.columns import TEMPERATURE, TIME, locate_columns, named_columns
+from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, locate_columns, named_columns
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.kernel import RoleValues
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from tiltcal.calibration.calibration_library import CalibrationLibrary
     from tiltcal.calibration.pair_calibration import PairCalibration
     from tiltcal.core.field_length import FieldLength
+    from tiltcal.logs.averaging import Means
 
 
 def apply_log(
@@ -47,6 +48,8 @@ def apply_log(
     velocity: Sequence[str] | str = (),
     declination: float | None = None,
     magnetometer_noise: float | None = None,
+    average: int | None = None,
+    every: str | float | None = None,
     skip_bad_rows: bool = False,
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
@@ -86,6 +89,10 @@ def apply_log(
         How far magnetic north is east of true north, degrees; added to the heading, of a column as well.
     magnetometer_noise : float, optional
         With `uncertainty`: standard uncertainty of a component of the field, in its unit.
+    average : int, optional
+        Apply to the means of so many rows each, and add ``count``.
+    every : str or float, optional
+        Apply to the means of so much time each, such as ``"10s"``, or in seconds, and add ``count``.
     skip_bad_rows : bool
         Keep rows that cannot be parsed, with flag 9, instead of raising.
     say : callable
@@ -118,6 +125,8 @@ def apply_log(
         velocity,
         declination,
         magnetometer_noise,
+        average,
+        every,
     )
     ready = prepare_any(calibration, options, say)
     with open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as reader:
@@ -126,7 +135,7 @@ def apply_log(
         if TIME in prepared.optional_roles and TIME not in rows.roles:
             say(NO_TIME)
         with log_sink(str(output)) as sink:
-            writer = create_log(output, sink, reader, prepared.kernel.columns, prepared.origin, rows.units)
+            writer = create_log(output, sink, reader, prepared.columns, prepared.origin, rows.units)
             writer.write(rows.blocks(frames=writer.frames))
     return rows.summary
 
@@ -202,10 +211,11 @@ class CompensatedLog:
             A column is not there, or its unit is not that of the calibration.
         """
         named = named_columns(columns, prepared.channels, prepared.roles)
-        roles = (*prepared.roles, *(role for role in prepared.optional_roles if role in named or role in log.names))
+        optional = (*prepared.optional_roles, *(() if prepared.averaging is None else (TIME,)))
+        roles = (*prepared.roles, *(role for role in optional if role in named or role in log.names))
         where = locate_columns(log.names, prepared.channels, named, roles, file=log.name, line=log.header_line)
         vectors = {role: _locate_vector(log, role, names) for role, names in prepared.vectors.items()}
-        require_free(log.names, prepared.kernel.columns)
+        require_free(log.names, prepared.columns)
         channels = tuple(where[channel] for channel in prepared.channels)
         if prepared.unit is not None:
             require_unit(log, channels, prepared.unit)
@@ -234,19 +244,38 @@ class CompensatedLog:
         """
         time = self.roles.get(TIME, time)
         wanted = {*self.channels, *self.roles.values(), *chain(*self.vectors.values())}
-        for block in self.log.rows(sorted(wanted if time is None else wanted | {time}), time, frames=frames):
+        means = self._means()
+        rows: Iterable[LogBlock] = self.log.rows(
+            sorted(wanted if time is None else wanted | {time}), time, frames=frames or means is not None
+        )
+        for block in rows if means is None else means.blocks(rows):
             values = self._values(block)
             table = self.prepared.kernel(values)
             if self.field_length is not None and values.magnetometer is not None:
                 table = self.field_length.flagged(table, values.magnetometer)
-            self.summary.add(table, len(block.faults))
+            if means is not None:
+                table = means.added(block, table)
+            self.summary.add(table, len(block.faults) + block.bad_rows)
             yield block, table
 
     def _values(self, block: LogBlock) -> RoleValues:
-        return RoleValues(
-            block.readings(self.channels),
-            **{role: block.values[index] for role, index in self.roles.items()},
-            **{role: block.readings(indices) for role, indices in self.vectors.items()},
+        given = {role: block.values[index] for role, index in self.roles.items()}
+        given |= {role: block.readings(indices) for role, indices in self.vectors.items()}
+        values = RoleValues(block.readings(self.channels), **given)  # type: ignore[arg-type]
+        return replace(values, count=block.counts) if block.counts is not None else values
+
+    def _means(self) -> Means | None:
+        if self.prepared.averaging is None:
+            return None
+        from tiltcal.logs.averaging import Means
+
+        rails = {
+            index: self.prepared.rails[channel]
+            for channel, index in zip(self.prepared.channels, self.channels, strict=True)
+            if channel in self.prepared.rails
+        }
+        return Means(
+            self.prepared.averaging, self.log.names, self.channels, rails, self.roles.get(TIME), self.roles.get(HEADING)
         )
 
 

@@ -386,6 +386,12 @@ def _bench(
         },
         roles,
         vectors=parts[0].vectors,
+        averaging=parts[0].averaging,
+        rails={
+            f"{one.lead}{name}": rail
+            for one, part in zip(sensors, parts, strict=True)
+            for name, rail in part.rails.items()
+        },
     )
 
 

@@ -49,6 +49,8 @@ _JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
     },
 }
 _STANDARD, _EXPANDED = "u_", "U95_"
+_SHARES = {"u_random_": "random", "u_common_": "systematic"}
+COUNT = "count"
 _SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0, "days": 86400.0}
 """Of the units in which a time is counted since some moment; anything else counts as seconds."""
 
@@ -95,7 +97,11 @@ def is_judgement(name: str) -> bool:
 
 
 def describe(
-    name: str, added: Sequence[str], like: Mapping[str, Any], units: Mapping[str, str | None] | None = None
+    name: str,
+    added: Sequence[str],
+    like: Mapping[str, Any],
+    units: Mapping[str, str | None] | None = None,
+    dimension: str = "",
 ) -> dict[str, Any]:
     """Return the attributes of a new column.
 
@@ -108,12 +114,14 @@ def describe(
         The attributes of a reading, whose unit the matched sum of a pair has.
     units : mapping of str to str or None, optional
         The unit of new columns that have that of another column; None where that one states none.
+    dimension : str
+        Along which errors are random or systematic.
     """
     place = {key: like[key] for key in ("coordinates",) if key in like}
     sensors = [one.removesuffix("flag") for one in added if one.endswith("_flag")]
     if lead := next((one for one in sensors if name.startswith(one)), ""):
         of_sensor = [one.removeprefix(lead) for one in added if one.startswith(lead)]
-        own = describe(name.removeprefix(lead), of_sensor, like, units)
+        own = describe(name.removeprefix(lead), of_sensor, like, units, dimension)
         own["long_name"] += f", of {lead.removesuffix('_')}"
         if "ancillary_variables" in own:
             own["ancillary_variables"] = " ".join(lead + one for one in own["ancillary_variables"].split())
@@ -121,14 +129,34 @@ def describe(
     if name in _JUDGEMENTS:
         return {**_JUDGEMENTS[name], **place}
     beside = [one for one in ("flag", "reason", _STANDARD + name, _EXPANDED + name) if one in added]
-    quantity = name.removeprefix(_STANDARD).removeprefix(_EXPANDED)
+    if name == COUNT:
+        return {"long_name": "number of rows of which each row is the mean", "units": "1", **place}
+    share = next((lead for lead in _SHARES if name.startswith(lead)), "")
+    quantity = name.removeprefix(share or _STANDARD).removeprefix(_EXPANDED)
     unit = units[quantity] if units and quantity in units else _unit(name, like)
     return {
         "long_name": _long_name(name),
         **({} if unit is None else {"units": unit}),
         **({} if name.startswith((_STANDARD, _EXPANDED)) else {"ancillary_variables": " ".join(beside)}),
+        **_error_correlation(quantity, share, added, dimension, is_quantity=name == quantity),
         **place,
     }
+
+
+def _error_correlation(
+    quantity: str, share: str, added: Sequence[str], dimension: str, *, is_quantity: bool
+) -> dict[str, Any]:
+    """Return what obsarray and punpy take random and systematic errors from (obsarray, user guide, templater)."""
+    if share:
+        return {
+            "err_corr_1_dim": dimension,
+            "err_corr_1_form": _SHARES[share],
+            "err_corr_1_units": [],
+            "err_corr_1_params": [],
+            "pdf_shape": "gaussian",
+        }
+    shares = [lead + quantity for lead in _SHARES if lead + quantity in added]
+    return {"unc_comps": shares} if is_quantity and shares else {}
 
 
 def _unit(name: str, like: Mapping[str, Any]) -> Any:
@@ -138,6 +166,10 @@ def _unit(name: str, like: Mapping[str, Any]) -> Any:
 
 
 def _long_name(name: str) -> str:
+    for share in _SHARES:
+        if name.startswith(share):
+            kind = "random" if share == "u_random_" else "common to all rows"
+            return f"standard uncertainty of {name.removeprefix(share)}, {kind}"
     if name.startswith(_STANDARD):
         return f"standard uncertainty of {name.removeprefix(_STANDARD)}"
     if name.startswith(_EXPANDED):

@@ -20,6 +20,8 @@ from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
 from tiltcal.logs.prepared import ApplyOptions
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from tiltcal.calibration.calibration import Calibration
     from tiltcal.calibration.calibration_library import CalibrationLibrary
     from tiltcal.calibration.pair_calibration import PairCalibration
@@ -64,7 +66,10 @@ def apply_frame(
     reader = FrameReader(frame, unit=unit)
     prepared = prepare_any(calibration, ApplyOptions(**options))(reader, columns)
     log = CompensatedLog.of(reader, prepared, columns)
-    ((_block, table),) = log.blocks()
+    blocks = list(log.blocks())
+    if prepared.averaging is not None:
+        return reader.of_means(blocks, log.channels, log.units)
+    ((_block, table),) = blocks
     return reader.with_columns(table, log.channels, log.units)
 
 
@@ -117,12 +122,20 @@ class FrameReader(LogReader):
                     file=self.name,
                 )
             values[index] = found
-        block = LogBlock(values)
+        block = LogBlock(values, frame=self._frame.polars(self.names[columns[0]]) if frames else None)
         if values and not len(block):
             raise InputError("the log has columns and no rows", file=self.name)
         if len({len(found) for found in values.values()}) > 1:
             raise InputError("the columns differ in length", file=self.name)
         yield block
+
+    def of_means(self, blocks: Sequence[tuple[LogBlock, Table]], channels: Sequence[int], units: Units) -> Any:
+        """Return the means of a frame, of its own kind, with columns behind them; see :meth:`with_columns`."""
+        import polars as pl
+
+        frame = pl.concat([block.frame for block, _ in blocks if block.frame is not None])
+        table = {name: np.concatenate([one[name] for _, one in blocks]) for name in blocks[0][1]}
+        return self._frame.of_rows(frame).with_columns(table, [self.names[index] for index in channels], units)
 
     def with_columns(self, table: Table, channels: Sequence[int], units: Units) -> Any:
         """Return the frame, of its own kind, with columns behind its own.
@@ -174,6 +187,14 @@ class _Columns(Protocol):
     def numbers(self, name: str) -> Array | None: ...
 
     def times(self, name: str) -> Array | None: ...
+
+    def polars(self, reading: str) -> pl.DataFrame:
+        """Return the columns that have the rows of a reading."""
+        ...
+
+    def of_rows(self, rows: pl.DataFrame) -> _Columns:
+        """Return other rows as a frame of this kind."""
+        ...
 
     def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any: ...
 
@@ -231,6 +252,14 @@ class _Table:
             return self.numbers(name)
         return _seconds(column.to_list())
 
+    def polars(self, reading: str) -> pl.DataFrame:
+        return self._frame.to_polars()  # type: ignore[no-any-return]
+
+    def of_rows(self, rows: pl.DataFrame) -> _Table:
+        import narwhals.stable.v2 as nw
+
+        return _Table(nw.from_dict(rows.to_dict(as_series=False), backend=self._frame.implementation))
+
     def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any:
         import narwhals.stable.v2 as nw
 
@@ -258,6 +287,14 @@ class _Arrays:
 
     def times(self, name: str) -> Array | None:
         return _timed(self._arrays[name])
+
+    def polars(self, reading: str) -> pl.DataFrame:
+        import polars as pl
+
+        return pl.DataFrame({name: values for name, values in self._arrays.items() if values.ndim == 1})
+
+    def of_rows(self, rows: pl.DataFrame) -> _Arrays:
+        return _Arrays({name: rows[name].to_numpy() for name in rows.columns})
 
     def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> dict[str, Any]:
         return self._given | {name: np.ascontiguousarray(values) for name, values in table.items()}
@@ -295,12 +332,30 @@ class _Dataset:
             )
         return np.asarray(variable.values)
 
+    def polars(self, reading: str) -> pl.DataFrame:
+        import polars as pl
+
+        dims = self._data[reading].dims
+        return pl.DataFrame({name: self._data[name].values for name in self.names if self._data[name].dims == dims})
+
+    def of_rows(self, rows: pl.DataFrame) -> _Dataset:
+        (dimension,) = self._data[rows.columns[0]].dims
+        kept = self._data.drop_dims(dimension).assign_attrs(self._data.attrs)
+        columns = {name: (dimension, rows[name].to_numpy(), self._data[name].attrs) for name in rows.columns}
+        coordinates = {name: column for name, column in columns.items() if name in self._data.coords}
+        others = {name: column for name, column in columns.items() if name not in coordinates}
+        return _Dataset(kept.assign_coords(coordinates).assign(others), self._file)
+
     def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any:
         (dimension,) = self._data[readings[0]].dims
         like = self._data[readings[0]].attrs
         return self._data.assign(
             {
-                name: (dimension, np.ascontiguousarray(values), describe(name, tuple(table), like, units))
+                name: (
+                    dimension,
+                    np.ascontiguousarray(values),
+                    describe(name, tuple(table), like, units, str(dimension)),
+                )
                 for name, values in table.items()
             }
         )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tiltcal.core.angle_uncertainty import uncertainty_columns, with_shares
 from tiltcal.core.compensation import NO_TEMPERATURE, SUSPECT, Bits, Compensated, Compensation, mark
 from tiltcal.core.model import Array
 from tiltcal.core.thermal_lag import ThermalLag
@@ -13,7 +16,8 @@ from tiltcal.frozen import frozen
 from tiltcal.logs.log import Table
 
 if TYPE_CHECKING:
-    from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+    from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, Propagation
+    from tiltcal.core.compensation import KernelChunk
     from tiltcal.core.earth_compensation import EarthFrameCompensation
     from tiltcal.core.pair.compensation import PairCompensation
 
@@ -34,6 +38,8 @@ class RoleValues:
         In the unit of their columns; None where they are not asked for.
     heading : ndarray, shape (n,), or None
         Degrees; None where it is not asked for.
+    count : ndarray of int, shape (n,), or None
+        Of how many rows of the log each row is the mean; None where it is none.
     """
 
     readings: Array
@@ -42,6 +48,7 @@ class RoleValues:
     magnetometer: Array | None = None
     velocity: Array | None = None
     heading: Array | None = None
+    count: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -71,6 +78,8 @@ class TiltKernel:
         Adds the uncertainty of every angle.
     earth : EarthFrameCompensation, optional
         Adds heading and earth velocities.
+    averaged : bool
+        Rows are means of :attr:`RoleValues.count` rows: uncertainties have a random and a common share.
     lag : float
         By how much its element is later than the thermometer, s. Rows without a time are compensated with the
         temperature of the thermometer, and have flag 3 and reason 16.
@@ -82,10 +91,14 @@ class TiltKernel:
         uncertain: CompensationWithUncertainty | None = None,
         earth: EarthFrameCompensation | None = None,
         lag: float = 0.0,
+        averaged: bool = False,
     ) -> None:
         self._compensation, self._uncertain, self._earth = compensation, uncertain, earth
         self._lag = ThermalLag(lag) if lag else None
-        names = [*compensation.columns, *(() if uncertain is None else uncertain.added)]
+        self._averaged = averaged
+        names = [*compensation.columns]
+        if uncertain is not None:
+            names += uncertainty_columns(compensation.angles, averaged=averaged)
         self._own = len(names)
         self.columns = (*names, *(() if earth is None else earth.columns))
 
@@ -98,14 +111,21 @@ class TiltKernel:
         with np.errstate(all="ignore"):
             for chunk in self._compensation.chunks(values.readings, temperature, out):
                 rows = chunk.rows
+                if values.count is not None:
+                    chunk = replace(chunk, share=1.0 / np.maximum(values.count[rows], 1))
                 if self._uncertain is not None:
-                    added[:own, rows] = self._uncertain.propagation(chunk).reshape(own, -1)
+                    added[:own, rows] = self._uncertainties(self._uncertain.propagation, chunk)
                 if self._earth is not None:
                     given = (values.magnetometer, values.heading, values.velocity)
                     added[own:, rows] = self._earth(chunk, *(None if one is None else one[rows] for one in given))
         if lost is not None:
             mark(out, lost, SUSPECT, NO_TEMPERATURE)
         return table | dict(zip(self.columns[len(table) :], added, strict=True))
+
+    def _uncertainties(self, propagation: Propagation, chunk: KernelChunk) -> Array:
+        if not self._averaged:
+            return propagation(chunk).reshape(-1, len(chunk.out.flag))
+        return with_shares(propagation.exact(chunk), propagation.exact(replace(chunk, share=0.0)))
 
     def _temperature(self, values: RoleValues) -> tuple[Array | None, Bits | None]:
         """Return the temperature of the element, and the rows for which it is that of the thermometer."""

@@ -17,7 +17,7 @@ from tiltcal.logs.streams import read_ahead, sha256_of
 if TYPE_CHECKING:
     import polars as pl
 
-Table = Mapping[str, Array | NDArray[np.uint8]]
+Table = Mapping[str, Array | NDArray[np.uint8] | NDArray[np.int64]]
 """The columns that a calibration adds to some rows, by name."""
 
 Progress = Callable[[int, int | None], None]
@@ -37,11 +37,17 @@ class LogBlock:
         Rows that could not be parsed and were kept.
     frame : polars.DataFrame or None
         All columns with their types, where the format has types or they were asked for.
+    counts : ndarray of int, shape (n,), or None
+        Of how many rows of the log each row is the mean; None where it is none.
+    bad_rows : int
+        Rows among those of means that could not be parsed.
     """
 
     values: Mapping[int, Array]
     faults: Collection[int] = ()
     frame: pl.DataFrame | None = None
+    counts: NDArray[np.int64] | None = None
+    bad_rows: int = 0
 
     def __len__(self) -> int:
         """Return the number of rows."""

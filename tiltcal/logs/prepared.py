@@ -11,6 +11,7 @@ import tiltcal
 from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
+from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import HEADING, TIME
 from tiltcal.logs.kernel import Kernel, PairKernel, TiltKernel
 from tiltcal.logs.streams import sha256_of
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
     from tiltcal.core.compensation import Compensation
     from tiltcal.core.earth_compensation import EarthFrameCompensation
+    from tiltcal.logs.averaging import Averaging
 
 
 _EXAMPLES = {"magnetometer": "mx,my,mz", "velocity": "u,v,w"}
@@ -51,6 +53,10 @@ class ApplyOptions:
         How far magnetic north is east of true north, degrees.
     magnetometer_noise : float or None
         Standard uncertainty of a component of the field, in its unit; None for exact ones.
+    average : int or None
+        Rows of a mean; None for no means.
+    every : str, float or None
+        Time of a mean, such as ``"10s"``, or seconds; None for no means.
     """
 
     first_order: bool = False
@@ -64,6 +70,22 @@ class ApplyOptions:
     velocity: Sequence[str] | str = ()
     declination: float | None = None
     magnetometer_noise: float | None = None
+    average: int | None = None
+    every: str | float | None = None
+
+    def averaging(self) -> Averaging | None:
+        """Return how rows are put into means; None where they are not.
+
+        Raises
+        ------
+        UsageError
+            Both or a wrong one are given.
+        """
+        if self.average is None and self.every is None:
+            return None
+        from tiltcal.logs.averaging import averaging
+
+        return averaging(self.average, self.every)
 
     def vectors(self) -> dict[str, tuple[str, ...]]:
         """Return the columns of the vectors that are asked for, by role.
@@ -119,6 +141,10 @@ class PreparedCalibration:
         Roles that are taken where the log has them.
     vectors : mapping of str to tuple of str
         The three columns of ``magnetometer`` and ``velocity``, where these are asked for.
+    averaging : Averaging or None
+        How rows are put into means before the kernel sees them.
+    rails : mapping of str to (float, float)
+        The lowest and the highest reading of channels, at which it is no measurement.
     """
 
     kernel: Kernel
@@ -130,6 +156,13 @@ class PreparedCalibration:
     roles: tuple[str, ...] = ()
     optional_roles: tuple[str, ...] = ()
     vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    averaging: Averaging | None = None
+    rails: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of all columns that are added to the log."""
+        return self.kernel.columns if self.averaging is None else (COUNT, *self.kernel.columns)
 
 
 def _three_columns(role: str, names: Sequence[str] | str) -> tuple[str, ...]:
@@ -183,7 +216,7 @@ def prepare(
     InputError
         The calibration cannot be applied.
     """
-    vectors = options.vectors()
+    vectors, averaging = options.vectors(), options.averaging()
     stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}
     if not isinstance(calibration, Calibration):
         return _of_pairs(calibration, options, stated, str(file or "the calibration"))
@@ -194,20 +227,24 @@ def prepare(
     try:
         compensation = calibration.compensation(first_order=options.first_order)
         uncertain = _uncertain(calibration, compensation, options.reading_noise, say) if options.uncertainty else None
+        if uncertain is not None and averaging is not None:
+            say("note: the noise of readings counts as white: a mean of n rows has 1/√n of it")
         earth = _earth(compensation, uncertain, options, say) if vectors else None
     except EstimateError as failure:
         raise InputError(str(failure), file=file) from failure
     lag = 0.0 if coefficients.thermal is None else coefficients.thermal.lag
     return PreparedCalibration(
-        TiltKernel(compensation, uncertain, earth, lag),
+        TiltKernel(compensation, uncertain, earth, lag, averaging is not None),
         coefficients.channels,
         sensor.unit,
         compensation.angles,
         (*(uncertain.expanded if uncertain else ()), *(earth.expanded if earth else ())),
         stated,
-        () if "magnetometer" in vectors or not vectors else (HEADING,),
+        _roles(vectors, averaging),
         (TIME,) if lag else (),
         vectors,
+        averaging,
+        calibration.limits.reading,
     )
 
 
@@ -220,6 +257,8 @@ def _of_pairs(
         ("--mounting", options.mounting),
         ("--magnetometer", options.magnetometer),
         ("--velocity", options.velocity),
+        ("--average", options.average),
+        ("--every", options.every),
     ):
         if given:
             raise UsageError(f"{name} is for tilt calibrations; {file} is of pairs, which have no tilt")
@@ -235,6 +274,12 @@ def _mounted(calibration: Calibration, angles: Mapping[str, float] | str, say: C
     if own is not None:
         say(f"note: --mounting replaces the mounting of the calibration, {mounting_in_words(own)}")
     return calibration.with_mounting(angles)
+
+
+def _roles(vectors: Mapping[str, tuple[str, ...]], averaging: Averaging | None) -> tuple[str, ...]:
+    """Return the roles that a log must have besides readings."""
+    heading = () if "magnetometer" in vectors or not vectors else (HEADING,)
+    return (*heading, TIME) if averaging is not None and averaging.seconds else heading
 
 
 def _earth(
@@ -255,6 +300,7 @@ def _earth(
         say("note: the magnetometer counts as exact (--magnetometer-noise)")
     return EarthFrameCompensation(
         compensation,
+        averaged=options.averaging() is not None,
         magnetometer=bool(options.magnetometer),
         velocity=bool(options.velocity),
         declination=options.declination or 0.0,

@@ -248,15 +248,16 @@ class CsvWriter(LogWriter):
 
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
         """Write each block while the next is read and compensated; a single thread keeps the order."""
-        verbatim = isinstance(self._log, CsvReader)
-        header, write = (self._header(), self._write_as_it_stands) if verbatim else (b"", self._write_in_words)
         with ThreadPoolExecutor(max_workers=1) as thread:
             written: Future[object] | None = None
             for block, table in blocks:
                 if written is not None:
                     written.result()
                 else:
-                    self._sink.write(header or self._header_of(block))
+                    # Means of rows are no rows that could stay as they are.
+                    verbatim = isinstance(self._log, CsvReader) and block.counts is None
+                    write = self._write_as_it_stands if verbatim else self._write_in_words
+                    self._sink.write(self._header() if verbatim else self._header_of(block))
                     self._sink.flush()  # the engine writes to the file itself
                 written = thread.submit(write, block, table)
             if written is not None:

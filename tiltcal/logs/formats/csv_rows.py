@@ -194,8 +194,9 @@ def _typed_columns(
     """Read the needed columns as numbers, the time as text if it is none, and the last one; None if that fails."""
     import polars as pl
 
-    # Moments are the one kind of text that is read as fast as numbers are.
-    for numeric in [columns] if time is None else [columns, [index for index in columns if index != time]]:
+    # Moments are the one kind of text that is read as fast as numbers are; a time whose text is needed stays text.
+    others = [index for index in columns if index != time]
+    for numeric in [columns] if time is None else [others] if time in texts else [columns, others]:
         schema = {str(index): pl.Float64 if index in numeric else pl.String for index in range(fields)}
         with suppress(pl.exceptions.PolarsError):
             return _engine(data, schema=schema, columns=sorted({*columns, *texts, fields - 1}), quote_char=quote_char)

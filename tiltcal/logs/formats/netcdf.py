@@ -18,15 +18,18 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, TiltcalError, UsageError
-from tiltcal.logs.cf_attributes import describe, is_judgement, seconds_since_1970
+from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement, seconds_since_1970
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
 from tiltcal.logs.streams import interrupts_held
+
+if TYPE_CHECKING:
+    import polars as pl
 
 _ROWS = 1 << 16
 """Of a block, or as many as a chunk of the file holds, which is unpacked as a whole."""
@@ -132,6 +135,11 @@ class NetcdfReader(LogReader):
             **{key: variable.encoding[key] for key in ("coordinates",) if key in variable.encoding},
         }
 
+    @property
+    def file_attributes(self) -> Mapping[str, Any]:
+        """What the file states of itself."""
+        return dict(self._data.attrs)
+
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         dimension = self.dimension(columns)
         for index in columns:
@@ -144,7 +152,15 @@ class NetcdfReader(LogReader):
             if time is not None:
                 values[time] = seconds_since_1970(values[time], self.unit(time))
             self.bytes_read = (self.source.size or 0) * rows.stop // total
-            yield LogBlock(values)
+            yield LogBlock(values, frame=self._frame(dimension, rows) if frames else None)
+
+    def _frame(self, dimension: str, rows: slice) -> pl.DataFrame:
+        """Return some rows of every variable that has this dimension alone."""
+        import polars as pl
+
+        with self._refusing_damage():
+            along = [name for name in self.names if self._data[name].dims == (dimension,)]
+            return pl.DataFrame({name: self._data[name].isel({dimension: rows}).values for name in along})
 
     def _numbers(self, name: str, rows: Mapping[str, slice]) -> Array:
         return np.asarray(self._data[name].isel(rows).values, dtype=float)
@@ -192,11 +208,14 @@ class NetcdfWriter(LogWriter):
         log = self._log
         if not isinstance(log, NetcdfReader):
             raise UsageError(f"only a NetCDF log becomes NetCDF, and {log.name} is none")
+        rows = iter(blocks)
+        first = next(rows)
+        if first[0].counts is not None:
+            self._write_means(log, [first, *rows])
+            return
         log.source.stream.seek(0)
         shutil.copyfileobj(log.source.stream, self._sink, 1 << 20)
         self._sink.flush()
-        rows = iter(blocks)
-        first = next(rows)
         columns = list(first[0].values)
         dimension, like = log.dimension(columns), log.attributes(log.names[columns[0]])
         with (
@@ -213,20 +232,42 @@ class NetcdfWriter(LogWriter):
                 start += len(block)
             file.attrs["history"] = _history(file.attrs.get("history"), self._origin, datetime.now(UTC))
 
+    def _write_means(self, log: NetcdfReader, blocks: Sequence[tuple[LogBlock, Table]]) -> None:
+        """Write a file of its own: the means, and the attributes of the log and of its variables."""
+        import h5netcdf
+        import polars as pl
+
+        frame = pl.concat([block.frame for block, _ in blocks if block.frame is not None])
+        columns = list(blocks[0][0].values)
+        dimension, like = log.dimension(columns), log.attributes(log.names[columns[0]])
+        with interrupts_held(), _refusing_to_add(log.name), h5netcdf.File(self._sink, "w") as file:
+            file.dimensions[dimension] = len(frame)
+            for name in frame.columns:
+                values = frame[name].to_numpy()
+                text = values.dtype.kind not in "iuf"
+                variable = file.create_variable(name, (dimension,), str if text else "f8")
+                variable[...] = values.astype(object if text else float)
+                variable.attrs.update(log.attributes(name))
+            for name in self._added:
+                values = np.concatenate([np.asarray(table[name]) for _, table in blocks])
+                self._variable(file, name, dimension, like)[...] = values
+            file.attrs.update(log.file_attributes)
+            file.attrs["history"] = _history(file.attrs.get("history"), self._origin, datetime.now(UTC))
+
     def _variable(self, file: Any, name: str, dimension: str, like: Mapping[str, Any]) -> Any:
         """Create a variable; ``like`` are the attributes of a reading."""
-        whole = is_judgement(name)
+        whole = is_judgement(name) or name == COUNT
         variable = file.create_variable(
             name,
             (dimension,),
-            "u1" if whole else "f8",
+            "u4" if name == COUNT else "u1" if whole else "f8",
             chunks=(min(file.dimensions[dimension].size, _CHUNK),),
             compression="gzip",
             compression_opts=1,
             shuffle=True,
             fillvalue=None if whole else np.nan,
         )
-        for key, value in describe(name, self._added, like, self._units).items():
+        for key, value in describe(name, self._added, like, self._units, dimension).items():
             variable.attrs[key] = value
         return variable
 

@@ -1,0 +1,227 @@
+"""Rows of a log, put into means before they are compensated: so many rows each, or so much time each.
+
+A mean is over the rows whose readings are all there; they are counted. Columns of numbers and of moments get their
+mean, a heading that of its direction, every other column the value of the first row. Groups of a time begin at whole
+multiples of it on the clock of the log; a row without a time belongs to the group of the row before it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.compensation import FAIL, RAIL
+from tiltcal.core.model import Array
+from tiltcal.errors import UsageError
+from tiltcal.frozen import frozen
+from tiltcal.logs.cf_attributes import COUNT
+from tiltcal.logs.log import LogBlock, Table
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_DURATION = re.compile(r"([0-9.]+) *(ms|s|min|h|d)?")
+_SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+@frozen
+class Averaging:
+    """What belongs into one mean.
+
+    Attributes
+    ----------
+    rows : int or None
+        So many rows of the log.
+    seconds : float or None
+        So much time.
+    """
+
+    rows: int | None = None
+    seconds: float | None = None
+
+
+def averaging(rows: int | None, every: str | float | None) -> Averaging:
+    """Return what ``--average`` and ``--every`` say.
+
+    Raises
+    ------
+    UsageError
+        Both or none are given, or one is no number above 0.
+    """
+    if (rows is None) == (every is None):
+        raise UsageError("--average and --every each say what belongs into a mean: give one of them")
+    if rows is not None:
+        if rows < 1:
+            raise UsageError(f"--average takes a number of rows from 1, not {rows}")
+        return Averaging(rows=rows)
+    found = _DURATION.fullmatch(str(every).strip())
+    try:
+        seconds = float(found[1]) * _SECONDS[found[2] or "s"] if found else 0.0
+    except ValueError:
+        seconds = 0.0
+    if not seconds > 0.0:
+        raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every!r}")
+    return Averaging(seconds=seconds)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AveragedBlock(LogBlock):
+    """Some means of rows of a log, in order.
+
+    Attributes
+    ----------
+    counts : ndarray of int, shape (n,)
+        Of how many rows each is the mean.
+    railed : ndarray of bool, shape (n,)
+        Whether one of them had a reading at the rail.
+    """
+
+    counts: NDArray[np.int64]
+    railed: NDArray[np.bool_]
+
+
+@frozen
+class Means:
+    """Puts the rows of a log into means.
+
+    Attributes
+    ----------
+    averaging : Averaging
+    names : sequence of str
+        The columns of the log.
+    readings : sequence of int
+        Where the readings stand.
+    rails : mapping of int to (float, float)
+        The lowest and the highest reading of some of them.
+    time, heading : int or None
+        Where the time and a heading stand.
+    """
+
+    averaging: Averaging
+    names: Sequence[str]
+    readings: Sequence[int]
+    rails: dict[int, tuple[float, float]]
+    time: int | None = None
+    heading: int | None = None
+
+    def blocks(self, blocks: Iterable[LogBlock]) -> Iterator[AveragedBlock]:
+        """Yield the means of the rows of blocks; the last one may be of fewer rows.
+
+        Parameters
+        ----------
+        blocks : iterable of LogBlock
+            With all their columns.
+        """
+        pending: LogBlock | None = None
+        bad = done = 0
+        for block in blocks:
+            bad += len(block.faults)
+            whole = block if pending is None else _joined(pending, block)
+            groups = self._groups(whole, done)
+            cut = int(np.searchsorted(groups, groups[-1]))  # the last group may go on
+            if cut:
+                yield self._means(_part(whole, 0, cut), groups[:cut], bad)
+                bad = 0
+            done += cut
+            pending = _part(whole, cut, len(whole))
+        if pending is not None:
+            yield self._means(pending, self._groups(pending, done), bad)
+
+    def added(self, block: LogBlock, table: Table) -> Table:
+        """Return the columns of a block of means: the count, and flag 4 with reason 4 for a row at the rail."""
+        if not isinstance(block, AveragedBlock):
+            raise TypeError("a block of means is needed")
+        found = {COUNT: block.counts, **table}
+        if block.railed.any():
+            for lead in [name.removesuffix("flag") for name in table if name.rpartition("_")[2] == "flag"]:
+                flag, reason = table[f"{lead}flag"], np.asarray(table[f"{lead}reason"], np.uint8)
+                found[f"{lead}flag"] = np.where(block.railed, np.maximum(flag, FAIL), flag).astype(np.uint8)
+                found[f"{lead}reason"] = np.where(block.railed, reason | RAIL, reason).astype(np.uint8)
+        return found
+
+    def _groups(self, block: LogBlock, done: int) -> NDArray[np.int64]:
+        """Return the number of each row's group, ascending; ``done`` rows are before these."""
+        if self.averaging.rows is not None:
+            return (done + np.arange(len(block))) // self.averaging.rows
+        time = block.values[self.time or 0]
+        known = np.isfinite(time)
+        place = np.maximum.accumulate(np.where(known, np.arange(len(time)), 0))
+        step = np.floor(np.where(known, time, time[place]) / float(self.averaging.seconds or 1.0) + 1e-9)
+        changed = np.flatnonzero(step[1:] != step[:-1]) + 1
+        # NaN differs from NaN: rows before the first time are one group.
+        changed = changed[np.isfinite(step[changed - 1]) | np.isfinite(step[changed])]
+        groups = np.zeros(len(time), np.int64)
+        groups[changed] = 1
+        return np.cumsum(groups)
+
+    def _means(self, block: LogBlock, groups: NDArray[np.int64], bad: int) -> AveragedBlock:
+        starts = np.flatnonzero(np.diff(groups, prepend=groups[0] - 1))
+        used = np.all([np.isfinite(block.values[index]) for index in self.readings], axis=0)
+        counts = np.add.reduceat(used.astype(np.int64), starts)
+        railed = np.zeros(len(starts), bool)
+        for index, (low, high) in self.rails.items():
+            reading = block.values[index]
+            railed |= np.logical_or.reduceat(used & ((reading <= low) | (reading >= high)), starts)
+        # Of a group without a row that counts, all rows are taken: its readings are missing, and its time is there.
+        lengths = np.diff(starts, append=len(groups))
+        used |= np.repeat(counts == 0, lengths)
+        values = {}
+        for index, column in block.values.items():
+            if index == self.heading:
+                turned = [
+                    _mean(part, used, starts) for part in (np.sin(np.radians(column)), np.cos(np.radians(column)))
+                ]
+                values[index] = np.mod(np.degrees(np.arctan2(*turned)), 360.0)
+            else:
+                values[index] = _mean(column, used, starts, strict=index in self.readings)
+        frame = None if block.frame is None else self._frame(block.frame, groups, used, values)
+        return AveragedBlock(values, frame=frame, counts=counts, railed=railed, bad_rows=bad)
+
+    def _frame(
+        self, frame: pl.DataFrame, groups: NDArray[np.int64], used: NDArray[np.bool_], values: dict[int, Array]
+    ) -> pl.DataFrame:
+        """Return the columns of the means, with their types; whole numbers become decimal."""
+        import polars as pl
+
+        group = "\0group"
+        kinds = frame.schema
+        expressions = [
+            (pl.col(name).fill_nan(None) if kind.is_float() else pl.col(name)).mean()
+            if kind.is_numeric() or isinstance(kind, pl.Datetime | pl.Duration)
+            else pl.col(name).first()
+            for name, kind in kinds.items()
+        ]
+        taken = frame.with_columns(pl.Series(group, groups)).filter(pl.Series(used))
+        means = taken.group_by(group, maintain_order=True).agg(expressions).drop(group)
+        exact = {
+            self.names[index]: pl.Series(column).fill_nan(None)
+            for index, column in values.items()
+            if index != self.time  # it has a unit and a moment of its own
+        }
+        return means.with_columns(**exact)
+
+
+def _mean(column: Array, used: NDArray[np.bool_], starts: NDArray[np.intp], *, strict: bool = False) -> Array:
+    """Return the mean of each group; NaN counts where ``strict``, and is left out elsewhere."""
+    taken = used if strict else used & np.isfinite(column)
+    total = np.add.reduceat(np.where(taken, column, 0.0), starts)
+    number = np.add.reduceat(taken.astype(np.int64), starts)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(total / number)
+
+
+def _joined(first: LogBlock, second: LogBlock) -> LogBlock:
+    values = {index: np.concatenate([column, second.values[index]]) for index, column in first.values.items()}
+    if first.frame is None or second.frame is None:
+        return LogBlock(values)
+    return LogBlock(values, frame=first.frame.vstack(second.frame))
+
+
+def _part(block: LogBlock, start: int, end: int) -> LogBlock:
+    values = {index: column[start:end] for index, column in block.values.items()}
+    return LogBlock(values, frame=None if block.frame is None else block.frame[start:end])
