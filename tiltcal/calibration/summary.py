@@ -55,6 +55,8 @@ def _lines(calibration: CalibrationRecord) -> Iterator[str]:
                 label = f"{what} {channel} over T  "
                 unit = f" {sensor.unit if what == 'offset' else '1'}/°C{'' if power == '1' else f'^{power}'}"
         yield f"  {label} {_pair(value, u[name]) if name in u else f'{value:>12.6g}'}{unit}"
+    if coefficients.thermal is not None and coefficients.thermal.lag:
+        yield f"  thermal lag       {_pair(coefficients.thermal.lag, u.get('temperature.lag', 0.0))} s"
     yield from _fit_lines(calibration)
 
 
