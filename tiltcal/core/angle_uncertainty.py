@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tiltcal.core.budget import NEGLIGIBLE, CoverageFactors
-from tiltcal.core.compensation import FAIL, NO_TEMPERATURE, Bytes, Compensated, Compensation, KernelChunk
+from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
+from tiltcal.core.flags import FAIL, NO_TEMPERATURE, Bytes
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.tilt_angles import DIRECTIONS
 from tiltcal.errors import EstimateError

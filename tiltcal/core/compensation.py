@@ -18,38 +18,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import pi, radians, sin
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tiltcal.core.flags import (
+    CLIPPED,
+    FAIL,
+    MISSING,
+    NO_TEMPERATURE,
+    NOT_A_NUMBER,
+    PASS,
+    RAIL,
+    SUSPECT,
+    TEMPERATURE_RANGE,
+    TILT_RANGE,
+    Bytes,
+    mark,
+)
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, nonlinearity_slope, polynomial
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, inclination, pitch, roll, tilt
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
-
-Bytes = NDArray[np.uint8]
-Bits = NDArray[np.bool_]
-
-PASS, SUSPECT, FAIL, MISSING = 1, 3, 4, 9
-"""QARTOD flags, worst last."""
-
-CLIPPED, TEMPERATURE_RANGE, RAIL, TILT_RANGE, NO_TEMPERATURE, NOT_A_NUMBER = 1, 2, 4, 8, 16, 32
-OUTSIDE_TIME, MAGNETIC = 64, 128
-"""Bits of a reason."""
-
-FLAGS = {PASS: "pass", SUSPECT: "suspect", FAIL: "fail", MISSING: "missing"}
-REASONS = {
-    CLIPPED: "arcsine argument beyond ±1",
-    TEMPERATURE_RANGE: "temperature outside the calibrated range",
-    RAIL: "reading at the rail",
-    TILT_RANGE: "tilt outside the calibrated range",
-    NO_TEMPERATURE: "temperature missing",
-    NOT_A_NUMBER: "not a number",
-    OUTSIDE_TIME: "outside the time of the calibrations",
-    MAGNETIC: "no heading, or a magnetic field of unusual length",
-}
 
 CLIP_LIMIT = 1.02
 """An arcsine argument up to this is taken for ±90°, g."""
@@ -61,16 +52,6 @@ _CHUNK = 32_768  # rows whose columns stay in the cache from the first step to t
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
 _TILT_SLACK = radians(1e-9)
 _LARGEST_CONDITION = 1e12
-
-
-class FlaggedRows(Protocol):
-    """Rows with a flag and its reasons."""
-
-    @property
-    def flag(self) -> Bytes: ...
-
-    @property
-    def reason(self) -> Bytes: ...
 
 
 @frozen
@@ -88,7 +69,7 @@ class Compensated:
     flag : ndarray of uint8, shape (n,)
         1 pass, 3 suspect, 4 fail, 9 missing.
     reason : ndarray of uint8, shape (n,)
-        Bit mask, see :data:`REASONS`.
+        Bit mask, see :data:`tiltcal.core.flags.REASONS`.
     """
 
     gravity: Array
@@ -466,13 +447,6 @@ def _arcsine(argument: Array, angle: Array, out: Compensated) -> None:
     lost = ~(size <= CLIP_LIMIT + _ROUNDING)
     mark(out, lost, FAIL, CLIPPED)
     angle[lost] = np.nan
-
-
-def mark(out: FlaggedRows, rows: Bits, flag: int, reason: int) -> None:
-    """Add a reason to ``rows``, and raise their flag to ``flag`` where it is lower."""
-    if rows.any():
-        out.reason[rows] |= np.uint8(reason)
-        out.flag[rows] = np.maximum(out.flag[rows], np.uint8(flag))
 
 
 def _inverse(sensitivity: Array) -> Array:

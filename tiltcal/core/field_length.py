@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.compensation import MAGNETIC, MISSING, SUSPECT
+from tiltcal.core.flags import MAGNETIC, SUSPECT, mark_columns
 from tiltcal.core.model import Array
 
 FIELD_TOLERANCE = 0.05
@@ -35,19 +35,12 @@ class FieldLength:
         Parameters
         ----------
         table : mapping of str to ndarray
-            With ``flag`` and ``reason``, of several sensors with ``S_flag`` and ``S_reason``.
+            As :func:`tiltcal.core.flags.mark_columns` takes it.
         field : ndarray, shape (n, 3)
             Of the next rows, in order.
         """
-        found = dict(table)
         wandering = self.wanders(np.sqrt(np.einsum("ni,ni->n", field, field)))
-        if wandering.any():
-            for lead in [name.removesuffix("flag") for name in table if name.rpartition("_")[2] == "flag"]:
-                flag, reason = found[f"{lead}flag"], found[f"{lead}reason"]
-                rows = wandering & (flag < MISSING)
-                found[f"{lead}flag"] = np.where(rows, np.maximum(flag, SUSPECT), flag).astype(np.uint8)
-                found[f"{lead}reason"] = np.where(rows, reason | MAGNETIC, reason).astype(np.uint8)
-        return found
+        return mark_columns(table, wandering, SUSPECT, MAGNETIC)
 
     def wanders(self, lengths: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Return the rows whose length differs by more than :data:`FIELD_TOLERANCE`; NaN does not.

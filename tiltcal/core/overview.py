@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.compensation import FAIL, REASONS, SUSPECT
+from tiltcal.core.flags import FAIL, SUSPECT, count_flags
 from tiltcal.core.model import Array
 
 STRETCHES = 600
@@ -18,17 +18,6 @@ STEP = 0.005
 """Width of a histogram's bins, degrees."""
 
 _REACH = 180.0
-
-
-def count_flags(flags: Counter[int], reasons: Counter[int], flag: NDArray[np.uint8], reason: NDArray[np.uint8]) -> None:
-    """Add some rows to the rows by flag, and to those by bit of the reason, of which a row may have several."""
-    for value, count in enumerate(np.bincount(flag).tolist()):
-        if count:
-            flags[value] += count
-    for mask, count in enumerate(np.bincount(reason).tolist()):
-        for bit in REASONS:
-            if count and mask & bit:
-                reasons[bit] += count
 
 
 class ColumnStatistics:

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.calibration_library import calibration_at
-from tiltcal.core.compensation import MISSING, NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT
+from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.model import Array, polynomial
 from tiltcal.core.named_coefficients import referred
-from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration_folder import moment
 from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
-from tiltcal.logs.kernel import Kernel, RoleValues
+from tiltcal.logs.kernel import ElementTemperature, Kernel, RoleValues
 from tiltcal.logs.log import LogReader, Table
 from tiltcal.logs.prepared import ApplyOptions, PreparedCalibration, prepare
 from tiltcal.logs.streams import sha256_of
@@ -190,17 +189,14 @@ class LibraryKernel:
         self._kernels: dict[int, tuple[Kernel, float]] = {}
         self._last = float(self._dates[-1])
         thermal = history.calibrations[-1].record.coefficients.thermal
-        self._lag = ThermalLag(thermal.lag) if thermal is not None and thermal.lag else None
+        self._element = ElementTemperature(0.0 if thermal is None else thermal.lag)
 
     def __call__(self, values: RoleValues) -> Table:
         time = self._times(values)
         steps = self._steps(time)
-        if self._lag is None or values.temperature is None:
-            return self._compensated(values, time, steps)
-        element = self._lag(time, values.temperature)
-        lost = np.isfinite(values.temperature) & ~np.isfinite(element)
-        table = self._compensated(replace(values, temperature=np.where(lost, values.temperature, element)), time, steps)
-        return flagged(table, lost, NO_TEMPERATURE)
+        values, lost = self._element(replace(values, time=time))
+        table = self._compensated(values, time, steps)
+        return table if lost is None else mark_columns(table, lost, SUSPECT, NO_TEMPERATURE)
 
     def _compensated(self, values: RoleValues, time: Array, steps: NDArray[np.int64]) -> Table:
         if np.count_nonzero(np.diff(steps)) > _MOST_PIECES:  # the rows are in no order
@@ -303,18 +299,7 @@ class LibraryKernel:
     def _flagged(self, table: Table, step: int) -> Table:
         if 0 <= step < _OUTSIDE or step == _OUTSIDE:
             return table
-        return flagged(table, np.True_, OUTSIDE_TIME)
-
-
-def flagged(table: Table, rows: NDArray[np.bool_] | np.bool_, reason: int) -> Table:
-    """Return a table in which some rows are suspect for another reason; rows that are missing stay as they are."""
-    flag, reasons = (np.asarray(table[name], np.uint8) for name in ("flag", "reason"))
-    doubtful = rows & (flag != MISSING)
-    return {
-        **table,
-        "flag": np.where(doubtful, np.maximum(flag, SUSPECT), flag).astype(np.uint8),
-        "reason": np.where(doubtful, reasons | reason, reasons).astype(np.uint8),
-    }
+        return mark_columns(table, np.True_, SUSPECT, OUTSIDE_TIME)
 
 
 def _without_lag(calibration: Calibration) -> Calibration:

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.compensation import FLAGS, REASONS
+from tiltcal.core.flags import FLAGS, REASONS, count_flags
 from tiltcal.core.model import Array
-from tiltcal.core.overview import count_flags
 from tiltcal.logs.log import Table
 
 _CODES = 1 << 15

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.compensation import FAIL, RAIL
+from tiltcal.core.flags import FAIL, RAIL, mark_columns
 from tiltcal.core.model import Array
 from tiltcal.errors import UsageError
 from tiltcal.frozen import frozen
@@ -136,13 +136,7 @@ class Means:
         """Return the columns of a block of means: the count, and flag 4 with reason 4 for a row at the rail."""
         if not isinstance(block, AveragedBlock):
             raise TypeError("a block of means is needed")
-        found = {COUNT: block.counts, **table}
-        if block.railed.any():
-            for lead in [name.removesuffix("flag") for name in table if name.rpartition("_")[2] == "flag"]:
-                flag, reason = table[f"{lead}flag"], np.asarray(table[f"{lead}reason"], np.uint8)
-                found[f"{lead}flag"] = np.where(block.railed, np.maximum(flag, FAIL), flag).astype(np.uint8)
-                found[f"{lead}reason"] = np.where(block.railed, reason | RAIL, reason).astype(np.uint8)
-        return found
+        return {COUNT: block.counts, **mark_columns(table, block.railed, FAIL, RAIL)}
 
     def _groups(self, block: LogBlock, done: int) -> NDArray[np.int64]:
         """Return the number of each row's group, ascending; ``done`` rows are before these."""

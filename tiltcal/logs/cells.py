@@ -18,7 +18,7 @@ from tiltcal.core.model import Array
 if TYPE_CHECKING:
     import polars as pl
 
-    from tiltcal.core.compensation import Bits
+    from tiltcal.core.flags import Bits
 
 MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.compensation import (
+from tiltcal.core.flags import (
     CLIPPED,
     FLAGS,
     MAGNETIC,

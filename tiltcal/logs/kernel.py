@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.angle_uncertainty import uncertainty_columns, with_shares
-from tiltcal.core.compensation import NO_TEMPERATURE, SUSPECT, Bits, Compensated, Compensation, mark
+from tiltcal.core.compensation import Compensated, Compensation
+from tiltcal.core.flags import NO_TEMPERATURE, SUSPECT, Bits, mark
 from tiltcal.core.model import Array
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.frozen import frozen
@@ -68,6 +69,30 @@ class Kernel(Protocol):
         ...
 
 
+class ElementTemperature:
+    """The temperature of the sensing element in place of the thermometer's; it remembers the rows before.
+
+    Parameters
+    ----------
+    lag : float
+        Of the element behind the thermometer, seconds.
+    """
+
+    def __init__(self, lag: float) -> None:
+        self._lag = ThermalLag(lag) if lag else None
+
+    def __call__(self, values: RoleValues) -> tuple[RoleValues, Bits | None]:
+        """Return the rows with the element's temperature, and which have the thermometer's; None where none is late."""
+        temperature = values.temperature
+        if self._lag is None or temperature is None:
+            return values, None
+        if values.time is None:
+            return values, np.isfinite(temperature)
+        element = self._lag(values.time, temperature)
+        lost = np.isfinite(temperature) & ~np.isfinite(element)
+        return replace(values, temperature=np.where(lost, temperature, element)), lost
+
+
 class TiltKernel:
     """The compensation of a tilt sensor, and what is added to it, in this order.
 
@@ -94,7 +119,7 @@ class TiltKernel:
         averaged: bool = False,
     ) -> None:
         self._compensation, self._uncertain, self._earth = compensation, uncertain, earth
-        self._lag = ThermalLag(lag) if lag else None
+        self._element = ElementTemperature(lag)
         self._averaged = averaged
         names = [*compensation.columns]
         if uncertain is not None:
@@ -103,13 +128,13 @@ class TiltKernel:
         self.columns = (*names, *(() if earth is None else earth.columns))
 
     def __call__(self, values: RoleValues) -> Table:
-        temperature, lost = self._temperature(values)
+        values, lost = self._element(values)
         out = Compensated.empty(len(values), len(self._compensation.axes))
         table = self._compensation.table(out)
         own = self._own - len(table)
         added = np.empty((len(self.columns) - len(table), len(values)))
         with np.errstate(all="ignore"):
-            for chunk in self._compensation.chunks(values.readings, temperature, out):
+            for chunk in self._compensation.chunks(values.readings, values.temperature, out):
                 rows = chunk.rows
                 if values.count is not None:
                     chunk = replace(chunk, share=1.0 / np.maximum(values.count[rows], 1))
@@ -126,17 +151,6 @@ class TiltKernel:
         if not self._averaged:
             return propagation(chunk).reshape(-1, len(chunk.out.flag))
         return with_shares(propagation.exact(chunk), propagation.exact(replace(chunk, share=0.0)))
-
-    def _temperature(self, values: RoleValues) -> tuple[Array | None, Bits | None]:
-        """Return the temperature of the element, and the rows for which it is that of the thermometer."""
-        temperature = values.temperature
-        if self._lag is None or temperature is None:
-            return temperature, None
-        if values.time is None:
-            return temperature, np.isfinite(temperature)
-        element = self._lag(values.time, temperature)
-        lost = np.isfinite(temperature) & ~np.isfinite(element)
-        return np.where(lost, temperature, element), lost
 
 
 class PairKernel:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tiltcal.core.compensation import MISSING, NOT_A_NUMBER
+from tiltcal.core.flags import MISSING, NOT_A_NUMBER
 from tiltcal.core.model import Array
 from tiltcal.core.overview import ColumnStatistics
 from tiltcal.logs.apply import CompensatedLog

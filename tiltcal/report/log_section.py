@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.compensation import FLAGS, REASONS
+from tiltcal.core.flags import FLAGS, REASONS
 from tiltcal.core.model import Array
 from tiltcal.core.overview import ColumnStatistics
 from tiltcal.report.figure import BLUE, GREY, RED, SvgFigure, picture

@@ -11,10 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiltcal.core.angle_uncertainty import TURN, CompensationWithUncertainty, UncertaintyInputs
-from tiltcal.core.compensation import CLIPPED, FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, PASS, SUSPECT, Compensation
+from tiltcal.core.compensation import Compensation
 from tiltcal.core.earth_compensation import EarthFrameCompensation
 from tiltcal.core.earth_uncertainty import EarthUncertainty
 from tiltcal.core.field_length import FieldLength
+from tiltcal.core.flags import CLIPPED, FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, PASS, SUSPECT
 from tiltcal.core.model import Array, Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.errors import EstimateError

@@ -15,16 +15,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tiltcal.core.compensation import MISSING, NOT_A_NUMBER, PASS
+from tiltcal.core.flags import MISSING, NOT_A_NUMBER, PASS, Bytes
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import harmonic_columns
 from tiltcal.core.pair.encoder import AngleTracker
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import matched_sum
-
-Bytes = NDArray[np.uint8]
 
 GRADIENT = "gradient"
 _HARMONICS = 2

@@ -1,0 +1,26 @@
+"""Flags and reasons of rows: marked as QARTOD orders them, and counted bit by bit."""
+
+from collections import Counter
+
+import numpy as np
+
+from tiltcal.core.flags import FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, PASS, RAIL, SUSPECT, count_flags, mark_columns
+
+
+def test_a_mark_raises_the_flag_adds_the_reason_and_leaves_missing_rows() -> None:
+    table = {
+        "a_flag": np.array([PASS, FAIL, MISSING, PASS], np.uint8),
+        "a_reason": np.array([0, RAIL, NOT_A_NUMBER, 0], np.uint8),
+        "flagpole": np.zeros(4),
+    }
+    marked = mark_columns(table, np.array([True, True, True, False]), SUSPECT, MAGNETIC)
+    assert marked["a_flag"].tolist() == [3, 4, 9, 1]
+    assert marked["a_reason"].tolist() == [128, 132, 32, 0]
+    assert marked["flagpole"] is table["flagpole"]
+
+
+def test_a_row_counts_for_each_bit_of_its_reason() -> None:
+    flags: Counter[int] = Counter()
+    reasons: Counter[int] = Counter()
+    count_flags(flags, reasons, np.array([1, 3, 3], np.uint8), np.array([0, 132, 128], np.uint8))
+    assert (flags, reasons) == ({1: 1, 3: 2}, {4: 1, 128: 2})

@@ -1,0 +1,78 @@
+"""The flag of a row, by QARTOD, and its reasons: what they mean, and how rows are marked and counted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+Bits = NDArray[np.bool_]
+
+PASS, SUSPECT, FAIL, MISSING = 1, 3, 4, 9
+"""QARTOD flags, worst last."""
+
+CLIPPED, TEMPERATURE_RANGE, RAIL, TILT_RANGE, NO_TEMPERATURE, NOT_A_NUMBER = 1, 2, 4, 8, 16, 32
+OUTSIDE_TIME, MAGNETIC = 64, 128
+"""Bits of a reason."""
+
+FLAGS = {PASS: "pass", SUSPECT: "suspect", FAIL: "fail", MISSING: "missing"}
+REASONS = {
+    CLIPPED: "arcsine argument beyond ±1",
+    TEMPERATURE_RANGE: "temperature outside the calibrated range",
+    RAIL: "reading at the rail",
+    TILT_RANGE: "tilt outside the calibrated range",
+    NO_TEMPERATURE: "temperature missing",
+    NOT_A_NUMBER: "not a number",
+    OUTSIDE_TIME: "outside the time of the calibrations",
+    MAGNETIC: "no heading, or a magnetic field of unusual length",
+}
+
+
+class FlaggedRows(Protocol):
+    """Rows with a flag and its reasons."""
+
+    @property
+    def flag(self) -> Bytes: ...
+
+    @property
+    def reason(self) -> Bytes: ...
+
+
+def mark(out: FlaggedRows, rows: Bits, flag: int, reason: int) -> None:
+    """Add a reason to ``rows``, and raise their flag to ``flag`` where it is lower."""
+    if rows.any():
+        out.reason[rows] |= np.uint8(reason)
+        out.flag[rows] = np.maximum(out.flag[rows], np.uint8(flag))
+
+
+def mark_columns(table: Mapping[str, NDArray[Any]], rows: Bits | np.bool_, flag: int, reason: int) -> dict[str, Any]:
+    """Return the columns of a result in which some rows are marked; rows that are missing stay as they are.
+
+    Parameters
+    ----------
+    table : mapping of str to ndarray
+        With ``flag`` and ``reason``, of several sensors with ``S_flag`` and ``S_reason``.
+    """
+    found = dict(table)
+    if rows.any():
+        for lead in [name.removesuffix("flag") for name in table if name.rpartition("_")[2] == "flag"]:
+            flags, reasons = table[f"{lead}flag"], np.asarray(table[f"{lead}reason"], np.uint8)
+            marked = rows & (flags != MISSING)
+            found[f"{lead}flag"] = np.where(marked, np.maximum(flags, flag), flags).astype(np.uint8)
+            found[f"{lead}reason"] = np.where(marked, reasons | reason, reasons).astype(np.uint8)
+    return found
+
+
+def count_flags(flags: Counter[int], reasons: Counter[int], flag: Bytes, reason: Bytes) -> None:
+    """Add some rows to the rows by flag, and to those by bit of the reason, of which a row may have several."""
+    for value, count in enumerate(np.bincount(flag).tolist()):
+        if count:
+            flags[value] += count
+    for mask, count in enumerate(np.bincount(reason).tolist()):
+        for bit in REASONS:
+            if count and mask & bit:
+                reasons[bit] += count
