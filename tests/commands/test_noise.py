@@ -6,7 +6,7 @@ import json
 import re
 import signal
 import subprocess
-from math import degrees, sqrt
+from math import degrees, radians, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +93,18 @@ class TestOfALog:
         assert advice["seconds"] == pytest.approx(advice["samples"] * 0.01)
         result = noise(log, "--sensor", "sca100t-d02", "--target", "0.005")
         assert f"measure --samples {advice['samples']}:" in result.stdout
+
+    def test_the_number_of_samples_for_a_range(self, tmp_path: Path) -> None:
+        """As in table I of the paper: of 200 groups of 100 means, made by numpy, the ranges are 0.5° on average."""
+        single = 0.447
+        log = written(tmp_path / "log.csv", radians(single) * np.random.default_rng(3).normal(size=(20_000, 2)))
+        advice = as_json(log, "--unit", "g", "--target-range", "0.5")["recommendation"]
+        means = single * np.random.default_rng(4).normal(size=(200, 100, advice["samples"])).mean(axis=2)
+        assert np.mean(np.ptp(means, axis=1)) == pytest.approx(0.5, rel=0.05)
+        assert advice["channels"][advice["channel"]]["range_of_100_degrees"] == pytest.approx(0.5, rel=0.05)
+        result = noise(log, "--unit", "g", "--target-range", "0.5", "--target", "0.0001")
+        assert "100 such means range over x" in result.stdout
+        assert "does not meet 0.0001° and a range of 0.5°" in result.stdout
 
     def test_a_target_that_the_record_does_not_reach(self, tmp_path: Path) -> None:
         log = written(tmp_path / "log.csv", counts(5000))

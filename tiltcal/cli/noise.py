@@ -17,6 +17,7 @@ _EXAMPLES = """\b
 Examples:
   tiltcal noise --sensor sca100t-d02 --address spi:///dev/spidev0.0 --for 600 -o still.csv
   tiltcal noise still.csv --sensor sca100t-d02 --target 0.005 --figure still.svg
+  tiltcal noise still.csv --sensor adxl202 --target-range 0.5
   tiltcal noise imu.csv --columns x=acc_x,y=acc_y,z=acc_z --rate 102.4 --unit m/s2
 """
 
@@ -65,6 +66,12 @@ Examples:
     metavar="DEGREES",
     help="Standard uncertainty that the mean of a position must have.",
 )
+@click.option(
+    "--target-range",
+    type=click.FloatRange(0.0, min_open=True),
+    metavar="DEGREES",
+    help="Range that 100 such means must have, as the ADXL202 paper judges: 5.02 times their standard uncertainty.",
+)
 @click.option("--figure", type=click.Path(path_type=Path), metavar="SVG", help="Draw the Allan deviation.")
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 def command(
@@ -81,6 +88,7 @@ def command(
     unit: str | None,
     averages: str,
     target: float | None,
+    target_range: float | None,
     figure: Path | None,
     as_json: bool,
 ) -> int:
@@ -89,12 +97,13 @@ def command(
     Give a LOG (CSV, Parquet, NetCDF-4, or - for CSV on standard input) of a sensor at rest, or --sensor and --address
     to record one now. The table shows the scatter of averages of 1, 10, 100 samples, beside that of independent
     samples. The Allan deviation shows the kinds of noise and where averaging stops to help. The recommended number for
-    `measure --samples` is the smallest that meets --target, or without a target the largest that is worth its time.
-    Degrees are those of an axis near level.
+    `measure --samples` is the smallest that meets --target and --target-range, or without a target the largest that is
+    worth its time. Degrees are those of an axis near level.
     """
     from tiltcal.cli.progress import progress_bar
     from tiltcal.files.whole import check_writable
     from tiltcal.logs.noise import NoiseFacts, characterise_readings
+    from tiltcal.logs.noise_summary import NoiseTarget
     from tiltcal.report.noise_figure import draw_noise
 
     if address is None:
@@ -103,7 +112,8 @@ def command(
         _refuse_live(log, sensor, columns, skip_bad_rows, address, samples, seconds)
     sizes = _sizes(averages)
     facts = NoiseFacts.of(sensor, address, calibration, unit)
-    facts.require_scale(target)
+    wanted = NoiseTarget(target, target_range)
+    facts.require_scale(wanted)
     if figure is not None:
         check_writable(figure)
     interrupted = False
@@ -115,11 +125,10 @@ def command(
             log, rate, called = str(path), None, str(output or "the record")
         progress = stack.enter_context(progress_bar("noise"))
         found = characterise_readings(
-            *(log, facts),
+            *(log, facts, wanted),
             rate=rate,
             columns=columns,
             averages=sizes,
-            target=target,
             skip_bad_rows=skip_bad_rows,
             name=called,
             progress=progress,

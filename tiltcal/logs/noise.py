@@ -22,7 +22,7 @@ from tiltcal.logs.columns import locate_columns, named_columns
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import Progress
 from tiltcal.logs.noise_log import NoiseLog, characterise_log
-from tiltcal.logs.noise_summary import as_data, summary
+from tiltcal.logs.noise_summary import NoiseTarget, as_data, summary
 from tiltcal.logs.uniform_sampling import UniformLog
 
 STANDARD_GRAVITY = 9.80665
@@ -39,6 +39,7 @@ def noise(
     columns: Mapping[str, str] | str = "",
     averages: Sequence[int] = (),
     target: float | None = None,
+    target_range: float | None = None,
     skip_bad_rows: bool = False,
 ) -> SensorNoise:
     """Characterise the noise of a sensor at rest, and how many samples its positions need.
@@ -61,6 +62,8 @@ def noise(
         More sizes of averages for the table, beside 1, 10, 100.
     target : float, optional
         Standard uncertainty that the mean of a position should have, degrees of an axis near level.
+    target_range : float, optional
+        Range that 100 means of a position should have, degrees of an axis near level.
     skip_bad_rows : bool
         Count rows of a log that cannot be parsed as missing.
 
@@ -82,13 +85,13 @@ def noise(
     >>> print(tiltcal.noise(readings, rate=102.4, unit="m/s2"))
     """
     facts = NoiseFacts.of(sensor, None, calibration, unit)
-    facts.require_scale(target)
+    wanted = NoiseTarget(target, target_range)
+    facts.require_scale(wanted)
     return characterise_readings(
-        *(readings, facts),
+        *(readings, facts, wanted),
         rate=rate,
         columns=columns,
         averages=averages,
-        target=target,
         skip_bad_rows=skip_bad_rows,
     )
 
@@ -103,13 +106,13 @@ class SensorNoise:
         How the readings follow each other, and what disturbed them.
     scale : NoiseScale
         How much of the readings' unit a g is, where that is known.
-    target : float or None
-        Standard uncertainty that the mean of a position should have, degrees.
+    target : NoiseTarget
+        How good the mean of a position should be.
     """
 
     log: NoiseLog
     scale: NoiseScale
-    target: float | None
+    target: NoiseTarget
 
     @property
     def channels(self) -> Mapping[str, ChannelNoise]:
@@ -180,16 +183,17 @@ class NoiseFacts:
             return cls(channels, own_unit, {"*": 1.0 if own_unit == "g" else STANDARD_GRAVITY}, f"unit {own_unit}")
         return cls(channels, own_unit, {}, "")
 
-    def require_scale(self, target: float | None) -> None:
+    def require_scale(self, target: NoiseTarget) -> None:
         """Refuse a target in degrees where nothing states how much a degree is.
 
         Raises
         ------
         UsageError
         """
-        if target is not None and not self.sensitivity:
+        if target.degrees is not None and not self.sensitivity:
+            option = "--target" if target.range is None else "--target-range"
             raise UsageError(
-                "--target is in degrees, and nothing says how much a degree is: give the --sensor model, a "
+                f"{option} is in degrees, and nothing says how much a degree is: give the --sensor model, a "
                 "--calibration, or --unit g or m/s2"
             )
 
@@ -202,11 +206,11 @@ class NoiseFacts:
 def characterise_readings(
     readings: Any,
     facts: NoiseFacts,
+    target: NoiseTarget,
     *,
     rate: float | None = None,
     columns: Mapping[str, str] | str = "",
     averages: Sequence[int] = (),
-    target: float | None = None,
     skip_bad_rows: bool = False,
     name: str | None = None,
     progress: Progress | None = None,
@@ -216,6 +220,7 @@ def characterise_readings(
     Parameters
     ----------
     facts : NoiseFacts
+    target : NoiseTarget
     name : str, optional
         What messages call the log, in place of its own name.
     progress : callable, optional

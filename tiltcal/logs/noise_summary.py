@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.core.noise.allan_fit import FLICKER
+from tiltcal.core.noise.averages import RANGE_OF_100
 from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.sample_size import Limit, SampleSize, advise, uncertainty
 from tiltcal.core.noise.scale import NoiseScale
@@ -20,6 +21,33 @@ _SHOWS = 0.1
 
 _FEWEST_SAMPLES = 2
 """Of a position, for `measure`."""
+
+
+@dataclass(frozen=True)
+class NoiseTarget:
+    """How good the mean of a position should be, degrees of an axis near level.
+
+    Attributes
+    ----------
+    uncertainty : float or None
+        Standard uncertainty of the mean.
+    range : float or None
+        Range of 100 such means, as the source's table I judges them.
+    """
+
+    uncertainty: float | None = None
+    range: float | None = None
+
+    @property
+    def degrees(self) -> float | None:
+        """The standard uncertainty that meets both; None where neither is stated."""
+        stated = [self.uncertainty, None if self.range is None else self.range / RANGE_OF_100]
+        return min((one for one in stated if one is not None), default=None)
+
+    def __str__(self) -> str:
+        parts = {"": self.uncertainty, "a range of ": self.range}
+        return " and ".join(f"{name}{value:g}°" for name, value in parts.items() if value is not None)
+
 
 _WHY: dict[Limit, str] = {
     "target": "the smallest number that meets the target",
@@ -57,7 +85,7 @@ class NoisePositions:
 
 
 def positions(
-    noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: float | None
+    noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: NoiseTarget
 ) -> NoisePositions:
     """Return how many samples a position needs.
 
@@ -67,10 +95,9 @@ def positions(
     interval : float
         Seconds from sample to sample.
     scale : NoiseScale
-    target : float or None
-        Standard uncertainty of a mean, degrees.
+    target : NoiseTarget
     """
-    targets = {channel: scale.from_degrees(channel, target) for channel in noises}
+    targets = {channel: scale.from_degrees(channel, target.degrees) for channel in noises}
     advice = {channel: advise(noise, interval, targets[channel]) for channel, noise in noises.items()}
     # A channel that misses the target is what settles it, whatever the others need.
     settles = max(advice, key=lambda channel: (advice[channel].met is False, advice[channel].samples))
@@ -81,7 +108,7 @@ def positions(
     return NoisePositions(advice, settles, samples, u, met)
 
 
-def summary(noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: float | None = None) -> str:
+def summary(noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: NoiseTarget) -> str:
     """Table, kinds of noise and advice, for people; parameters as of :func:`positions`."""
     return "\n".join(
         [
@@ -95,7 +122,7 @@ def summary(noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseSca
 
 
 def as_data(
-    noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: float | None = None
+    noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: NoiseTarget
 ) -> dict[str, Any]:
     """Return the same as plain data, with the whole Allan deviation; parameters as of :func:`positions`."""
     found = positions(noises, interval, scale, target)
@@ -109,13 +136,15 @@ def as_data(
             "seconds": found.samples * interval,
             "channel": found.channel,
             "limit": worst.limit,
-            "target_degrees": target,
+            "target_degrees": target.uncertainty,
+            "target_range_degrees": target.range,
             "met": all(found.met.values()) if found.met else None,
             "channels": {
                 channel: {
                     "samples": advice.samples,
                     "limit": advice.limit,
                     **_both("uncertainty", channel, found.uncertainty[channel], scale),
+                    **_both("range_of_100", channel, RANGE_OF_100 * found.uncertainty[channel], scale),
                     "met": found.met.get(channel),
                     "useful": advice.useful,
                     "predicted": advice.predicted,
@@ -238,15 +267,20 @@ def _in_g(channel: str, value: float, scale: NoiseScale, per: str = "") -> str:
     return f" ({1e3 * value / scale.per_g[channel]:.3g} mg{per}, {scale.degrees(channel, value):.3g} °{per})"
 
 
-def _advice(found: NoisePositions, interval: float, scale: NoiseScale, target: float | None) -> Iterator[str]:
+def _advice(found: NoisePositions, interval: float, scale: NoiseScale, target: NoiseTarget) -> Iterator[str]:
     worst = found.advice[found.channel]
-    uncertain = ", ".join(_uncertain(channel, u, scale) for channel, u in found.uncertainty.items())
+    uncertain, ranging = (
+        ", ".join(_in_degrees(channel, factor * u, scale) for channel, u in found.uncertainty.items())
+        for factor in (1.0, RANGE_OF_100)
+    )
     yield f"measure --samples {found.samples}: a position takes {found.samples * interval:.4g} s at this pace"
     yield f"  its mean is uncertain by {uncertain}"
+    if target.range is not None:
+        yield f"  100 such means range over {ranging}"
     yield f"  {found.channel}: {_WHY[worst.limit]}"
     for channel, met in found.met.items():
         if not met:
-            yield f"  {channel} does not meet {target:g}°{_foretold(found.advice[channel], interval)}"
+            yield f"  {channel} does not meet {target}{_foretold(found.advice[channel], interval)}"
     if scale.source:
         yield f"  degrees of an axis near level, by the {scale.source}"
 
@@ -264,6 +298,6 @@ def _foretold(advice: SampleSize, interval: float) -> str:
     )
 
 
-def _uncertain(channel: str, u: float, scale: NoiseScale) -> str:
-    angle = scale.degrees(channel, u)
-    return f"{channel} {u:.3g} {scale.unit}" + (f" ({angle:.2g}°)" if angle is not None else "")
+def _in_degrees(channel: str, value: float, scale: NoiseScale) -> str:
+    angle = scale.degrees(channel, value)
+    return f"{channel} {value:.3g} {scale.unit}" + (f" ({angle:.2g}°)" if angle is not None else "")

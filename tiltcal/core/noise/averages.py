@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array
 from tiltcal.core.noise.allan import PRESENT
 
+RANGE_OF_100 = 5.0152
+"""Mean range of 100 independent values of a normal distribution, in standard deviations (Tippett, 1925)."""
+
 
 @dataclass(frozen=True)
 class Averages:
