@@ -16,7 +16,7 @@ def main(args: list[str] | None = None) -> None:
     """Run the command line and leave with the documented exit code."""
     args = sys.argv[1:] if args is None else args
     try:
-        from tiltcal.cli.guard import needs_guard, run_guarded
+        from tiltcal.cli.child_process import needs_guard, run_guarded
 
         code = run_guarded(lambda: _run(args), args) if needs_guard(args) else _run(args)
     except KeyboardInterrupt:

@@ -20,7 +20,7 @@ from support.command import TILTCAL, tiltcal, tiltcal_process
 from tiltcal.cli import apply_tasks
 from tiltcal.cli.apply_tasks import ApplyTask
 from tiltcal.logs.apply_summary import ApplySummary
-from tiltcal.logs.prepared import ApplyOptions
+from tiltcal.logs.prepared_calibration import ApplyOptions
 
 CAL = FIXTURES / "mavs.yaml"
 

@@ -47,7 +47,7 @@ def test_a_library_that_gives_up(name: str, tmp_path: Path) -> None:
 def test_a_library_that_loops_for_ever(tmp_path: Path) -> None:
     shutil.copy(DAMAGED / "endless.nc", tmp_path)
     script = (
-        "import tiltcal.cli.guard as guard\nguard.BUSY = 1.0\nfrom tiltcal.__main__ import main\n"
+        "import tiltcal.cli.child_process as guard\nguard.BUSY = 1.0\nfrom tiltcal.__main__ import main\n"
         f"main(['apply', {CAL!r}, 'endless.nc', '-o', 'out.nc'])"
     )
     done = subprocess.run(

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from support.command import tiltcal
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
+from tiltcal.calibration.estimate_record import rounded, uncertainty_of
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.mounting import mount
-from tiltcal.calibration.results import rounded, uncertainty_of
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.estimate import estimate_jointly

@@ -13,7 +13,7 @@ from support.simulated_bench import FACES, Part, Plan, design, fixture, measured
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, UncertaintyInputs
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.core.gravity_direction import gravity_from_tilt
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tiltcal.bench.operators.opening import open_operator
+from tiltcal.bench.operators.selection import open_operator
 from tiltcal.bench.sensor_set import open_device
 from tiltcal.bench.session import Session
 from tiltcal.bench.session_calibration import changes_in_words
 from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, plan_session, single
-from tiltcal.bench.virtual import VirtualBench
+from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.level import level_summary
 from tiltcal.calibration.prediction import predict
@@ -23,7 +23,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import Sensor, in_words
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.files.base import bases_of, identity_in
+from tiltcal.files.base_calibration import bases_of, identity_in
 from tiltcal.files.bench import BenchFile, read_bench
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure, find_procedure

@@ -20,7 +20,7 @@ from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.errors import UsageError
-from tiltcal.files.base import bases_of
+from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure import find_procedure
 

@@ -14,7 +14,7 @@ from functools import partial
 
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import PositionOperator
-from tiltcal.bench.positions import PositionResult, as_set, temperature_of
+from tiltcal.bench.position_result import PositionResult, as_set, temperature_of
 from tiltcal.bench.sample_checks import far_off, require_agreement, require_few, require_living, require_off_rails
 from tiltcal.bench.sensor_set import ConnectedSensor, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan, stamp

@@ -13,8 +13,8 @@ import numpy as np
 
 from tiltcal.bench.event_log import EventLog, RecordedClock
 from tiltcal.bench.operators.operator import PositionOperator
+from tiltcal.bench.position_result import PositionResult, as_set
 from tiltcal.bench.position_runner import PositionRunner, measurement_of
-from tiltcal.bench.positions import PositionResult, as_set
 from tiltcal.bench.sample_checks import require_off_rails
 from tiltcal.bench.sensor_set import Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan

@@ -8,7 +8,7 @@ from statistics import median
 import numpy as np
 
 from tiltcal.bench.operators.operator import TEMPERATURES
-from tiltcal.bench.positions import PositionResult
+from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.settle import Timed, Unsettled
 from tiltcal.core.detection import outliers, resolution

@@ -9,7 +9,7 @@ from functools import partial
 
 from tiltcal.bench.event_log import EventLog, Interruption, RecordedLink
 from tiltcal.bench.session_plan import DeviceSetup
-from tiltcal.bench.virtual import VirtualBench
+from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address

@@ -19,13 +19,13 @@ from tiltcal.bench.sensor_set import SensorSet, connected, open_device
 from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
 from tiltcal.bench.session_plan import DeviceSetup, SessionPlan
 from tiltcal.bench.verification import Verification, verify_positions
-from tiltcal.bench.virtual import VirtualBench
+from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError
+from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
-from tiltcal.files.whole import check_writable, write_whole
 
 if TYPE_CHECKING:
     from tiltcal.files.pair import PairRecord

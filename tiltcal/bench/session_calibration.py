@@ -8,7 +8,7 @@ from datetime import datetime
 from math import hypot
 from typing import Any
 
-from tiltcal.bench.positions import PositionResult
+from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, stamp
 from tiltcal.calibration.calibrate import calibrate

@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import tiltcal
-from tiltcal.bench.positions import SessionSettings
+from tiltcal.bench.position_result import SessionSettings
 from tiltcal.calibration.prediction import require_tilt
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model
 from tiltcal.errors import InputError, JournalError, UsageError
-from tiltcal.files.base import BASE, BaseFile
+from tiltcal.files.base_calibration import BASE, BaseFile
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.journal import DeviceHeader, Journal
 from tiltcal.files.node import require_printable

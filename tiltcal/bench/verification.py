@@ -16,7 +16,7 @@ import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.frames import Vector, tilt_from_gravity
+from tiltcal.core.gravity_direction import Vector, tilt_from_gravity
 from tiltcal.core.model import AXES
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import asin, degrees, pi, radians, sin
 
 from tiltcal.bench.session_plan import DeviceSetup
-from tiltcal.bench.virtual import VirtualBench
-from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.bench.virtual_bench import VirtualBench
+from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.device import Model

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from tiltcal.calibration.channels import require_own_readings
+from tiltcal.calibration.channel_checks import require_own_readings
 from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement

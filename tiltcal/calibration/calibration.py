@@ -227,7 +227,7 @@ class Calibration:
         UsageError
             An angle that there is not, or out of range.
         """
-        from tiltcal.calibration.known_mounting import stated_mounting, with_mounting
+        from tiltcal.calibration.stated_mounting import stated_mounting, with_mounting
 
         return Calibration(with_mounting(self.record, stated_mounting(angles)))
 

@@ -13,7 +13,7 @@ import numpy as np
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.combined_record import combined_provenance, combined_record
 from tiltcal.calibration.combined_session import KINDS, CombinedSession
-from tiltcal.calibration.known_mounting import mounting_in_words, stated_mounting, with_mounting
+from tiltcal.calibration.stated_mounting import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.calibration.verdict import Verdict, judge
 from tiltcal.core.combination import ASSUMED, Combination, Statement, combine_statements
 from tiltcal.core.model import Coefficients, Thermal

@@ -11,7 +11,7 @@ import numpy as np
 
 import tiltcal
 from tiltcal.calibration.combined_session import KINDS, CombinedSession
-from tiltcal.calibration.results import (
+from tiltcal.calibration.estimate_record import (
     DIGITS,
     SHARE_DIGITS,
     derived_record,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.combination import Statement, conditional
-from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.named_coefficients import values
 from tiltcal.errors import EstimateError

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.channels import judge_channels
+from tiltcal.calibration.channel_checks import judge_channels
+from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, uncertainty_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
-from tiltcal.calibration.results import derived_record, fit_record, rounded, uncertainty_of
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.equations import HYSTERESIS
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, largest_loops

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.calibration.estimate_record import DIGITS, SHARE_DIGITS, intrinsic_record, rounded_covariance
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement
-from tiltcal.calibration.results import DIGITS, SHARE_DIGITS, intrinsic_record, rounded_covariance
 from tiltcal.calibration.verdict import judge
 from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.budget import Budget, Part, coverage_factor

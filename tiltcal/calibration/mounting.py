@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.calibration.results import rounded_covariance
 from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.budget import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.compensation import Compensation

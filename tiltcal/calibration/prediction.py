@@ -14,7 +14,7 @@ from tiltcal.calibration.joint_fit import design_of
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.measurement import BenchUncertainty, Nominal
 from tiltcal.core.estimation.design import Design
-from tiltcal.core.estimation.prediction import PlannedPosition, Prediction, predicted_covariance
+from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, Prediction, predicted_covariance
 from tiltcal.core.model import AXES
 from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.core.statistics import summarise

@@ -213,7 +213,7 @@ def command(
     """
     from tiltcal.cli.apply_tasks import ApplyTask, tasks_of
     from tiltcal.logs.apply import prepare_any
-    from tiltcal.logs.prepared import ApplyOptions
+    from tiltcal.logs.prepared_calibration import ApplyOptions
 
     calibration, logs = (Path(files[0]), files[1:]) if calibrations is None else (calibrations, files)
     if not logs:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 from tiltcal.cli.progress import progress_bar
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.frozen import frozen
-from tiltcal.logs.applied import fingerprint, note_applied, summary_if_current
 from tiltcal.logs.apply import apply_log
 from tiltcal.logs.apply_summary import ApplySummary
 from tiltcal.logs.log import Progress
-from tiltcal.logs.prepared import ApplyOptions
+from tiltcal.logs.prepared_calibration import ApplyOptions
 from tiltcal.logs.streams import STANDARD
+from tiltcal.logs.up_to_date import fingerprint, note_applied, summary_if_current
 
 if TYPE_CHECKING:
     from distributed import Client, Future

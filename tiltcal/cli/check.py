@@ -27,7 +27,7 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     chi-square is not credible.
     """
     if schema is not None:
-        from tiltcal.files.formats import json_schema
+        from tiltcal.files.json_schema import json_schema
 
         click.echo(json.dumps(json_schema(schema), indent=2, ensure_ascii=False))
     elif not paths:
@@ -54,7 +54,7 @@ def _checked(path: Path) -> tuple[str, list[str]]:
     kind = named.choice(list(KINDS))
     if kind in ("tilt", "pair"):
         return _of_calibration(path)
-    from tiltcal.files.formats import FORMATS
+    from tiltcal.files.json_schema import FORMATS
 
     FORMATS[kind].read(checked_kind(document, kind))
     return kind, []

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tiltcal.files.whole import check_writable
+from tiltcal.files.atomic import check_writable
 
 
 @click.command(epilog="Example: tiltcal combine S-0042-scale.yaml S-0042-drift.yaml -o S-0042.yaml")

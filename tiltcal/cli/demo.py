@@ -16,8 +16,8 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
+from tiltcal.files.atomic import write_whole
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.whole import write_whole
 from tiltcal.report.page import require_extra
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def _errors(model: Model, compensated: Path) -> tuple[dict[str, Array], dict[str
 
 def _draw(compensated: Path, before: Mapping[str, Array], after: Mapping[str, Array], picture: Path) -> None:
     """Draw the errors before and after."""
-    from tiltcal.report.tilt_error import draw_tilt_error
+    from tiltcal.report.log_error_figure import draw_tilt_error
 
     column = _columns(compensated)
     title = f"{MODEL} on the virtual bench, tilts within ±{REACH:g}°"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tiltcal.errors import UsageError
-from tiltcal.files.whole import check_writable
+from tiltcal.files.atomic import check_writable
 
 if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration
@@ -186,7 +186,7 @@ def _tell_free(calibration: CalibrationRecord) -> None:
 
 def _write_segments(path: Path, calibration: Calibration) -> None:
     """Write the static intervals that were found, by position."""
-    from tiltcal.files.whole import write_whole
+    from tiltcal.files.atomic import write_whole
 
     lines = ["position,start,end"]
     for one in calibration.positions:

@@ -78,7 +78,7 @@ def command(
     With --online, Ctrl-C ends the stream, and the estimates until then are the result.
     """
     from tiltcal.cli.progress import progress_bar
-    from tiltcal.files.whole import check_writable
+    from tiltcal.files.atomic import check_writable
     from tiltcal.logs.match import match_log, pairs_of
     from tiltcal.report.pair_figures import draw_matching
 

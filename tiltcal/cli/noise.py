@@ -101,7 +101,7 @@ def command(
     worth its time. Degrees are those of an axis near level.
     """
     from tiltcal.cli.progress import progress_bar
-    from tiltcal.files.whole import check_writable
+    from tiltcal.files.atomic import check_writable
     from tiltcal.logs.noise import NoiseFacts, characterise_readings
     from tiltcal.logs.noise_summary import NoiseTarget
     from tiltcal.report.noise_figure import draw_noise

@@ -14,7 +14,7 @@ from tiltcal.bench.event_log import EventLog
 from tiltcal.bench.recording import CsvRecorder, RecordingTally, header, record
 from tiltcal.bench.sensor_set import connected, open_device
 from tiltcal.bench.session_plan import VIRTUAL_START, devices_of
-from tiltcal.bench.virtual import VirtualBench
+from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.errors import UsageError
@@ -137,7 +137,7 @@ def _progress() -> Iterator[Callable[[RecordingTally], None]]:
 
 def _to_parquet(log: Path, output: Path) -> None:
     """Convert the recorded CSV to Parquet, block by block, then remove the CSV."""
-    from tiltcal.files.whole import whole_file
+    from tiltcal.files.atomic import whole_file
     from tiltcal.logs.formats import create_log, open_log
 
     with open_log(log) as rows, whole_file(output) as sink:

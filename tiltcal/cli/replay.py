@@ -10,7 +10,7 @@ import click
 from tiltcal.bench.session import Session
 from tiltcal.cli.session_options import remark
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.files.whole import check_writable, whole_file, write_whole
+from tiltcal.files.atomic import check_writable, whole_file, write_whole
 
 JUDGED_FAILING = 1
 

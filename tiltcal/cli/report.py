@@ -64,7 +64,7 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
     InputError
         A file is wrong; the message names file and line.
     """
-    from tiltcal.files.whole import check_writable, write_whole
+    from tiltcal.files.atomic import check_writable, write_whole
     from tiltcal.report.page import require_extra
 
     require_extra()
@@ -124,7 +124,7 @@ def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: st
     from tiltcal.logs.columns import TIME, parse_columns
     from tiltcal.logs.formats import open_log
     from tiltcal.logs.overview import is_compensated, look_over, look_over_compensated
-    from tiltcal.logs.prepared import ApplyOptions, prepare
+    from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
     from tiltcal.report.log_section import ReportedLog
 
     prepared = prepare(Calibration(calibration), ApplyOptions(), file=file)

@@ -74,7 +74,7 @@ def command(
     not decided. Exit code 1 unless passed.
     """
     from tiltcal.bench.measure import free_journal
-    from tiltcal.bench.operators.opening import open_operator
+    from tiltcal.bench.operators.selection import open_operator
     from tiltcal.bench.session import Session
     from tiltcal.bench.session_plan import plan_session, single
     from tiltcal.bench.verification import PASSED

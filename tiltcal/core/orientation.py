@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tiltcal.core.frames import Vector
+from tiltcal.core.gravity_direction import Vector
 from tiltcal.errors import InputError
 from tiltcal.frozen import frozen
 

@@ -14,6 +14,7 @@ from typing import Any, Literal
 from tiltcal.core.model import AXES, Coefficients, Limits
 from tiltcal.core.named_coefficients import CoefficientChange, changes, values
 from tiltcal.errors import UsageError
+from tiltcal.files.atomic import write_whole
 from tiltcal.files.coefficients import COEFFICIENTS, in_degrees
 from tiltcal.files.declaration import (
     ANY,
@@ -33,7 +34,6 @@ from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
 from tiltcal.files.records import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import UNCERTAINTY, Uncertainty, known_coefficients
-from tiltcal.files.whole import write_whole
 from tiltcal.frozen import frozen
 
 

@@ -33,7 +33,7 @@ from typing import Any, BinaryIO, overload
 from zlib import crc32
 
 from tiltcal.errors import InputError, JournalError, UsageError
-from tiltcal.files.base import BASE, BaseFile
+from tiltcal.files.base_calibration import BASE, BaseFile
 from tiltcal.files.declaration import Anything, ByName, Flag, Integer, ListOf, Number, Section, Text, entry
 from tiltcal.files.node import document_of
 from tiltcal.frozen import frozen

@@ -10,6 +10,7 @@ from typing import Any
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.rounding import round_to, significant
+from tiltcal.files.atomic import write_whole
 from tiltcal.files.declaration import (
     ANY,
     ByKey,
@@ -28,7 +29,6 @@ from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
 from tiltcal.files.records import PairProvenance
-from tiltcal.files.whole import write_whole
 from tiltcal.frozen import frozen
 
 _DIGITS = 4

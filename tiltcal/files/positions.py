@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tiltcal.core.frames import Vector
+from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES
 from tiltcal.errors import InputError
 from tiltcal.files.csv_tables import Table, table_rows

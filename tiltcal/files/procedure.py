@@ -11,7 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.core.frames import Vector, gravity_from_tilt, normalised
+from tiltcal.core.gravity_direction import Vector, gravity_from_tilt, normalised
 from tiltcal.core.model import AXES
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.declaration import (

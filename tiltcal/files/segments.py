@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 
-from tiltcal.core.frames import Vector, normalised
+from tiltcal.core.gravity_direction import Vector, normalised
 from tiltcal.errors import InputError
 from tiltcal.files.csv_tables import Table, table_rows
 from tiltcal.files.declaration import Context, Converted, Integer, Number, Section, Text, entry

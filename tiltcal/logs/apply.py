@@ -15,7 +15,7 @@ from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, locate_columns, nam
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.kernel import RoleValues
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
-from tiltcal.logs.prepared import ApplyOptions, PreparedCalibration, prepare, prepare_file
+from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare, prepare_file
 from tiltcal.logs.streams import log_sink
 
 NO_TIME = (

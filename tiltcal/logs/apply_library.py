@@ -24,7 +24,7 @@ from tiltcal.files.calibration_folder import moment
 from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
 from tiltcal.logs.kernel import ElementTemperature, Kernel, RoleValues
 from tiltcal.logs.log import LogReader, Table
-from tiltcal.logs.prepared import ApplyOptions, PreparedCalibration, prepare
+from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
 from tiltcal.logs.streams import sha256_of
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.files.base import bases_of
+from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.node import require_printable
 from tiltcal.files.positions import read_positions

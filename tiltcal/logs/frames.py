@@ -17,7 +17,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.apply import CompensatedLog, prepare_any
 from tiltcal.logs.cf_attributes import describe, same_unit, seconds_since_1970
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
-from tiltcal.logs.prepared import ApplyOptions
+from tiltcal.logs.prepared_calibration import ApplyOptions
 
 if TYPE_CHECKING:
     import polars as pl
@@ -384,6 +384,6 @@ def _timed(values: NDArray[Any]) -> Array | None:
 def _seconds(cells: Sequence[str | None]) -> Array:
     import polars as pl
 
-    from tiltcal.logs.cells import seconds
+    from tiltcal.logs.text_to_numbers import seconds
 
     return seconds(pl.Series("", cells, dtype=pl.String))

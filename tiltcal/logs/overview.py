@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.flags import MISSING, NOT_A_NUMBER
 from tiltcal.core.model import Array
-from tiltcal.core.overview import ColumnStatistics
 from tiltcal.logs.apply import CompensatedLog
 from tiltcal.logs.log import LogReader
 

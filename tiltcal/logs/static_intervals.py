@@ -15,7 +15,7 @@ import numpy as np
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.detection import identical_by_chance, resolution
 from tiltcal.core.estimation.pooling import noise_under_rounding
-from tiltcal.core.frames import Vector
+from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.statistics import SampleSummary, drift, summarise
 from tiltcal.errors import InputError

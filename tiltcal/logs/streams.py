@@ -91,7 +91,7 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         A file, or ``-`` for standard output.
     """
     if output != STANDARD:
-        from tiltcal.files.whole import whole_file
+        from tiltcal.files.atomic import whole_file
 
         with whole_file(output) as stream:
             yield stream

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.flags import FLAGS, REASONS
 from tiltcal.core.model import Array
-from tiltcal.core.overview import ColumnStatistics
 from tiltcal.report.figure import BLUE, GREY, RED, SvgFigure, picture
 from tiltcal.report.number_format import AlignedNumber, at_place, column, grouped
 

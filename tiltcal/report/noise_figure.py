@@ -11,7 +11,7 @@ import numpy as np
 
 from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.scale import NoiseScale
-from tiltcal.files.whole import whole_file
+from tiltcal.files.atomic import whole_file
 from tiltcal.report.figure import figure_style, save
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiltcal.core.model import Array
-from tiltcal.files.whole import whole_file
+from tiltcal.files.atomic import whole_file
 from tiltcal.report.figure import figure_style, save
 
 if TYPE_CHECKING:

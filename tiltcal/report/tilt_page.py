@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
-from tiltcal.files.whole import check_writable, write_whole
+from tiltcal.report.change_section import change_section
 from tiltcal.report.coefficients_section import (
     SOURCES,
     budget,
@@ -15,7 +16,6 @@ from tiltcal.report.coefficients_section import (
     derived_groups,
     sources_of,
 )
-from tiltcal.report.drift import drift
 from tiltcal.report.fit_section import position_table, remarks, verdict
 from tiltcal.report.log_section import ReportedLog, log_section
 from tiltcal.report.page import render, require_extra
@@ -85,6 +85,6 @@ def tilt_page(
         correlations=correlations(calibration),
         covered=covered(calibration),
         not_covered=not_covered(calibration),
-        drifts=[drift(one, name, calibration) for one, name in earlier],
+        drifts=[change_section(one, name, calibration) for one, name in earlier],
         logs=[log_section(log, number) for number, log in enumerate(logs, start=1)],
     )

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from tiltcal import Calibration, measure, plan
 from tiltcal.bench import sensor_set
 from tiltcal.bench.operators.rig import understood
-from tiltcal.bench.positions import PositionResult
+from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sample_checks import require_agreement
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled

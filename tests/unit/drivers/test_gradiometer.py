@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tiltcal.bench.virtual import truth_of
+from tiltcal.bench.virtual_bench import truth_of
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock

@@ -125,7 +125,7 @@ def test_the_uncertainty_of_a_mean_holds(cal: Calibration, count: int) -> None:
     # A mean of `count` rows is told apart from a single one by its count alone.
     log = {"x": np.repeat(with_noise, 1), "y": 2.5 + 2.0 * g_y}
     from tiltcal.logs.kernel import RoleValues
-    from tiltcal.logs.prepared import ApplyOptions, prepare
+    from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
 
     kernel = prepare(cal, ApplyOptions(uncertainty=True, average=count)).kernel
     table = kernel(RoleValues(np.column_stack([log["x"], log["y"]]), count=np.full(trials, count)))

@@ -22,7 +22,7 @@ from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import apply_frame
 from tiltcal.logs.kernel import RoleValues
 from tiltcal.logs.log import LogBlock
-from tiltcal.logs.prepared import ApplyOptions, prepare
+from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
 
 ROWS = 40_000  # more than a chunk of the kernel, and no multiple of one
 CAL = FIXTURES / "mavs.yaml"

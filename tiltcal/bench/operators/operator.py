@@ -16,7 +16,7 @@ from tiltcal.drivers.device import Model, Reading
 from tiltcal.files.procedure import Position
 
 if TYPE_CHECKING:
-    from tiltcal.bench.positions import PositionResult
+    from tiltcal.bench.position_result import PositionResult
     from tiltcal.core.pair.matching import Matching, PairCoefficients
     from tiltcal.core.pair.model import Pair
 

@@ -38,7 +38,7 @@ from tiltcal.errors import InputError, Stopped, UsageError
 from tiltcal.files.procedure import Position
 
 if TYPE_CHECKING:
-    from tiltcal.bench.positions import PositionResult
+    from tiltcal.bench.position_result import PositionResult
     from tiltcal.core.pair.matching import Matching, PairCoefficients
     from tiltcal.core.pair.model import Pair
 

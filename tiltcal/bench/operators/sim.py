@@ -12,7 +12,7 @@ from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Position
 
 if TYPE_CHECKING:
-    from tiltcal.bench.positions import PositionResult
+    from tiltcal.bench.position_result import PositionResult
     from tiltcal.core.pair.matching import Matching
     from tiltcal.core.pair.model import Pair
 

@@ -13,13 +13,13 @@ from rich.text import Text
 
 from tiltcal.bench.operators.keys import ENTER, Keys
 from tiltcal.bench.operators.operator import TEMPERATURES, Live, OperatorAnswer, StageTurn, pair_in_words
-from tiltcal.core.frames import gravity_from_tilt, normalised
+from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import HardwareError, InputError, Stopped
 from tiltcal.files.procedure import Position
 
 if TYPE_CHECKING:
-    from tiltcal.bench.positions import PositionResult
+    from tiltcal.bench.position_result import PositionResult
     from tiltcal.core.pair.matching import Matching
     from tiltcal.core.pair.model import Pair
 

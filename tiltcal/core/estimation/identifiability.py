@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.estimation.elimination import LinearSolution
 from tiltcal.core.estimation.equations import System
-from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
 

@@ -8,7 +8,7 @@ the grammar is our own, and the same for every row of every file:
 - Lines end in LF or CRLF. A NUL byte, or a bare CR outside quotes, is damage.
 - An empty line is a row that cannot be parsed.
 - A last line that has no end is torn where it is short, or stops inside a number.
-- :mod:`tiltcal.logs.cells` defines what is a number, and what is a time.
+- :mod:`tiltcal.logs.text_to_numbers` defines what is a number, and what is a time.
 
 Rows that break a rule are kept with the text that they had: missing fields are added empty at the end, surplus fields
 are joined into the last one, in quotes, and a bad row that has quotes already becomes one quoted field.
@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.logs.cells import is_cut, numbers, seconds
 from tiltcal.logs.log import LogBlock
+from tiltcal.logs.text_to_numbers import is_cut, numbers, seconds
 
 if TYPE_CHECKING:
     import polars as pl

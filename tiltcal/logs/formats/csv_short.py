@@ -13,9 +13,9 @@ from math import isfinite
 
 import numpy as np
 
-from tiltcal.logs.cells import MISSING, is_cut
 from tiltcal.logs.formats.csv_rows import CsvBlock
 from tiltcal.logs.log import Table
+from tiltcal.logs.text_to_numbers import MISSING, is_cut
 
 SHORT = 1 << 18
 """Largest size of a short log, bytes; some thousand rows take as long here as the engine takes to import."""

@@ -16,8 +16,8 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
-from tiltcal.logs.cells import numbers
 from tiltcal.logs.formats.csv_rows import CsvBlock
+from tiltcal.logs.text_to_numbers import numbers
 
 if TYPE_CHECKING:
     import polars as pl

@@ -17,9 +17,9 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
-from tiltcal.logs.cells import seconds
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
 from tiltcal.logs.streams import refused_by_system
+from tiltcal.logs.text_to_numbers import seconds
 
 if TYPE_CHECKING:
     import polars as pl

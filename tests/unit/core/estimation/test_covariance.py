@@ -17,9 +17,9 @@ from tiltcal.core.budget import coverage_factor, propagated, welch_satterthwaite
 from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
 from tiltcal.core.estimation.design import Design, Observation
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
+from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predicted_covariance
 from tiltcal.core.estimation.pooling import pooled
-from tiltcal.core.estimation.prediction import PlannedPosition, predicted_covariance
-from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.intrinsic import intrinsic, separated
 from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix

@@ -21,7 +21,7 @@ from tiltcal.core.closed_forms import (
 )
 from tiltcal.core.estimation.estimate import Design, Observation, Prior, estimate
 from tiltcal.core.estimation.unit_gravity import directions_from_readings
-from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.errors import EstimateError
 
 needs_recorded_data = pytest.mark.skipif(

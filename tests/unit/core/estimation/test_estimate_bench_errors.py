@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from tiltcal.core.budget import coverage_factor
 from tiltcal.core.estimation.design import Design, Observation, Prior
 from tiltcal.core.estimation.estimate import LEANS, Estimate, estimate, largest_loops
+from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predicted_covariance
 from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, noise_under_rounding
-from tiltcal.core.estimation.prediction import PlannedPosition, predicted_covariance
-from tiltcal.core.frames import gravity_from_tilt
+from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import Mounting
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.statistics import SampleSummary, summarise

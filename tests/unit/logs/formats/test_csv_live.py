@@ -7,9 +7,9 @@ from typing import BinaryIO, cast
 import polars as pl
 import pytest
 
-from tiltcal.logs.cells import seconds
 from tiltcal.logs.formats.csv import CsvReader
 from tiltcal.logs.log import LogSource
+from tiltcal.logs.text_to_numbers import seconds
 
 
 class StillWritten:

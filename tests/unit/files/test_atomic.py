@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from tiltcal.errors import UsageError
-from tiltcal.files import whole
-from tiltcal.files.whole import check_writable, whole_file, write_whole
+from tiltcal.files import atomic
+from tiltcal.files.atomic import check_writable, whole_file, write_whole
 
 
 def interrupted_write(path: Path, failure: BaseException) -> None:
@@ -38,7 +38,7 @@ def test_nothing_is_left_by_a_program_that_is_killed(tmp_path: Path) -> None:
     if not hasattr(os, "O_TMPFILE"):
         pytest.skip("this system has no files without a name")
     program = (
-        "import os, signal; from tiltcal.files.whole import whole_file\n"
+        "import os, signal; from tiltcal.files.atomic import whole_file\n"
         "with whole_file('out.csv') as stream:\n"
         "    stream.write(b'half'); stream.flush(); os.kill(os.getpid(), signal.SIGKILL)\n"
     )
@@ -48,7 +48,7 @@ def test_nothing_is_left_by_a_program_that_is_killed(tmp_path: Path) -> None:
 
 
 def test_a_system_without_nameless_files_does_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(whole, "_nameless", lambda folder: None)
+    monkeypatch.setattr(atomic, "_nameless", lambda folder: None)
     path = tmp_path / "out.csv"
     with whole_file(path) as stream:
         stream.write(b"a")

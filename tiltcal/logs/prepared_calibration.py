@@ -268,7 +268,7 @@ def _of_pairs(
 
 def _mounted(calibration: Calibration, angles: Mapping[str, float] | str, say: Callable[[str], None]) -> Calibration:
     """Return the calibration in a known mounting; report one that is replaced."""
-    from tiltcal.calibration.known_mounting import mounting_in_words
+    from tiltcal.calibration.stated_mounting import mounting_in_words
 
     own = calibration.coefficients.mounting
     if own is not None:

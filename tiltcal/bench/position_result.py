@@ -10,7 +10,7 @@ import numpy as np
 
 from tiltcal.bench.operators.operator import OperatorAnswer
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.core.frames import gravity_from_tilt, normalised
+from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
 from tiltcal.core.model import Array
 from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Reading

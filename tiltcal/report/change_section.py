@@ -43,7 +43,7 @@ class ChangeSection:
     rows: Sequence[ChangeRow]
 
 
-def drift(before: CalibrationRecord, name: str, after: CalibrationRecord) -> ChangeSection:
+def change_section(before: CalibrationRecord, name: str, after: CalibrationRecord) -> ChangeSection:
     """Return every coefficient that both files have, the earlier ones at the later one's reference temperature."""
     comparison = compare_records(before, after)
     found, verdict = comparison.changes, comparison.verdict

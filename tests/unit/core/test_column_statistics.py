@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiltcal.core.overview import STEP, STRETCHES, ColumnStatistics
+from tiltcal.core.column_statistics import STEP, STRETCHES, ColumnStatistics
 
 
 def overview_of(

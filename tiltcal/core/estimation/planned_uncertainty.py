@@ -20,7 +20,7 @@ from tiltcal.core.estimation.equations import System
 from tiltcal.core.estimation.fixture_equations import system_of
 from tiltcal.core.estimation.identifiability import CANDIDATES, WARMER, require_determined
 from tiltcal.core.estimation.unit_gravity import require_spread, triangular_gauge
-from tiltcal.core.frames import Vector
+from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
 
 STRONG = 0.9

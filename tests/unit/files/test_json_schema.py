@@ -17,7 +17,7 @@ from tiltcal.errors import InputError
 from tiltcal.files.bench import read_bench
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
-from tiltcal.files.formats import json_schema
+from tiltcal.files.json_schema import json_schema
 from tiltcal.files.pair import read_pair
 from tiltcal.files.procedure import read_procedure
 from tiltcal.files.twin import read_twin

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tiltcal.core.model import Array
-from tiltcal.files.whole import whole_file
+from tiltcal.files.atomic import whole_file
 from tiltcal.report.figure import figure_style, save
 
 BEFORE, AFTER, TEMPERATURE = "#c0504d", "#1f6f8b", "#8a8a8a"
