@@ -10,10 +10,11 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from support.simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
-from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, UncertaintyInputs
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.gravity_direction import gravity_from_tilt
+from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 
 Array = NDArray[np.float64]
 

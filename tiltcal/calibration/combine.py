@@ -234,28 +234,27 @@ def _assumed(sessions: Sequence[CombinedSession], measured: Sequence[str], targe
             )
             if source is None:
                 continue
-            names, covariance, factors = source.known
             starts = KINDS[kind]
             some = [
                 k
-                for k, name in enumerate(names)
+                for k, name in enumerate(source.known.names)
                 if name.startswith(starts) and name in values(target) and name not in measured
             ]
             if some:
                 stated = values(source.coefficients)
-                own = tuple(names[k] for k in some)
+                own = source.known.chosen(some)
                 return [
                     Statement(
                         ASSUMED,
-                        own,
-                        np.array([stated[name] for name in own]),
-                        covariance[np.ix_(some, some)],
-                        factors[some],
+                        own.names,
+                        np.array([stated[name] for name in own.names]),
+                        own.covariance,
+                        own.factors,
                         temperature=None,
                         u_temperature=0.0,
                         given=(),
                         given_values=np.zeros(0),
-                        by_given=np.zeros((len(own), 0)),
+                        by_given=np.zeros((len(some), 0)),
                     )
                 ]
     return []

@@ -19,12 +19,12 @@ from tiltcal.calibration.estimate_record import (
     rounded_covariance,
     uncertainty_of,
 )
-from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.combination import ASSUMED, Combination
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
 from tiltcal.core.model import Limits
 from tiltcal.core.rounding import significant
+from tiltcal.core.uncertainty_inputs import is_turn, with_turns_scaled
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
 from tiltcal.files.records import NOISE_ALONE, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty
@@ -128,22 +128,24 @@ def _uncertainty(sessions: Sequence[CombinedSession], estimate: Estimate, found:
     both = uncertainty_of(estimate, single)
     both = replace(both, alignment=max(one.record.uncertainty.alignment for one in sessions))
     for session in sessions:
-        names, covariance, factors = session.known
-        turns = [k for k, name in enumerate(names) if name.startswith(TURN)]
+        known = session.known
+        turns = np.flatnonzero(is_turn(known.names)).tolist()
         if not turns:
             continue
         across = np.zeros((len(found.names), len(turns)))
         for statement, by in zip(found.statements, found.parts, strict=True):
             if statement.label == session.label:
-                across = by @ covariance[np.ix_([names.index(name) for name in statement.names], turns)]
-        own, scale = covariance[np.ix_(turns, turns)], degrees(1.0)
-        joint = np.block([[estimate.covariance, across * scale], [across.T * scale, own * scale**2]])
+                across = by @ known.covariance[np.ix_([known.names.index(name) for name in statement.names], turns)]
+        own = known.chosen(turns)
+        every = (*estimate.names, *own.names)
+        joint = np.block([[estimate.covariance, across], [across.T, own.covariance]])
         mounted = {name: u for name, u in session.record.uncertainty.items() if name.startswith("mounting.")}
         return replace(
             both,
             standard={**both.standard, **mounted},
-            coverage_factor={**both.coverage_factor, **{names[k]: round(float(factors[k]), 3) for k in turns}},
-            covariance=rounded_covariance((*estimate.names, *(names[k] for k in turns)), joint),
+            coverage_factor=dict(both.coverage_factor)
+            | {name: round(factor, 3) for name, factor in zip(own.names, own.factors.tolist(), strict=True)},
+            covariance=rounded_covariance(every, with_turns_scaled(every, joint, degrees(1.0))),
         )
     return both
 

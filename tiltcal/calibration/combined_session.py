@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.combination import Statement, conditional
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.named_coefficients import values
+from tiltcal.core.uncertainty_inputs import UncertaintyInputs, is_turn
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, calibration_of, dump_calibration
 from tiltcal.files.document import checked_kind, parse_document, read_text
@@ -58,26 +58,25 @@ class CombinedSession:
         return frozenset(name for name in values(self.coefficients) if starts and name.startswith(starts))
 
     @cached_property
-    def known(self) -> tuple[tuple[str, ...], Array, Array]:
-        """Names, covariance and coverage factors of what is uncertain, turns of the mounting in radians."""
+    def known(self) -> UncertaintyInputs:
+        """What is uncertain."""
         try:
             stated = stated_uncertainty(self.record.uncertainty, self.coefficients).inputs
         except EstimateError as failure:
             raise EstimateError(f"{self.label}: {failure}") from failure
-        some = np.flatnonzero(np.diag(stated.covariance) > 0.0)
-        return tuple(stated.names[k] for k in some), stated.covariance[np.ix_(some, some)], stated.factors[some]
+        return stated.chosen(np.flatnonzero(np.diag(stated.covariance) > 0.0))
 
     @property
     def exact(self) -> frozenset[str]:
         """The coefficients that were measured and whose uncertainty is not stated."""
-        return frozenset(values(self.coefficients)) - self.assumed - set(self.known[0])
+        return frozenset(values(self.coefficients)) - self.assumed - set(self.known.names)
 
     @property
     def places(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which of :attr:`known` are measured coefficients, and which assumed ones."""
-        names = self.known[0]
+        names = self.known.names
         assumed = np.array([name in self.assumed for name in names], dtype=bool)
-        return ~assumed & np.array([not name.startswith(TURN) for name in names], dtype=bool), assumed
+        return ~assumed & ~is_turn(names), assumed
 
     @property
     def temperature(self) -> tuple[float, float] | None:
@@ -111,7 +110,7 @@ class CombinedSession:
         The offset is left out where its temperature is not known, and that of a session whose level is not stated where
         the sessions contradict (not ``unlevelled``).
         """
-        names, covariance, factors = self.known
+        names, covariance, factors = self.known.names, self.known.covariance, self.known.factors
         measured, assumed = self.places
         stated = values(self.coefficients)
         own = [name for name, kept in zip(names, measured, strict=True) if kept]

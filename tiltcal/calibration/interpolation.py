@@ -17,16 +17,17 @@ from math import degrees, inf
 
 import numpy as np
 
-from tiltcal.core.angle_uncertainty import TURN, UncertaintyInputs
 from tiltcal.core.budget import NORMAL_FACTOR, coverage_factor, welch_satterthwaite
+from tiltcal.core.derivatives import central_differences
 from tiltcal.core.instrumental_drift import RandomWalk
 from tiltcal.core.model import Array, Coefficients, Limits, Mounting, vector_of, with_vector
 from tiltcal.core.mounting import mounting_angles, mounting_matrix
 from tiltcal.core.named_coefficients import degrees_of_freedom, referred, values
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
+from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, require_same_sensor
 from tiltcal.files.records import FitRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import Covariance, Uncertainty, stated_uncertainty
+from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertain_coefficients
 
 
 @dataclass(frozen=True)
@@ -124,10 +125,7 @@ class _Part:
     def of(cls, record: CalibrationRecord, reference: float | None, weight: float) -> _Part:
         coefficients = record.coefficients
         moved = coefficients if reference is None else referred(coefficients, reference)
-        try:
-            stated = stated_uncertainty(record.uncertainty, coefficients).inputs
-        except EstimateError:
-            return cls(moved, (), np.zeros((0, 0)), np.zeros(0))
+        stated = uncertain_coefficients(record.uncertainty, coefficients)
         names, covariance = stated.names, stated.covariance
         dof = {name: degrees_of_freedom(factor) for name, factor in zip(names, stated.factors, strict=True)}
         if reference is not None and moved is not coefficients:
@@ -140,23 +138,18 @@ def _referring(
     coefficients: Coefficients, stated: UncertaintyInputs, reference: float
 ) -> tuple[tuple[str, ...], Array]:
     """Return the names and the derivatives of coefficients at another reference temperature by the stated ones."""
-    own = [name for name in stated.names if not name.startswith(TURN)]
-    turns = [name for name in stated.names if name.startswith(TURN)]
+    turned = is_turn(stated.names)
+    own, turns = stated.without_turn.names, stated.chosen(np.flatnonzero(turned)).names
     names = list(values(coefficients))
     vector = vector_of(coefficients, own)
-    step = 1e-4 * np.sqrt(np.diag(stated.covariance))[: len(own)]
+    steps = 1e-4 * np.sqrt(np.diag(stated.covariance))[~turned]
 
     def at(moved: Array) -> Array:
         return vector_of(referred(with_vector(coefficients, own, moved), reference), names)
 
     jacobian = np.zeros((len(names) + len(turns), len(stated.names)))
-    for column, (name, size) in enumerate(zip(own, step, strict=True)):
-        if size > 0.0:
-            shift = np.zeros(len(own))
-            shift[column] = size
-            jacobian[: len(names), stated.names.index(name)] = (at(vector + shift) - at(vector - shift)) / (2.0 * size)
-    for row, name in enumerate(turns, start=len(names)):
-        jacobian[row, stated.names.index(name)] = 1.0
+    jacobian[: len(names), ~turned] = central_differences(at, vector, steps)
+    jacobian[len(names) :, turned] = np.eye(len(turns))
     kept = np.flatnonzero(jacobian.any(axis=1))
     return tuple(np.array([*names, *turns], dtype=object)[kept]), jacobian[kept]
 
@@ -180,8 +173,7 @@ def _joined(
         covariance[row, row] += variance
         sources.append((_only(row, variance, len(names)), dof))
     factors = coverage_factor(welch_satterthwaite(np.diag(covariance).copy(), sources))
-    scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in names])
-    matrix = covariance * np.outer(scale, scale)
+    matrix = with_turns_scaled(names, covariance, degrees(1.0))
     u = np.sqrt(np.diag(matrix))
     return Uncertainty(
         {name: float(one) for name, one in zip(names, u, strict=True) if not name.startswith(TURN)},

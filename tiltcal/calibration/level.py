@@ -24,19 +24,20 @@ from tiltcal.calibration.estimate_record import DIGITS, SHARE_DIGITS, intrinsic_
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement
 from tiltcal.calibration.verdict import judge
-from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.budget import Budget, Part, coverage_factor
+from tiltcal.core.derivatives import central_differences
 from tiltcal.core.estimation.design import Observation
 from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.named_coefficients import CoefficientChange
 from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.records import NOISE_ALONE, CompletingRun, LevelFit
-from tiltcal.files.uncertainty import Uncertainty, stated_uncertainty
+from tiltcal.files.uncertainty import Uncertainty, uncertain_coefficients
 from tiltcal.frozen import frozen
 
 BASE = "base"
@@ -110,13 +111,8 @@ def level(
     before = base.derived.intrinsic
     if before is None:
         return record
-    own = np.array([not name.startswith(TURN) for name in found.names])
-    renewed = intrinsic_record(
-        coefficients,
-        [name for name in found.names if not name.startswith(TURN)],
-        found.budget.covariance[np.ix_(own, own)],
-        mounted=bool(before.rotation_degrees),
-    )
+    own = found.inputs.without_turn
+    renewed = intrinsic_record(coefficients, own.names, own.covariance, mounted=bool(before.rotation_degrees))
     return replace(record, derived=replace(base.derived, intrinsic=renewed))
 
 
@@ -169,7 +165,8 @@ class _Renewal:
         """Compute the offsets from the mean reading of the positions."""
         coefficients, channels = base.coefficients, base.coefficients.channels
         seen = observations_of(measurements, channels)
-        known, covariance, factors = _inputs(base)
+        stated = uncertain_coefficients(base.uncertainty, coefficients)
+        known, covariance, factors = stated.names, stated.covariance, stated.factors
         at_level = _LevelReading(coefficients, seen)
         slopes = at_level.slopes(known)
         change = np.mean([one.mean for one in seen], axis=0) - at_level(known, at_level.start(known))
@@ -194,16 +191,19 @@ class _Renewal:
             measurements[0].temperature,
         )
 
+    @property
+    def inputs(self) -> UncertaintyInputs:
+        """The new offsets and all else that is uncertain."""
+        return UncertaintyInputs(self.names, self.budget.covariance, self.budget.factors)
+
     def uncertainty(self, alignment: float) -> Uncertainty:
         """Return the base's uncertainty with that of the offsets, and of a sensor that may sit askew, degrees."""
         before, count = self.base.uncertainty, len(self.offset)
         offsets = self.names[:count]
         factors = dict(zip(offsets, self.budget.factors[:count].tolist(), strict=True))
-        known = _inputs(self.base)[0]
+        known = uncertain_coefficients(before, self.base.coefficients).names
         order = (*(name for name in offsets if name not in known), *known)
-        places = [self.names.index(name) for name in order]
-        scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in order])
-        covariance = self.budget.covariance[np.ix_(places, places)] * np.outer(scale, scale)
+        joint = self.inputs.chosen([self.names.index(name) for name in order])
         u = dict(zip(offsets, self.budget.u[:count].tolist(), strict=True))
         return replace(
             before,
@@ -215,7 +215,7 @@ class _Renewal:
                 **{name: round(k, 3) for name, k in factors.items() if u[name] > 0.0},
                 **{name: k for name, k in before.coverage_factor.items() if name not in factors},
             },
-            covariance=rounded_covariance(order, covariance),
+            covariance=rounded_covariance(order, with_turns_scaled(order, joint.covariance, degrees(1.0))),
             alignment=max(significant(alignment / sqrt(3.0), DIGITS), before.alignment),
         )
 
@@ -268,8 +268,8 @@ class _LevelReading:
         warmer : float
             Added to every temperature, °C.
         """
-        turned = np.array([name.startswith(TURN) for name in names], dtype=bool)
-        own = [name for name in names if not name.startswith(TURN)]
+        turned = is_turn(names)
+        own = np.array(names)[~turned].tolist()
         coefficients = with_vector(self.coefficients, own, vector[~turned])
         up = self.up if up is None else up
         for name, angle in zip(np.array(names)[turned].tolist(), vector[turned].tolist(), strict=True):
@@ -292,26 +292,18 @@ class _LevelReading:
     def slopes(self, names: Sequence[str]) -> Array:
         """Return the derivatives of the mean reading by the parameters, shape (channels, k)."""
         start = self.start(names)
-        columns = []
-        for k in range(len(names)):
-            step = np.zeros(len(names))
-            step[k] = TURNED * max(1.0, abs(float(start[k])))
-            columns.append((self(names, start + step) - self(names, start - step)) / (2.0 * step[k]))
-        return np.array(columns).reshape(len(names), len(self.coefficients.channels)).T
+        steps = TURNED * np.maximum(1.0, np.abs(start))
+        return central_differences(lambda vector: self(names, vector), start, steps)
 
     def by_lean(self, headings: Sequence[float]) -> Array:
         """Return the derivatives by a lean that is turned with the headings, shape (channels, 2)."""
-        columns = []
-        for axis in ((1.0, 0.0), (0.0, 1.0)):
-            ends = []
-            for side in (TURNED, -TURNED):
-                turned = [
-                    (axis[0] * cos(h) + axis[1] * sin(h), axis[1] * cos(h) - axis[0] * sin(h))
-                    for h in map(radians, headings)
-                ]
-                ends.append(self((), np.zeros(0), self.up + [[side * x, side * y, 0.0] for x, y in turned]))
-            columns.append((ends[0] - ends[1]) / (2.0 * TURNED))
-        return np.stack(columns, axis=1)
+        h = np.radians(headings)
+        turned = np.stack([np.cos(h), np.sin(h), -np.sin(h), np.cos(h)], axis=1).reshape(-1, 2, 2)
+
+        def leaning(lean: Array) -> Array:
+            return self((), np.zeros(0), self.up + np.pad(turned @ lean, ((0, 0), (0, 1))))
+
+        return central_differences(leaning, np.zeros(2), np.full(2, TURNED))
 
 
 def _errors_of_bench(at_level: _LevelReading, seen: Sequence[Observation], bench: BenchUncertainty) -> Iterator[Part]:
@@ -333,17 +325,10 @@ def _errors_of_bench(at_level: _LevelReading, seen: Sequence[Observation], bench
         if angle:
             yield Part(source, by, np.eye(2) * radians(angle) ** 2 / number, np.repeat(normal, 2))
     if bench.thermometer and at_level.coefficients.thermal is not None:
-        ends = [at_level((), np.zeros(0), warmer=side) for side in (1e-3, -1e-3)]
-        yield Part(THERMOMETER, ((ends[0] - ends[1]) / 2e-3)[:, None], np.eye(1) * bench.thermometer**2, normal)
-
-
-def _inputs(base: CalibrationRecord) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names, covariance and coverage factors of what the base states as uncertain; turns are in radians."""
-    try:
-        known = stated_uncertainty(base.uncertainty, base.coefficients).inputs
-    except EstimateError:
-        return (), np.zeros((0, 0)), np.zeros(0)
-    return known.names, known.covariance, known.factors
+        by = central_differences(
+            lambda warmer: at_level((), np.zeros(0), warmer=float(warmer[0])), np.zeros(1), np.full(1, 1e-3)
+        )
+        yield Part(THERMOMETER, by, np.eye(1) * bench.thermometer**2, normal)
 
 
 def objection(base: CalibrationRecord, measurement: Measurement) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import degrees, radians
 from typing import Any
 
@@ -11,18 +11,18 @@ import numpy as np
 
 from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.budget import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
 from tiltcal.core.mounting import UNKNOWN_ANGLE, mounting_matrix
 from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, with_turns_scaled
 from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, mounting_rotation, rotation_vector, solve_mounting
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.records import CompletingRun, MountingFit
-from tiltcal.files.uncertainty import Uncertainty, stated_uncertainty
+from tiltcal.files.uncertainty import Uncertainty, uncertain_coefficients
 
 
 def mount(
@@ -74,15 +74,6 @@ def mount(
     )
 
 
-@dataclass(frozen=True)
-class _Joint:
-    """The base's coefficients and the mounting's turn about the application's axes, radians, with their covariance."""
-
-    names: tuple[str, ...]
-    covariance: Array
-    factors: Array
-
-
 def _best(
     coefficients: Coefficients, measurements: Sequence[Measurement], known: Array, jig: float | None
 ) -> tuple[MountingEstimate, Array]:
@@ -97,10 +88,13 @@ def _sigma(known: Array, jig: float | None) -> Array | None:
     return None if jig is None else np.full(len(known), max(radians(jig), 1e-6))
 
 
-def _joined(base: CalibrationRecord, found: MountingEstimate, rotation: Callable[[Coefficients], Array]) -> _Joint:
-    """Propagate the uncertainty of the base into the mounting that was found with it, with their covariance."""
+def _joined(
+    base: CalibrationRecord, found: MountingEstimate, rotation: Callable[[Coefficients], Array]
+) -> UncertaintyInputs:
+    """Return the base's coefficients and the turn of the mounting that was found with it, with their covariance."""
     coefficients = replace(base.coefficients, mounting=None)
-    names, covariance, factors = _own(base.uncertainty, coefficients)
+    own = uncertain_coefficients(base.uncertainty, coefficients).without_turn
+    names, covariance, factors = own.names, own.covariance, own.factors
     vector, u = vector_of(coefficients, names), np.sqrt(np.diag(covariance))
     moved = np.zeros((3, len(names)))
     for k in np.flatnonzero(u > 0.0):
@@ -111,34 +105,23 @@ def _joined(base: CalibrationRecord, found: MountingEstimate, rotation: Callable
     joint = all_moved @ covariance @ all_moved.T
     joint[-3:, -3:] += found.covariance
     stretched = all_moved @ (covariance * np.outer(factors, factors)) @ all_moved.T
-    own = NORMAL_FACTOR if found.stated else coverage_factor(np.array([float(found.dof)]))[0]
-    wide = np.diag(stretched)[-3:] + own**2 * np.diag(found.covariance)
-    return _Joint(
+    factor = NORMAL_FACTOR if found.stated else coverage_factor(np.array([float(found.dof)]))[0]
+    wide = np.diag(stretched)[-3:] + factor**2 * np.diag(found.covariance)
+    return UncertaintyInputs(
         (*names, *(f"{TURN}{axis}" for axis in AXES)),
         joint,
         np.concatenate([factors, np.sqrt(wide / np.diag(joint)[-3:])]),
     )
 
 
-def _own(uncertainty: Uncertainty, coefficients: Coefficients) -> tuple[tuple[str, ...], Array, Array]:
-    """Names, covariance and coverage factors of the base's coefficients in the sensor's own frame."""
-    try:
-        known = stated_uncertainty(uncertainty, coefficients).inputs
-    except EstimateError:
-        return (), np.zeros((0, 0)), np.zeros(0)
-    kept = [k for k, name in enumerate(known.names) if not name.startswith(TURN)]
-    return tuple(known.names[k] for k in kept), known.covariance[np.ix_(kept, kept)], known.factors[kept]
-
-
-def _uncertainty(before: Uncertainty, joint: _Joint, u: Mapping[str, float]) -> Uncertainty:
+def _uncertainty(before: Uncertainty, joint: UncertaintyInputs, u: Mapping[str, float]) -> Uncertainty:
     """Return the base's uncertainty with the mounting's in it, degrees."""
-    scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in joint.names])
     own = {name: value for name, value in before.items() if not name.startswith("mounting.")}
     return Uncertainty(
         {**own, **{f"mounting.{angle}": value for angle, value in u.items()}},
         before.single_reading,
         {n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)},
-        rounded_covariance(joint.names, joint.covariance * np.outer(scale, scale)),
+        rounded_covariance(joint.names, with_turns_scaled(joint.names, joint.covariance, degrees(1.0))),
     )
 
 
@@ -156,7 +139,7 @@ def _directions(coefficients: Coefficients, measurements: Sequence[Measurement])
     return np.column_stack([gravity, rest])
 
 
-def _rounded(found: MountingEstimate, joint: _Joint) -> tuple[Mounting, dict[str, float]]:
+def _rounded(found: MountingEstimate, joint: UncertaintyInputs) -> tuple[Mounting, dict[str, float]]:
     """Return the angles with the digits that their uncertainty warrants, radians; and that, degrees."""
     if found.u is None:
         return found.mounting, {}

@@ -8,8 +8,8 @@ from math import isfinite, radians
 
 import numpy as np
 
-from tiltcal.core.angle_uncertainty import TURN
 from tiltcal.core.model import Mounting
+from tiltcal.core.uncertainty_inputs import TURN, is_turn
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES, in_degrees
@@ -66,7 +66,7 @@ def mounting_in_words(mounting: Mounting) -> str:
 
 def without_turn(covariance: Covariance) -> Covariance:
     """Return the covariance of all but the mounting's turn."""
-    kept = [k for k, name in enumerate(covariance.parameters) if not name.startswith(TURN)]
+    kept = np.flatnonzero(~is_turn(covariance.parameters)).tolist()
     matrix = np.array(covariance.matrix).reshape(2 * (len(covariance.parameters),))[np.ix_(kept, kept)]
     return Covariance(
         parameters=tuple(covariance.parameters[k] for k in kept), matrix=tuple(map(tuple, matrix.tolist()))

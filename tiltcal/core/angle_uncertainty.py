@@ -26,11 +26,9 @@ from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE, Bytes
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.tilt_angles import DIRECTIONS
+from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
-
-TURN = "mounting.turn."
-"""A small rotation error of the mounting about one of the application's axes, by its dotted name."""
 
 HALF_TURN = pi
 """No half width is more, radians."""
@@ -47,34 +45,6 @@ _SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(_LOWEST, 10) -
 _ROWS = 8192  # of a step: they stay in the cache
 _ONE_THREAD = 1 << 18  # multiplications of a matrix product for which the linear algebra starts no threads
 _CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
-
-
-@frozen
-class UncertaintyInputs:
-    """What the angles are uncertain by.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Dotted names of the uncertain coefficients; ``mounting.turn.x`` is a small turn of the mounting about the
-        application's x axis, radians.
-    covariance : ndarray, shape (k, k)
-    factors : ndarray, shape (k,)
-        What each one's standard uncertainty is multiplied with for an interval of 95 %.
-    readings : ndarray, shape (channels,)
-        Standard uncertainty of a single reading, unit; channels are independent.
-    temperature : float
-        Standard uncertainty of a temperature, °C.
-    alignment : float
-        How far the sensor may have turned about each axis since it was level, standard uncertainty, radians.
-    """
-
-    names: tuple[str, ...]
-    covariance: Array
-    factors: Array
-    readings: Array
-    temperature: float = 0.0
-    alignment: float = 0.0
 
 
 @frozen

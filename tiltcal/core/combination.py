@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.budget import Budget, Part, coverage_factor, welch_satterthwaite
+from tiltcal.core.derivatives import central_differences
 from tiltcal.core.model import Array, Coefficients, polynomial_slope, vector_of, with_vector
 from tiltcal.core.named_coefficients import CoefficientChange, referred
 from tiltcal.errors import EstimateError
@@ -193,13 +194,8 @@ def _weight(one: Statement) -> Array:
 
 def _slopes(one: Statement, start: Coefficients, names: Sequence[str], theta: Array) -> Array:
     """Return the derivatives of what a session should state by the coefficients, shape (k, names)."""
-    columns = []
-    for k in range(len(names)):
-        step = np.zeros(len(names))
-        step[k] = 1e-6 * max(abs(float(theta[k])), 1e-3)
-        ends = [one.expected(with_vector(start, names, theta + side * step)) for side in (1.0, -1.0)]
-        columns.append((ends[0] - ends[1]) / (2.0 * step[k]))
-    return np.stack(columns, axis=1)
+    steps = 1e-6 * np.maximum(np.abs(theta), 1e-3)
+    return central_differences(lambda vector: one.expected(with_vector(start, names, vector)), theta, steps)
 
 
 def _solved(normal: Array, right: Array, names: Sequence[str]) -> Array:

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.angle_uncertainty import TURN, UncertaintyInputs
 from tiltcal.core.budget import NORMAL_FACTOR
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.named_coefficients import KnownCoefficient, known, values
+from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.declaration import (
@@ -232,8 +232,7 @@ def stated_uncertainty(
     silent = [name for name in values(coefficients) if name not in uncertainty and name not in names]
     if silent:
         remarks.append(f"no uncertainty is stated of {', '.join(silent)}: they count as exact")
-    turned = any(name.startswith(TURN) for name in names)
-    if coefficients.mounting is not None and not turned:
+    if coefficients.mounting is not None and not is_turn(names).any():
         angles = {a: u for a in ANGLES if (u := uncertainty.get(f"mounting.{a}")) is not None}
         if angles:
             names, covariance = _with_turn(names, covariance, coefficients.mounting, angles)
@@ -248,11 +247,10 @@ def stated_uncertainty(
         )
     _require_covariance(covariance)
     factors, usual = uncertainty.coverage_factor, NORMAL_FACTOR
-    scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
     return StatedUncertainty(
         UncertaintyInputs(
             names,
-            covariance * np.outer(scale, scale),
+            with_turns_scaled(names, covariance, radians(1.0)),
             np.array([factors.get(name, usual) for name in names]),
             np.array([reading.get(channel, 0.0) for channel in coefficients.channels]),
             reading.get(TEMPERATURE, 0.0),
@@ -262,18 +260,21 @@ def stated_uncertainty(
     )
 
 
+def uncertain_coefficients(uncertainty: Uncertainty, coefficients: Coefficients) -> UncertaintyInputs:
+    """Return the same inputs as :func:`stated_uncertainty`; none where no uncertainty is stated."""
+    try:
+        return stated_uncertainty(uncertainty, coefficients).inputs
+    except EstimateError:
+        return UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0))
+
+
 def known_coefficients(
     uncertainty: Uncertainty, coefficients: Coefficients, reference: float | None
 ) -> dict[str, KnownCoefficient]:
     """Return the uncertainty of each coefficient at a reference temperature, °C; empty where none is stated."""
     exact = {name: KnownCoefficient(0.0) for name, u in uncertainty.items() if u == 0.0}
-    try:
-        stated = stated_uncertainty(uncertainty, coefficients).inputs
-    except EstimateError:
-        return exact
-    own = np.array([not name.startswith(TURN) for name in stated.names])
-    names = [name for name, kept in zip(stated.names, own, strict=True) if kept]
-    return exact | known(coefficients, names, stated.covariance[np.ix_(own, own)], stated.factors[own], reference)
+    stated = uncertain_coefficients(uncertainty, coefficients).without_turn
+    return exact | known(coefficients, stated.names, stated.covariance, stated.factors, reference)
 
 
 def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:

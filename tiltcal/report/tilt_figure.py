@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiltcal.core.angle_uncertainty import TURN, CompensationWithUncertainty, UncertaintyInputs
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Limits
+from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.uncertainty import stated_uncertainty
@@ -112,14 +113,7 @@ def _curves(calibration: CalibrationRecord) -> dict[str, Curves]:
 def _doubt(calibration: CalibrationRecord, noise: float | None) -> UncertaintyInputs:
     """Return the uncertainty of the tilt in the sensor frame."""
     coefficients = _unmounted(calibration.coefficients)
-    known = stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).inputs
-    own = [k for k, name in enumerate(known.names) if not name.startswith(TURN)]
-    return replace(
-        known,
-        names=tuple(known.names[k] for k in own),
-        covariance=known.covariance[np.ix_(own, own)],
-        factors=known.factors[own],
-    )
+    return stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).inputs.without_turn
 
 
 def _reaches(calibration: CalibrationRecord, axes: Sequence[str]) -> dict[str, Array]:

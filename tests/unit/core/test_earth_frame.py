@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiltcal.core.angle_uncertainty import TURN, CompensationWithUncertainty, UncertaintyInputs
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.earth_compensation import EarthFrameCompensation
 from tiltcal.core.earth_uncertainty import EarthUncertainty
@@ -18,6 +18,7 @@ from tiltcal.core.field_length import FieldLength
 from tiltcal.core.flags import CLIPPED, FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, PASS, SUSPECT
 from tiltcal.core.model import Array, Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
 from tiltcal.logs.kernel import RoleValues, TiltKernel
 
