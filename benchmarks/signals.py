@@ -1,18 +1,19 @@
 """Is anything lost, and is the exit code right, if a command is killed or interrupted at a random moment?
 
-    python benchmarks/signals.py [--each 200] [--seed 1] [--jobs 2] [--minutes 60]
+    python benchmarks/signals.py [--each 200] [--seed 1] [--jobs 2] [--minutes 60] [--pieces signals.jsonl]
 
 Sessions of every kind, recordings, and `apply` in three formats, `fit` and `report` are ended by SIGKILL and by SIGINT
 at a random moment of their run. A session that is resumed leaves the same files, byte for byte, as one that nobody
 stopped. Any other output is there whole, with the same bytes, or not at all; of a recording the first rows are there.
-Exit code of an interrupted command: 130, or 0 if it was at its end; never another signal, never a traceback. Exit code
-1 of this program if a trial shows anything else.
+Exit code of an interrupted command: 130, or 0 if it was at its end; never another signal, never a traceback. Each trial
+is kept in a file: a run goes on where an earlier one ended. Exit code 1 of this program if a trial shows anything else.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
+import json
 import random
 import signal
 import subprocess
@@ -182,25 +183,33 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no trial after so long")
+    parser.add_argument("--pieces", type=Path, default=Path("signals.jsonl"))
     options = parser.parse_args()
     until = time.monotonic() + 60.0 * options.minutes
-    found: dict[tuple[str, str], Counter[str]] = {}
-    with tempfile.TemporaryDirectory() as inputs, ThreadPoolExecutor(options.jobs) as pool:
+    kept = [json.loads(line) for line in options.pieces.read_text().splitlines()] if options.pieces.exists() else []
+    done = {number for number, *_ in kept}
+    with (
+        tempfile.TemporaryDirectory() as inputs,
+        ThreadPoolExecutor(options.jobs) as pool,
+        options.pieces.open("a") as stream,
+    ):
         write_inputs(Path(inputs))
         known = list(pool.map(lambda one: undisturbed(*one, Path(inputs)), (SESSIONS | OTHERS).items()))
 
-        def one(number: int) -> tuple[str, str, str] | None:
+        def one(number: int) -> None:
             if time.monotonic() > until:
-                return None
+                return
             draw, sent = random.Random(f"{options.seed}/{number}"), (signal.SIGKILL, signal.SIGINT)[number % 2]
             which = known[number // 2 % len(known)]
-            return which.name, sent.name, trial(which, sent, draw)
+            kept.append((number, sent.name, which.name, trial(which, sent, draw)))
+            print(json.dumps(kept[-1]), file=stream, flush=True)
 
-        for result in filter(None, pool.map(one, range(2 * options.each))):
-            name, sent, how = result
-            found.setdefault((sent, name), Counter())[how.partition(":")[0]] += 1
-            if how.startswith("wrong"):
-                print(f"{sent} {name}: {how}", flush=True)
+        list(pool.map(one, [number for number in range(2 * options.each) if number not in done]))
+    found: dict[tuple[str, str], Counter[str]] = {}
+    for _, sent, name, how in kept:
+        found.setdefault((sent, name), Counter())[how.partition(":")[0]] += 1
+        if how.startswith("wrong"):
+            print(f"{sent} {name}: {how}")
     for (sent, name), counted in sorted(found.items()):
         print(f"{sent:8} {name:16}", ", ".join(f"{how} {count}" for how, count in counted.most_common()))
     total = sum(found.values(), Counter())
