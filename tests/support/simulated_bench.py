@@ -6,7 +6,7 @@ It knows nothing of the estimator's own model code: gravity is turned by scipy's
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
@@ -60,6 +60,8 @@ class Plan:
         Standard deviation of a temperature, °C.
     drift : int
         Order of the offsets' temperature polynomials.
+    axes : tuple of str
+        Of the sensors, as many as they have channels.
     """
 
     gravity: Array
@@ -69,22 +71,23 @@ class Plan:
     jig: float = 0.0
     thermometer: float = 0.0
     drift: int = 0
+    axes: tuple[str, ...] = XYZ
 
 
 @dataclass(frozen=True)
 class Part:
-    """A sensor of three channels: about 1 unit/g, 1 % cross-axis, offsets of 50 mg.
+    """A sensor of two or three channels: about 1 unit/g, 1 % cross-axis, offsets of 50 mg.
 
     Attributes
     ----------
-    offset : ndarray, shape (3,)
-    sensitivity : ndarray, shape (3, 3)
-    drift : ndarray, shape (3, order)
+    offset : ndarray, shape (channels,)
+    sensitivity : ndarray, shape (channels, channels)
+    drift : ndarray, shape (channels, order)
     """
 
     offset: Array
     sensitivity: Array
-    drift: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    drift: Array
 
     @property
     def truth(self) -> Array:
@@ -94,7 +97,7 @@ class Part:
     def reading(self, gravity: Array, dt: Array) -> Array:
         """Without noise, shape (n, 3)."""
         powers = dt[:, None] ** np.arange(1, self.drift.shape[1] + 1)
-        return self.offset + gravity @ self.sensitivity.T + powers @ self.drift.T
+        return self.offset + gravity[:, : len(self.offset)] @ self.sensitivity.T + powers @ self.drift.T
 
 
 def plan_of(count: int, *, noise: float, jig: float) -> Plan:
@@ -102,13 +105,14 @@ def plan_of(count: int, *, noise: float, jig: float) -> Plan:
     return Plan(POSITIONS[count], np.zeros(count), noise=noise, jig=jig)
 
 
-def part(rng: Generator, drift: int = 0) -> Part:
+def part(rng: Generator, drift: int = 0, channels: int = 3) -> Part:
     """A part of its kind."""
     scale = np.array([1e-3, 2e-5, 5e-7])[:drift]
+    own, square = (channels,), (channels, channels)
     return Part(
-        rng.normal(0.0, 0.05, 3),
-        np.diag(rng.normal(1.0, 0.01, 3)) + rng.normal(0.0, 0.01, (3, 3)) * (1 - np.eye(3)),
-        rng.normal(0.0, 1.0, (3, drift)) * scale,
+        rng.normal(0.0, 0.05, own),
+        np.diag(rng.normal(1.0, 0.01, own)) + rng.normal(0.0, 0.01, square) * (1 - np.eye(channels)),
+        rng.normal(0.0, 1.0, (channels, drift)) * scale,
     )
 
 
@@ -133,7 +137,7 @@ def measured(rng: Generator, plan: Plan, parts: Sequence[Part], *, known_noise: 
 
 def design(plan: Plan, *, jig: float | None) -> Design:
     """What the estimator is told of a plan."""
-    return Design(XYZ, XYZ, drift=plan.drift, jig=jig, thermometer=plan.thermometer)
+    return Design(plan.axes, plan.axes, drift=plan.drift, jig=jig, thermometer=plan.thermometer)
 
 
 def fixture(observations: Sequence[Sequence[Observation]], wanted: Design) -> list[SensorObservations]:

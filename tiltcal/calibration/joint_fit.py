@@ -66,7 +66,7 @@ def fit_jointly(
     for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
         design = seen.design
         remarks = () if design.priors else judge_channels(sensor, estimated)
-        one = _with_remarks(with_hysteresis(estimated, seen.observations), sensor.measurements, design)
+        one = _with_remarks(with_hysteresis(estimated, seen.observations, design), sensor.measurements, design)
         found = record_of(one, design, sensor, procedure, settings)
         calibrations.append(replace(found, fit=replace(found.fit, notes=(*found.fit.notes, *remarks))))
     return calibrations
@@ -103,14 +103,15 @@ def record_of(
     )
 
 
-def with_hysteresis(found: Estimate, observations: Sequence[Observation]) -> Estimate:
+def with_hysteresis(found: Estimate, observations: Sequence[Observation], design: Design) -> Estimate:
     """Return the estimate with the loops between temperatures that were met twice in the uncertainty of the offsets.
 
     The truth is anywhere between the two ways: half a loop to either side, with a rectangular distribution.
     """
     if found.coefficients.thermal is None:
         return found
-    loops = largest_loops(found, observations)
+    jig = found.estimated_jig if design.jig is None else design.jig
+    loops = largest_loops(found, observations, jig or 0.0)
     added = np.zeros(len(found.names))
     for channel, loop in loops.items():
         if abs(loop.difference) > LOOP * loop.u:

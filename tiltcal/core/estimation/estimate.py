@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import degrees, inf
+from math import degrees, hypot, inf, radians, sqrt
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from tiltcal.core.estimation.identifiability import require_determined
 from tiltcal.core.estimation.second_order import second_order_bias
 from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
 from tiltcal.core.estimation.variance_components import VarianceComponents, variance_components
-from tiltcal.core.model import Array, Coefficients, Thermal
+from tiltcal.core.model import AXES, Array, Coefficients, Thermal
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
 
@@ -219,8 +219,18 @@ class Loop:
     between: tuple[str, str]
 
 
-def largest_loops(found: Estimate, observations: Sequence[Observation]) -> dict[str, Loop]:
-    """Return the largest hysteresis loop of each channel; empty where no temperature was met twice."""
+def largest_loops(found: Estimate, observations: Sequence[Observation], jig: float) -> dict[str, Loop]:
+    """Return the largest hysteresis loop of each channel; empty where no temperature was met twice.
+
+    Parameters
+    ----------
+    found : Estimate
+    observations : sequence of Observation
+        The positions of the estimate.
+    jig : float
+        Standard uncertainty of a set angle, degrees: two attitudes that were set apart differ by as much.
+    """
+    stands = np.cumsum([not one.held for one in observations])
     pairs = [
         (i, j)
         for (i, one), (j, other) in combinations(enumerate(observations), 2)
@@ -231,11 +241,16 @@ def largest_loops(found: Estimate, observations: Sequence[Observation]) -> dict[
         and abs(one.temperature - other.temperature) <= ALIKE
     ]
     loops: dict[str, Loop] = {}
+    axes = [AXES.index(axis) for axis in found.coefficients.axes]
     for column, channel in enumerate(found.coefficients.channels if pairs else ()):
-        i, j = max(pairs, key=lambda pair: abs(found.residuals[pair[1], column] - found.residuals[pair[0], column]))
-        difference = float(found.residuals[j, column] - found.residuals[i, column])
-        u = float(np.hypot(observations[i].u[column], observations[j].u[column]))
-        loops[channel] = Loop(difference, u, (observations[i].position, observations[j].position))
+        measured = []
+        for i, j in pairs:
+            across = np.cross(np.eye(3)[axes].T @ found.coefficients.sensitivity[column], observations[i].gravity)
+            by_jig = 0.0 if stands[i] == stands[j] else sqrt(2.0) * radians(jig) * float(np.linalg.norm(across))
+            difference = float(found.residuals[j, column] - found.residuals[i, column])
+            u = hypot(observations[i].u[column], observations[j].u[column], by_jig)
+            measured.append(Loop(difference, u, (observations[i].position, observations[j].position)))
+        loops[channel] = max(measured, key=lambda one: abs(one.difference) / one.u)
     return loops
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import cos, degrees, radians, sin, sqrt
 
 import numpy as np
@@ -10,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
-from support.coverage_study import Regime, simulate, sweep, two_temperatures
-from support.simulated_bench import FACES, XYZ, design, fixture, measured, part, plan_of
+from support.accuracy_study import Regime, planned, simulate, sweep, two_temperatures
+from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of
 
 from tiltcal.core.budget import coverage_factor, propagated, welch_satterthwaite
 from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
@@ -143,21 +144,22 @@ class TestChiSquare:
 
 
 @pytest.mark.parametrize(
-    ("regime", "calibrations"),
+    ("plan", "sensors", "stated", "sessions"),
     [
-        (Regime("faces", plan_of(6, noise=1e-4, jig=0.5), 1, True), 150),
-        (Regime("faces", plan_of(6, noise=1e-4, jig=0.5), 1, False), 150),
-        (Regime("faces", plan_of(6, noise=1e-4, jig=0.0), 1, False), 150),
-        (Regime("edges", plan_of(12, noise=1e-4, jig=0.02), 6, True), 120),
-        (Regime("two temperatures", two_temperatures(1e-4, 0.5), 1, True), 80),
-        (Regime("sweep", sweep(1e-4, 0.02), 1, True), 80),
+        (plan_of(6, noise=1e-4, jig=0.5), 1, True, 100),
+        (plan_of(6, noise=1e-4, jig=0.5), 1, False, 100),
+        (plan_of(6, noise=1e-4, jig=0.0), 1, False, 100),
+        (plan_of(12, noise=1e-4, jig=0.02), 6, True, 20),
+        (two_temperatures(1e-4, 0.5), 1, True, 80),
+        (sweep(1e-4, 0.02), 1, True, 80),
     ],
     ids=["stated", "not stated", "perfect, not stated", "six sensors", "two temperatures", "sweep"],
 )
-def test_the_truth_is_in_95_percent_of_the_intervals(regime: Regime, calibrations: int) -> None:
-    """94 to 96 % within three Monte Carlo standard deviations; `benchmarks/coverage.py` is the long run."""
-    tally = simulate(regime, calibrations, seed=7)
-    for name in tally.inside:
+def test_the_truth_is_in_95_percent_of_the_intervals(plan: Plan, sensors: int, stated: bool, sessions: int) -> None:
+    """94 to 96 % within three Monte Carlo standard deviations; `benchmarks/accuracy.py` is the long run."""
+    regime = Regime("test", partial(planned, plan=plan, sensors=sensors), sensors)
+    tally = simulate(regime, sessions, seed=7, stated=stated)
+    for name in tally.sums:
         share, error = tally.percent(name)
         assert 94.0 - 3 * error <= share <= 96.0 + 3 * error, name
 

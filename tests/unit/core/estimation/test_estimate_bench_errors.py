@@ -177,9 +177,14 @@ def test_the_largest_loop_of_a_sweep() -> None:
         for k, t in enumerate(temperatures)
     ]
     design = Design(("x",), ("x",), drift=1, jig=0.0, priors={"sensitivity.x.x": Prior(1.0)})
-    loop = largest_loops(estimate(observations, design), observations)["x"]
+    found = estimate(observations, design)
+    loop = largest_loops(found, observations, 0.0)["x"]
     assert loop.difference == pytest.approx(0.4, abs=0.01)
     assert loop.u == pytest.approx(0.03 * sqrt(2))
+    # Each was set anew, and level is set wrong by 1°: two of sin 1°.
+    assert largest_loops(found, observations, 1.0)["x"].u == pytest.approx(sqrt(2) * np.hypot(0.03, radians(1.0)))
+    untouched = [replace(one, held=k > 0) for k, one in enumerate(observations)]
+    assert largest_loops(found, untouched, 1.0)["x"].u == pytest.approx(0.03 * sqrt(2))
 
 
 class TestGimbalLock:
