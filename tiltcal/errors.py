@@ -24,6 +24,12 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pathlib import Path
 
+NEGATIVE_VERDICT = 1
+"""Exit code of a command that is done and whose verdict is negative."""
+
+INTERRUPTED = 130
+"""Exit code of a command that Ctrl-C or its operator stopped."""
+
 
 class TiltcalError(Exception):
     """Base of every error that tiltcal raises on purpose."""
@@ -101,4 +107,4 @@ class SensorError(HardwareError):
 class Stopped(TiltcalError):
     """The operator stopped the session; what was measured is kept."""
 
-    exit_code = 130
+    exit_code = INTERRUPTED

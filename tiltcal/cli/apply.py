@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from tiltcal.cli import options
 from tiltcal.cli.progress import progress_bar
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
@@ -45,9 +46,8 @@ Examples:
 @click.option(
     "--serial", metavar="S", help="With --calibrations: the sensor, where neither LOG nor its columns (S_x) name it."
 )
-@click.option(
+@options.at_least_zero(
     "--stability",
-    type=click.FloatRange(0.0),
     metavar="MG",
     help="With --calibrations --uncertainty: how far the offset wanders in one day, as a standard deviation in mg "
     "(over n days √n times as far), instead of the estimate from the calibrations of the sensor or its fleet.",
@@ -79,9 +79,8 @@ Examples:
     is_flag=True,
     help="Add the standard uncertainty of each angle, such as u_tilt_x, and half of its 95 % interval, U95_tilt_x.",
 )
-@click.option(
+@options.at_least_zero(
     "--reading-noise",
-    type=click.FloatRange(0.0),
     metavar="UNIT",
     help="With --uncertainty: standard uncertainty of a reading of LOG, in its unit, instead of that of a single "
     "sample at the bench; 0 gives the uncertainty of the calibration alone.",
@@ -113,9 +112,8 @@ Examples:
     metavar="DEG",
     help="How far magnetic north is east of true north. It is added to every heading, also to that of a column.",
 )
-@click.option(
+@options.at_least_zero(
     "--magnetometer-noise",
-    type=click.FloatRange(0.0),
     metavar="UNIT",
     help="With --uncertainty: standard uncertainty of a component of the magnetic field, in its unit [0].",
 )
@@ -154,26 +152,14 @@ Examples:
 def command(
     files: tuple[str, ...],
     calibrations: Path | None,
-    serial: str | None,
-    stability: float | None,
-    start: str | None,
     output: str,
     columns: str,
     skip_bad_rows: bool,
-    first_order: bool,
-    uncertainty: bool,
-    reading_noise: float | None,
-    mounting: str,
-    magnetometer: str,
-    velocity: str,
-    declination: float | None,
-    magnetometer_noise: float | None,
-    average: int | None,
-    every: str | None,
     jobs: int | None,
     force: bool,
     scheduler: str | None,
     as_json: bool,
+    **how: Any,
 ) -> int:
     """Convert the raw readings of LOG to tilt with quality flags.
 
@@ -220,31 +206,16 @@ def command(
         raise UsageError(f"no LOG is given behind {calibration}; see `tiltcal apply --help`")
     if calibrations is not None and len(logs) > 1 and logs[0].lower().endswith(CALIBRATION_SUFFIXES):
         raise UsageError(f"{logs[0]} is a calibration, and --calibrations names a folder of them: leave one out")
-    if stability is not None and not uncertainty:
-        raise UsageError("--stability needs --uncertainty")
-    if reading_noise is not None and not uncertainty:
-        raise UsageError("--reading-noise needs --uncertainty")
-    options = ApplyOptions(
-        first_order,
-        uncertainty,
-        reading_noise,
-        mounting,
-        serial,
-        stability,
-        start,
-        magnetometer,
-        velocity,
-        declination,
-        magnetometer_noise,
-        average,
-        every,
-    )
+    given = ApplyOptions(**how)
+    for option, value in (("--stability", given.stability), ("--reading-noise", given.reading_noise)):
+        if value is not None and not given.uncertainty:
+            raise UsageError(f"{option} needs --uncertainty")
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
-        tasks = tasks_of(calibration, options, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
-        prepare_any(calibration, options, _say)  # an error of the calibration is raised once
+        tasks = tasks_of(calibration, given, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
+        prepare_any(calibration, given, _say)  # an error of the calibration is raised once
         return _each(tasks, jobs, force, scheduler, as_json)
     with progress_bar("apply") as progress:
-        summary = ApplyTask(calibration, options, logs[0], output, columns, skip_bad_rows).run(_say, progress)
+        summary = ApplyTask(calibration, given, logs[0], output, columns, skip_bad_rows).run(_say, progress)
     if as_json:
         click.echo(json.dumps(summary.as_data()), err=output == "-")
     else:

@@ -7,12 +7,10 @@ from pathlib import Path
 
 import click
 
-from tiltcal.errors import UsageError
+from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.document import KINDS, checked_kind, read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.records import FileRecord
-
-JUDGED_FAILING = 1
 
 
 @click.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
@@ -40,7 +38,7 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
             click.echo(f"{path}: {kind}, " + ("; ".join(findings) if findings else "good"))
     if as_json:
         click.echo(json.dumps(results, indent=2, ensure_ascii=False))
-    return JUDGED_FAILING if any(result["findings"] for result in results) else 0
+    return NEGATIVE_VERDICT if any(result["findings"] for result in results) else 0
 
 
 def _checked(path: Path) -> tuple[str, list[str]]:

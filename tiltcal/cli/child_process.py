@@ -16,6 +16,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import PurePath
 
+from tiltcal.errors import INTERRUPTED, InputError
+
 GUARDED = (".parquet", ".pq", ".nc", ".nc4")
 """Suffixes of guarded files."""
 
@@ -27,8 +29,6 @@ BUSY = 8.0
 
 _PATIENCE = 3.0  # seconds in which an interrupted child must leave
 _LOOK = 0.05  # seconds between two looks at the child
-_INTERRUPTED = 130
-_FAILED = 2
 
 
 def needs_guard(args: Sequence[str]) -> bool:
@@ -63,9 +63,9 @@ def run_guarded(run: Callable[[], int], args: Sequence[str]) -> int:
         return code
     if interruption.since is not None:
         print("tiltcal: interrupted", file=sys.stderr)
-        return _INTERRUPTED
+        return INTERRUPTED
     print(f"tiltcal: {' or '.join(files)} cannot be read: {_ending(-code)}; the file is damaged", file=sys.stderr)
-    return _FAILED
+    return InputError.exit_code
 
 
 def _guarded(args: Sequence[str]) -> list[str]:

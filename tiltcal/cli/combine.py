@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from tiltcal.cli import options
 from tiltcal.files.atomic import check_writable
 
 
@@ -18,7 +19,7 @@ from tiltcal.files.atomic import check_writable
     help="How the sensor sits, such as roll=180 for upside down (pitch=, yaw=): roll first, then pitch, then yaw. It "
     "replaces the mounting of every CALIBRATION and counts as exact; one CALIBRATION alone is enough with it.",
 )
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The calibration file to write.")
+@options.file_option("-o", "--output", required=True, help="The calibration file to write.")
 def command(calibrations: tuple[Path, ...], mounting: str, output: Path) -> None:
     """Combine calibrations of one sensor from several sessions, each with its covariance.
 

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import click
 
+from tiltcal.cli import options
+
 
 @click.command(epilog="Example: tiltcal diff S-0042-spring.yaml S-0042-autumn.yaml")
 @click.argument("before", type=click.Path(path_type=Path))
 @click.argument("after", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
+@options.as_json
 def command(before: Path, after: Path, as_json: bool) -> None:
     """Compare two calibrations of one sensor against their uncertainty.
 

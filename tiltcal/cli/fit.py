@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from tiltcal.cli import options
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import check_writable
 
@@ -27,9 +28,8 @@ Examples:
 @click.command(epilog=_EXAMPLES)
 @click.argument("procedure")
 @click.argument("log", type=click.Path(path_type=Path))
-@click.option(
+@options.file_option(
     "--segments",
-    type=click.Path(path_type=Path),
     help="The rows of each position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz if the "
     "position is not one of the procedure. Without it, PROCEDURE free finds the static intervals.",
 )
@@ -48,32 +48,15 @@ Examples:
 @click.option("--unit", help="The unit of the readings, such as m/s2, V or count.")
 @click.option("--serial", help="The sensor's serial number, for the calibration file [that of --base].")
 @click.option("--sensor", metavar="MODEL", help="The model of the sensor, if it is one of `tiltcal devices`.")
-@click.option(
-    "--jig",
-    type=click.FloatRange(0.0),
-    metavar="DEGREES",
-    help="Standard uncertainty of a set angle; without it, it is estimated from the residuals.",
-)
-@click.option(
+@options.jig
+@options.at_least_zero(
     "--thermometer",
-    type=click.FloatRange(0.0),
     metavar="CELSIUS",
     help="Standard uncertainty of a temperature; without it, that of the step of the --sensor's own thermometer.",
 )
-@click.option(
-    "--table-lean",
-    type=click.FloatRange(0.0),
-    metavar="DEGREES",
-    help="Standard uncertainty of the lean of the table that all positions share.",
-)
-@click.option(
-    "--heading-uncertainty",
-    "heading",
-    type=click.FloatRange(0.0),
-    metavar="DEGREES",
-    help="Standard uncertainty of a heading.",
-)
-@click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
+@options.table_lean
+@options.heading
+@options.tilt
 @click.option(
     "--gravity",
     type=click.FloatRange(9.7, 9.9),
@@ -81,48 +64,15 @@ Examples:
     help="Local gravity: adds the sensitivity per m/s², and for readings in m/s2 the scale error.",
 )
 @click.option("--window", type=click.IntRange(4), metavar="ROWS", help="Shortest static interval that is found.")
-@click.option(
+@options.file_option(
     "--segments-out",
-    type=click.Path(path_type=Path),
     metavar="FILE",
     help="Write the static intervals that were found.",
 )
-@click.option(
-    "--alignment",
-    type=click.FloatRange(0.0),
-    metavar="DEGREES",
-    help="With level: by how much at most the sensor may sit askew since its calibration, about each axis [2]; 0 if it "
-    "was not unplugged.",
-)
-@click.option(
-    "--base",
-    type=click.Path(path_type=Path),
-    metavar="CAL",
-    help="The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, "
-    "and procedures that determine no sensitivity use its own.",
-)
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The calibration file to write.")
-def command(
-    procedure: str,
-    log: Path,
-    segments: Path | None,
-    table: bool,
-    columns: str,
-    unit: str | None,
-    serial: str | None,
-    sensor: str | None,
-    jig: float | None,
-    thermometer: float | None,
-    table_lean: float | None,
-    heading: float | None,
-    tilt: float | None,
-    gravity: float | None,
-    window: int | None,
-    segments_out: Path | None,
-    alignment: float | None,
-    base: Path | None,
-    output: Path,
-) -> None:
+@options.alignment
+@options.file_option("--base", metavar="CAL", help=options.BASE)
+@options.file_option("-o", "--output", required=True, help="The calibration file to write.")
+def command(procedure: str, log: Path, segments_out: Path | None, output: Path, **settings: Any) -> None:
     """Calibrate from a recorded LOG (CSV, Parquet or NetCDF-4) and its segments, by the positions of PROCEDURE.
 
     PROCEDURE free needs no known positions: a three-axis sensor is held still in twelve or more attitudes, and gravity
@@ -134,32 +84,13 @@ def command(
     from tiltcal.files.procedure import find_procedure
     from tiltcal.logs.fit import FOUND_ONLY, fit
 
-    determines = find_procedure(procedure, tilt).determines
-    if segments_out is not None and (not determines.free or table or segments is not None):
+    determines = find_procedure(procedure, settings["tilt"]).determines
+    if segments_out is not None and (not determines.free or settings["table"] or settings["segments"] is not None):
         raise UsageError(FOUND_ONLY)
     for path in filter(None, (output, segments_out)):
         check_writable(path)
     with progress_bar("fit") as progress:
-        calibration = fit(
-            *(procedure, log),
-            serial=serial,
-            unit=unit,
-            sensor=sensor,
-            segments=segments,
-            table=table,
-            columns=columns,
-            jig=jig,
-            thermometer=thermometer,
-            table_lean=table_lean,
-            heading=heading,
-            tilt=tilt,
-            gravity=gravity,
-            window=window,
-            alignment=alignment,
-            base=base,
-            say=lambda line: click.echo(line, err=True),
-            progress=progress,
-        )
+        calibration = fit(procedure, log, say=lambda line: click.echo(line, err=True), progress=progress, **settings)
     calibration.save(output)
     if segments_out is not None:
         _write_segments(segments_out, calibration)

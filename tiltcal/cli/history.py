@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from tiltcal.cli import options
 from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ Examples:
 @click.command(epilog=_EXAMPLE)
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.option("--interval", default="365d", metavar="DAYS", help="Time from one calibration to the next [365d].")
-@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
+@options.as_json
 def command(folder: Path, interval: str, as_json: bool) -> None:
     """Show the calibrations of all sensors in a folder, what changed, and when the next one is due.
 

@@ -9,7 +9,7 @@ from importlib import import_module
 import click
 
 from tiltcal import __version__
-from tiltcal.errors import TiltcalError, UsageError
+from tiltcal.errors import INTERRUPTED, TiltcalError, UsageError
 
 COMMANDS = {
     "devices": "list the sensor models, their addresses and the limits of their twins",
@@ -32,8 +32,6 @@ COMMANDS = {
     "demo": "measure, calibrate, apply and report on the virtual bench",
 }
 """Every command with its one line of help, so that ``tiltcal --help`` imports none of them."""
-
-INTERRUPTED = 130
 
 
 class Commands(click.Group):

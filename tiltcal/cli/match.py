@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tiltcal.cli import options
 from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
@@ -49,14 +50,13 @@ Examples:
     "--loops", is_flag=True, help="With --online: p and q from the two PID loops instead of the recursive estimator."
 )
 @click.option("--skip-bad-rows", is_flag=True, help="Leave out rows that cannot be parsed, instead of an error.")
-@click.option(
+@options.file_option(
     "--figure",
-    type=click.Path(path_type=Path),
     metavar="SVG",
     help="Draw the spectra of the first pair before and after, and with --online the course of the estimates.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAIR.yaml", help="The pair file to write.")
+@options.as_json
+@options.file_option("-o", "--output", metavar="PAIR.yaml", help="The pair file to write.")
 def command(
     log: str,
     pairs: tuple[str, ...],

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import click
 
-from tiltcal.errors import UsageError
-
-INTERRUPTED = 130
+from tiltcal.cli import options
+from tiltcal.errors import INTERRUPTED, UsageError
 
 _EXAMPLES = """\b
 Examples:
@@ -27,17 +26,15 @@ Examples:
 @click.option("--sensor", metavar="MODEL", help="The model of the sensor; for a LOG it gives unit and sensitivity.")
 @click.option("--address", help="Its address, to record it now instead of reading a LOG.")
 @click.option("--samples", type=click.IntRange(2), help="Number of samples to record.")
-@click.option("--for", "seconds", type=click.FloatRange(0.0, min_open=True), metavar="SECONDS", help="Time to record.")
-@click.option(
+@options.above_zero("--for", "seconds", metavar="SECONDS", help="Time to record.")
+@options.above_zero(
     "--rate",
-    type=click.FloatRange(0.0, min_open=True),
     metavar="HZ",
     help="Samples per second: of the recording [the rate of the sensor], or of a LOG [from its column time].",
 )
-@click.option(
+@options.file_option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
     metavar="LOG",
     help="Keep the recording: CSV, or Parquet by its name.",
 )
@@ -48,9 +45,8 @@ Examples:
     help="The column of each reading of LOG [x, y, z, if present] and of time; a number without a header.",
 )
 @click.option("--skip-bad-rows", is_flag=True, help="Count rows of LOG that cannot be parsed as missing.")
-@click.option(
+@options.file_option(
     "--calibration",
-    type=click.Path(path_type=Path),
     metavar="CAL.yaml",
     help="The calibration of the sensor, for results in g and °.",
 )
@@ -60,20 +56,18 @@ Examples:
 @click.option(
     "--averages", metavar="N,...", default="", help="Additional sizes of averages for the table, beside 1, 10, 100."
 )
-@click.option(
+@options.above_zero(
     "--target",
-    type=click.FloatRange(0.0, min_open=True),
     metavar="DEGREES",
     help="Standard uncertainty that the mean of a position must have.",
 )
-@click.option(
+@options.above_zero(
     "--target-range",
-    type=click.FloatRange(0.0, min_open=True),
     metavar="DEGREES",
     help="Range that 100 such means must have, as the ADXL202 paper judges: 5.02 times their standard uncertainty.",
 )
-@click.option("--figure", type=click.Path(path_type=Path), metavar="SVG", help="Draw the Allan deviation.")
-@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
+@options.file_option("--figure", metavar="SVG", help="Draw the Allan deviation.")
+@options.as_json
 def command(
     log: str | None,
     sensor: str | None,

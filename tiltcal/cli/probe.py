@@ -7,12 +7,11 @@ import json
 import click
 
 from tiltcal.bench.measure import open_sensor
+from tiltcal.cli import options
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import SelfTesting
-from tiltcal.errors import UsageError
-
-JUDGED_FAILING = 1
+from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 
 
 @click.command(epilog="Example: tiltcal probe --sensor sca100t-d02 --address spi:///dev/spidev0.0 --self-test")
@@ -21,7 +20,7 @@ JUDGED_FAILING = 1
     "--address", required=True, help="Its address, such as spi:///dev/spidev0.0, or sim: for its virtual twin."
 )
 @click.option("--self-test", "self_test", is_flag=True, help="Start the self-test of the part; lay it level and still.")
-@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
+@options.as_json
 def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
     """Test the connection of a sensor, and print its answer.
 
@@ -45,4 +44,4 @@ def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
             click.echo(f"  {name:<12} {value}")
         for channel, test in tests.items():
             click.echo(f"  self-test {channel}  {'passed' if test.passed else 'FAILED'}: {test}")
-    return 0 if passed else JUDGED_FAILING
+    return 0 if passed else NEGATIVE_VERDICT

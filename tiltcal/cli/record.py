@@ -7,30 +7,24 @@ from pathlib import Path
 import click
 
 from tiltcal.bench.session_plan import single
+from tiltcal.cli import options
 from tiltcal.cli.recording import capture
-from tiltcal.errors import UsageError
+from tiltcal.errors import INTERRUPTED, UsageError
 from tiltcal.files.bench import read_bench
-
-INTERRUPTED = 130
 
 
 @click.command(epilog="Example: tiltcal record --bench bench.yaml --rate 10 -o night.csv")
-@click.option("--bench", type=click.Path(path_type=Path), metavar="FILE", help="Record the sensors of a bench file.")
+@options.file_option("--bench", metavar="FILE", help="Record the sensors of a bench file.")
 @click.option("--sensor", metavar="MODEL", help="The model of a single sensor.")
 @click.option("--address", help="Its address.")
-@click.option(
+@options.above_zero(
     "--rate",
-    type=click.FloatRange(0.0, min_open=True),
     metavar="HZ",
     help="Rows per second [the rate of the slowest sensor].",
 )
 @click.option("--rows", type=click.IntRange(1), help="Stop after this number of rows.")
-@click.option(
-    "--for", "seconds", type=click.FloatRange(0.0, min_open=True), metavar="SECONDS", help="Stop after this time."
-)
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), help="The log to write: .csv or .parquet."
-)
+@options.above_zero("--for", "seconds", metavar="SECONDS", help="Stop after this time.")
+@options.file_option("-o", "--output", required=True, help="The log to write: .csv or .parquet.")
 def command(
     bench: Path | None,
     sensor: str | None,

@@ -8,19 +8,16 @@ from pathlib import Path
 import click
 
 from tiltcal.bench.session import Session
-from tiltcal.cli.session_options import remark
-from tiltcal.errors import JournalError, UsageError
+from tiltcal.cli import options
+from tiltcal.errors import NEGATIVE_VERDICT, JournalError, UsageError
 from tiltcal.files.atomic import check_writable, whole_file, write_whole
-
-JUDGED_FAILING = 1
 
 
 @click.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")
 @click.argument("journal", type=click.Path(path_type=Path))
-@click.option(
+@options.file_option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
     help="The calibration file to write [standard output]; for several sensors a folder.",
 )
 @click.option(
@@ -28,15 +25,14 @@ JUDGED_FAILING = 1
     type=click.Path(path_type=Path, exists=True),
     help="Compare with this calibration file or folder, byte for byte; exit code 1 if they differ.",
 )
-@click.option(
+@options.file_option(
     "--samples",
-    type=click.Path(path_type=Path),
     metavar="LOG",
     help="Write every sample of the session as a CSV log, including settling and refused ones.",
 )
 def command(journal: Path, output: Path | None, golden: Path | None, samples: Path | None) -> int:
     """Repeat a recorded session without hardware, and make the same calibration file, byte for byte."""
-    session = Session.of_journal(journal, remark)
+    session = Session.of_journal(journal, options.remark)
     before = session.journal
     if before is not None and before.end is None:
         raise JournalError(
@@ -53,7 +49,7 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
         for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
             if not path.is_file() or text.encode() != path.read_bytes():
                 click.echo(f"{journal} does not give {path}", err=True)
-                return JUDGED_FAILING
+                return NEGATIVE_VERDICT
             click.echo(f"{journal} gives {path} to the byte", err=True)
     if output is not None:
         for path, text in zip(_targets(output, list(texts)), texts.values(), strict=True):

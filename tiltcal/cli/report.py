@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from tiltcal.cli import options
 from tiltcal.errors import EstimateError, UsageError
 
 if TYPE_CHECKING:
@@ -30,9 +31,7 @@ _CALIBRATIONS = (".yaml", ".yml")
 
 @click.command(epilog=_EXAMPLES)
 @click.argument("files", nargs=-1, required=True, metavar="CAL.yaml [LOG]...")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="REPORT.html", help="The page to write."
-)
+@options.file_option("-o", "--output", required=True, metavar="REPORT.html", help="The page to write.")
 @click.option(
     "--columns",
     default="",

@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, cast
 
 import click
 
-from tiltcal.cli.session_options import LEADERS, left_at_default, remark
-from tiltcal.errors import UsageError
+from tiltcal.cli import options
+from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure import find_procedure
 
 if TYPE_CHECKING:
     from tiltcal.bench.operators.operator import PositionOperator
-
-JUDGED_FAILING = 1
 
 
 @click.command(epilog="Example: tiltcal verify S-0042.yaml --address spi:///dev/spidev0.0 --limit 0.3")
@@ -33,24 +31,21 @@ JUDGED_FAILING = 1
     metavar="DEGREES",
     help="The largest tilt error that passes.",
 )
-@click.option(
+@options.degrees(
     "--jig",
-    type=click.FloatRange(0.0),
-    metavar="DEGREES",
     help="Standard uncertainty of a set angle. Not stated, the positions count as exact.",
 )
-@click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
-@click.option("--operator", type=LEADERS, default="terminal", show_default=True, help="Who sets the positions.")
-@click.option("--samples", type=click.IntRange(2), help="Samples per position; overrides the procedure.")
-@click.option(
+@options.tilt
+@click.option("--operator", type=options.LEADERS, default="terminal", show_default=True, help="Who sets the positions.")
+@options.samples
+@options.above_zero(
     "--settle",
-    type=click.FloatRange(0.0, min_open=True),
     metavar="SECONDS",
     help="How long a reading must be still; overrides the procedure.",
 )
-@click.option("--journal", type=click.Path(path_type=Path), help="The journal of the session [beside the calibration].")
-@click.option("--resume", type=click.Path(path_type=Path), metavar="JOURNAL", help="Continue an interrupted session.")
-@click.option("--plain", is_flag=True, help="Plain lines: no live reading, no single keys.")
+@options.file_option("--journal", help="The journal of the session [beside the calibration].")
+@options.resume
+@options.plain
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session.")
 def command(
     calibration: Path,
@@ -81,12 +76,12 @@ def command(
 
     judged = read_calibration(calibration)
     if resume is not None:
-        session = Session.of_journal(resume, remark)
-        operator = session.plan.lead if left_at_default("operator") else operator
+        session = Session.of_journal(resume, options.remark)
+        operator = session.plan.lead if options.left_at_default("operator") else operator
     elif address is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
     else:
-        path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), remark)
+        path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), options.remark)
         bench = single(judged.sensor.model, judged.sensor.serial, address, jig)
         steps = find_procedure(procedure, tilt)
         if steps.determines.free:
@@ -95,12 +90,12 @@ def command(
         session = Session(plan_session(steps, bench, [None], path, lead=operator, samples=samples, settle=settle), path)
     session.preflight()
     with (
-        session.resumable(f"verify {calibration}", remark),
-        open_operator(operator, turns=False, virtual=session.plan.virtual, say=remark, plain=plain) as leader,
+        session.resumable(f"verify {calibration}", options.remark),
+        open_operator(operator, turns=False, virtual=session.plan.virtual, say=options.remark, plain=plain) as leader,
     ):
         found = session.verify(cast("PositionOperator", leader), judged, limit)
         leader.done([], session.path)
     if found.jig is None:
-        remark("no --jig is stated: the positions count as exact")
+        options.remark("no --jig is stated: the positions count as exact")
     click.echo(json.dumps(found.as_data(), ensure_ascii=False) if as_json else str(found))
-    return 0 if found.verdict == PASSED else JUDGED_FAILING
+    return 0 if found.verdict == PASSED else NEGATIVE_VERDICT

@@ -1,0 +1,35 @@
+"""The options of a command reach the library under the library's own names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from inspect import signature
+from typing import Any
+
+import click
+import pytest
+
+from tiltcal.bench.measure import measure
+from tiltcal.bench.plan import plan
+from tiltcal.cli.main import group
+from tiltcal.logs.fit import fit
+from tiltcal.logs.prepared_calibration import ApplyOptions
+
+
+@pytest.mark.parametrize(
+    ("command", "function", "own"),
+    [
+        ("measure", measure, "operator"),
+        ("plan", plan, "as_json"),
+        ("fit", fit, "log segments_out output"),
+        ("apply", ApplyOptions, "files calibrations output columns skip_bad_rows jobs force scheduler as_json"),
+    ],
+)
+def test_every_option_but_a_command_s_own_is_a_parameter_of_the_library(
+    command: str, function: Callable[..., Any], own: str
+) -> None:
+    found = group.get_command(click.Context(group), command)
+    assert found is not None
+    options = {str(one.name) for one in found.params}
+    assert set(own.split()) < options
+    assert options - set(own.split()) <= set(signature(function).parameters)

@@ -1,0 +1,65 @@
+"""The options that several commands have, and the remarks of a session."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+Option = Callable[[Any], Any]
+"""What adds an option to a command."""
+
+FILE = click.Path(path_type=Path)
+LEADERS = click.Choice(["terminal", "json", "sim"])
+
+BASE = (
+    "The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, and "
+    "procedures that determine no sensitivity use its own."
+)
+
+
+def at_least_zero(*names: str, metavar: str | None = None, help: str) -> Option:
+    """Return an option that takes a number from 0."""
+    return click.option(*names, type=click.FloatRange(0.0), metavar=metavar, help=help)
+
+
+def above_zero(*names: str, metavar: str | None = None, help: str) -> Option:
+    """Return an option that takes a number above 0."""
+    return click.option(*names, type=click.FloatRange(0.0, min_open=True), metavar=metavar, help=help)
+
+
+def file_option(*names: str, metavar: str | None = None, help: str, required: bool = False) -> Option:
+    """Return an option that takes a path."""
+    return click.option(*names, type=FILE, metavar=metavar, help=help, required=required)
+
+
+degrees = partial(at_least_zero, metavar="DEGREES")
+"""Return an option that takes an angle, degrees."""
+
+jig = degrees("--jig", help="Standard uncertainty of a set angle; without it, it is estimated from the residuals.")
+table_lean = degrees("--table-lean", help="Standard uncertainty of the lean of the table that all positions share.")
+heading = degrees("--heading-uncertainty", "heading", help="Standard uncertainty of a heading.")
+alignment = degrees(
+    "--alignment",
+    help="With level: by how much at most the sensor may sit askew since its calibration, about each axis [2]; 0 if it "
+    "was not unplugged.",
+)
+tilt = click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
+samples = click.option("--samples", type=click.IntRange(2), help="Samples per position; overrides the procedure.")
+resume = file_option("--resume", metavar="JOURNAL", help="Continue an interrupted session.")
+plain = click.option("--plain", is_flag=True, help="Plain lines: no live reading, no single keys.")
+as_json = click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
+
+
+def left_at_default(option: str) -> bool:
+    """Return whether an option is not on the command line."""
+    context = click.get_current_context()
+    return context.get_parameter_source(option) is click.core.ParameterSource.DEFAULT
+
+
+def remark(line: str) -> None:
+    """Print a remark on the session; control characters, which could be escape sequences, become question marks."""
+    click.echo("".join(one if one.isprintable() or one == "\n" else "?" for one in line), err=True)
