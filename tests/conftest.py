@@ -19,8 +19,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# The same examples on every run, so that a change is judged and not the draw; HYPOTHESIS_PROFILE=explore draws anew.
-settings.register_profile("repeatable", derandomize=True, deadline=None)
+# The same examples on every run, so that a change is judged and not the draw; HYPOTHESIS_PROFILE=explore draws more,
+# and anew.
+settings.register_profile("repeatable", max_examples=50, derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 

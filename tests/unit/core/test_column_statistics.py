@@ -25,7 +25,7 @@ def overview_of(
 
 
 @given(st.integers(1, 9000), st.lists(st.integers(0, 9000), max_size=6), st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
+@settings(max_examples=15)
 def test_envelopes_and_flags_in_any_blocks(rows: int, cuts: list[int], seed: int) -> None:
     draw = np.random.default_rng(seed)
     time, angles = np.cumsum(draw.uniform(0.1, 2.0, rows)), draw.uniform(-90.0, 90.0, (rows, 2))

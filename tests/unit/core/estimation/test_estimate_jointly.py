@@ -42,7 +42,7 @@ def test_the_mean_square_error_is_the_cramer_rao_bounds(jig, count, sensors, cal
 def test_the_simpler_ways_are_far_from_it() -> None:
     """With hand-placed faces and edges, least squares wastes nine tenths of what the readings say of the offsets."""
     ratio = simulate(
-        Regime(0.5, 18, 1, noise=5e-4), 40, seed=6, methods=("joint", "jig not stated", "least squares", "six faces")
+        Regime(0.5, 18, 1, noise=5e-4), 24, seed=6, methods=("joint", "jig not stated", "least squares", "six faces")
     ).ratio
     assert ratio["least squares"]["offset"] < 0.1
     assert ratio["six faces"]["offset"] < 0.6
@@ -205,7 +205,7 @@ class TestTable:
 
     def test_the_residuals_of_a_reversal_say_how_good_its_jig_was(self) -> None:
         """Where it is not stated: the offsets are in 95 % of the intervals, which are not much wider than needed."""
-        offset, sessions = self.reversals(0.05, 300)
+        offset, sessions = self.reversals(0.05, 120)
         found = [estimate(one, self.design(None)) for one in sessions]
         own = [0, 3]
         errors = np.array([one.coefficients.offset - offset for one in found])

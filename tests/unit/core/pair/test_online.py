@@ -64,7 +64,7 @@ class TestLaboratoryRecord:
     def test_1_over_f_noise_counts_with_what_it_has_at_the_turning(self) -> None:
         """With its corner at 0.1 Hz; the formula for white noise covers 87 %."""
         covered = []
-        for seed in range(30):
+        for seed in range(16):
             taken = disk.record(seconds=240, rate=5, corner=0.1, noise=3e-3, seed=seed)
             found = pushed(taken)[0].recursive
             covered += [abs(found.p - TRUTH[0]) < 1.96 * found.u_p, abs(found.q - TRUTH[1]) < 1.96 * found.u_q]
