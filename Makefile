@@ -16,17 +16,18 @@ ifneq ($(shell cat $(STAMP) 2>/dev/null),$(shell $(IDENTIFY) 2>/dev/null))
 .PHONY: $(STAMP)
 endif
 
-.PHONY: help demo test check bench fixtures reference firmware clean
+.PHONY: help demo test test-kernel check bench fixtures reference firmware clean
 
 help:
-	@echo "make demo       calibrate a virtual sensor, show what that does to a recorded log, and write its report"
-	@echo "make test       run the tests"
-	@echo "make check      lint, types, layers, and what the wheel holds"
-	@echo "make bench      measure how fast it is, beside polars and others; benchmarks/README.md has the long ones"
-	@echo "make fixtures   make the recorded sessions and golden files of the tests anew"
-	@echo "make reference  write the generated pages of docs/reference anew"
-	@echo "make firmware   build the firmware for the ADXL202's microcontroller (firmware/build/adxl202.hex)"
-	@echo "make clean      remove all that make has made"
+	@echo "make demo         calibrate a virtual sensor, show what that does to a recorded log, and write its report"
+	@echo "make test         run the tests"
+	@echo "make test-kernel  run the GPIO driver on Debian's kernel in QEMU, with simulated lines"
+	@echo "make check        lint, types, layers, and what the wheel holds"
+	@echo "make bench        measure how fast it is, beside polars and others; benchmarks/README.md has the long ones"
+	@echo "make fixtures     make the recorded sessions and golden files of the tests anew"
+	@echo "make reference    write the generated pages of docs/reference anew"
+	@echo "make firmware     build the firmware for the ADXL202's microcontroller (firmware/build/adxl202.hex)"
+	@echo "make clean        remove all that make has made"
 
 demo: $(STAMP)
 	@$(VENV)/bin/tiltcal demo demo
@@ -36,6 +37,9 @@ demo: $(STAMP)
 test: $(STAMP)
 	@PYTHONDONTWRITEBYTECODE= $(RUN) -m pytest --dist worksteal \
 		-n $$($(RUN) -c 'import os; print(min((os.cpu_count() or 1) + 1, 5))')
+
+test-kernel: $(STAMP)
+	@tests/kernel/run
 
 check: $(STAMP)
 	@$(RUN) -m ruff check .
@@ -62,7 +66,7 @@ firmware:
 	@$(MAKE) --no-print-directory -C firmware
 
 clean:
-	rm -rf firmware/build
+	rm -rf firmware/build tests/kernel/build
 	rm -rf $(VENV) build dist demo tiltcal.egg-info .benchmarks .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find tiltcal/ drivers procedures tests fixtures benchmarks docs -name __pycache__ -prune -exec rm -rf {} +
 
