@@ -20,7 +20,7 @@ from tiltcal.core.ramp.fit import RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
-from tiltcal.core.thermal_lag import SMOOTHING
+from tiltcal.core.thermal_lag import SMOOTHING, ThermalLag
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
@@ -60,10 +60,11 @@ def calibrate_ramp(
     if sensor.ramp is None:
         raise EstimateError(f"{procedure.name} takes a continuous record, and there is none of {sensor.sensor.serial}")
     record, attitude = sensor.ramp, sensor.measurements[0]
-    temperatures = (round(float(record.temperature.min()), 3), round(float(record.temperature.max()), 3))
-    reference = _reference(temperatures, procedure)
+    reference = _reference(_range(record.temperature), procedure)
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
     fit = fit_ramp(record, reference=reference, highest=procedure.determines.drift)
+    # The turns of the temperature are not reached by an element that follows them.
+    temperatures = _range(ThermalLag(fit.lag)(record.time, record.temperature))
     design = replace(design, drift=fit.order, reference=reference)
     groups = _groups(fit, record, attitude)
     found = _estimate(fit, design, np.array(attitude.gravity), temperatures, groups, bench)
@@ -115,6 +116,10 @@ def _require_attitude(found: CalibrationRecord, sensor: MeasuredSensor) -> None:
                 f"{channel} reads {off:.2g} g away from what the base calibration expects in the attitude of the "
                 "procedure: state the true one with --segments (position,start,end,gx,gy,gz)"
             )
+
+
+def _range(temperatures: Array) -> tuple[float, float]:
+    return round(float(temperatures.min()), 3), round(float(temperatures.max()), 3)
 
 
 def _reference(temperatures: tuple[float, float], procedure: Procedure) -> float:

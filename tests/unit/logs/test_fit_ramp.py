@@ -60,6 +60,12 @@ def test_the_curve_is_that_of_the_sensor(calibration):
     assert calibration.uncertainty["temperature.offset.y.1"] < 0.01
 
 
+def test_the_calibrated_range_is_what_the_element_reached(calibration):
+    """At 1 °C/min it is 2 °C behind; it turns 120 s ln 2 later than the chamber, 2 °C ln 2 below its turn."""
+    low, high = calibration.limits.temperature
+    assert (low, high) == (pytest.approx(5.0, abs=0.01), pytest.approx(45.0 - 2.0 * np.log(2.0), abs=0.05))
+
+
 def test_apply_takes_the_loop_out_of_the_log(calibration, record):
     """The tilt of the level sensor: within 0.1° everywhere, where the thermometer alone leaves 4 °C, or 0.8°."""
     columns = {"time": "seconds"}

@@ -14,7 +14,7 @@ predicts each of them better, and where hysteresis without time does not explain
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.core.ramp.loops import Loops, error_of_play, loops
-from tiltcal.core.ramp.means import FittedMeans
+from tiltcal.core.ramp.means import BLOCKS, SMOOTHING, FittedMeans
 from tiltcal.core.ramp.noise import noise_covariance
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
+from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
 
 LEG_LAGS = 4.0
@@ -39,6 +40,7 @@ RESOLVED = 2.0
 WORSE = 0.02
 """Part by which the mean square error of a channel may grow on a leg without anyone seeing it."""
 
+_SHARES = (0.1, 0.2, 0.3, 0.4, 0.5)
 _LAGS, _STEPS, _CONVERGED = 14, 8, 0.01
 
 
@@ -156,6 +158,8 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     )
     order = lagged if used else polynomial
     lag, coefficients, covariance = _estimate(means, told if used else 0.0, order, with_lag=used)
+    if used:
+        covariance = covariance + _of_a_second_lag(record, legs, found, scale, reference)
     left = loops(means, lag, coefficients.T)
     plain = _solve(means, everything, lagged, none, scale)
     explained = loops(means, 0.0, plain.coefficients).explained_by(loops(means, found.lag, found.coefficients))
@@ -267,6 +271,31 @@ def _estimate(means: FittedMeans, lag: float, order: int, *, with_lag: bool) -> 
         if abs(change[-1]) < _CONVERGED * sqrt(covariance[-1, -1]):
             break
     return lag, np.asarray(coefficients.T), covariance
+
+
+def _of_a_second_lag(record: RampRecord, legs: list[Leg], found: _Solution, scale: Array, reference: float) -> Array:
+    """Return what the covariance gains because the lag may be two in series, of which the second has a part of it.
+
+    One lag follows the turns of two badly, and the polynomial takes on what it leaves. So each part counts as far as it
+    moves the coefficients, with the weight that its likelihood gives it; one lag alone has half of the prior weight.
+    """
+    size = len(found.coefficients) * found.coefficients.shape[1]
+    solutions = []
+    for share in _SHARES:
+        filtered = ThermalLag(share * found.lag, SMOOTHING)(record.time, record.temperature)
+        means = FittedMeans(replace(record, temperature=filtered), legs, reference)
+        lags = found.lag * (np.linspace(0.7, 1.3, 7) - share)
+        solutions.append(_solve(means, np.ones(len(means), dtype=bool), len(found.coefficients) - 1, lags, scale))
+    errors = np.array([found.error, *(one.error for one in solutions)])
+    variance = errors.min() / (BLOCKS * found.coefficients.shape[1])
+    weights = np.array([1.0, *(1.0 / len(_SHARES) for _ in _SHARES)]) * np.exp(
+        (errors.min() - errors) / (2.0 * variance)
+    )
+    gained = np.zeros((size + 1, size + 1))
+    for weight, one in zip(weights[1:] / weights.sum(), solutions, strict=True):
+        apart = np.array([*(one.coefficients - found.coefficients).T.ravel(), 0.0])
+        gained += weight * np.outer(apart, apart)
+    return gained
 
 
 def _require_told(legs: list[Leg], lag: float, u: float) -> None:

@@ -116,6 +116,23 @@ def test_the_uncertainty_covers_the_curve(lag, wander):
     assert np.mean(inside) > 0.8
 
 
+def test_two_lags_in_series_are_in_the_uncertainty():
+    """150 s behind 60 s: one lag follows the turns badly, which moved the curve by nine of its uncertainties."""
+    seconds = np.linspace(0.0, 4 * 2400.0, 2400)
+    found = solve_ivp(
+        lambda t, e: [(chamber(t, 1.0) - e[0]) / 60.0, (e[0] - e[1]) / 150.0],
+        (0.0, seconds[-1]),
+        [LOW, LOW],
+        t_eval=seconds,
+        max_step=30.0,
+    )
+    readings = read(found.y[1]) + 0.5 * np.random.default_rng(5).normal(size=(2400, 2))
+    fit = fit_ramp(recorded(seconds, chamber(seconds, 1.0), readings), reference=REFERENCE)
+    assert fit.lag == pytest.approx(210.0, rel=0.05)
+    error = np.abs(curve_error(fit.coefficients))[:, 1:-1]
+    assert all(np.all(error[c] < 2.5 * u_of_curve(fit, c)[1:-1]) for c in (0, 1))
+
+
 def test_the_legs_are_told_by_the_turns_of_the_temperature():
     legs = legs_of(made(2.0, legs=3))
     assert [leg.way for leg in legs] == ["up", "down", "up"]
