@@ -59,7 +59,6 @@ class AnalogPart:
 
     Attributes
     ----------
-    title : str
     digital : Model
         The same part at its digital port, with the same tolerances.
     share_per_g : float
@@ -99,10 +98,8 @@ class WiredAnalog:
 
     Attributes
     ----------
-    front_end : FrontEnd
     numbers : tuple of int
         The inputs of x and y.
-    supply : Supply
     """
 
     front_end: FrontEnd

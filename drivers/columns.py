@@ -103,7 +103,6 @@ class ColumnsSensor:
 
     Parameters
     ----------
-    columns : ColumnLayout
     link : Link
         Serial.
     clock : Clock
@@ -173,7 +172,6 @@ def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
 
     Parameters
     ----------
-    address : Address
     default : str, optional
         The columns if the address names none; without it they are required.
 

@@ -66,7 +66,6 @@ class FrontEnd:
         Voltage at its reference pin, V, if it has one; a sensor with the same supply is then ratiometric.
     options : tuple of str
         Options of the address that belong to it.
-    spi : SpiPort or None
     driver : callable
         ``driver(link, clock)`` returns the :class:`Converter`.
     twin : callable
@@ -151,7 +150,6 @@ class Supply:
 
         Parameters
         ----------
-        converter : Converter
         numbers : sequence of int
             The inputs, in the order in which they are measured.
 
@@ -205,8 +203,6 @@ def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) 
 
     Parameters
     ----------
-    address : Address
-    front_end : FrontEnd
     low, high : float
         Allowed supply of the sensor, V.
 

@@ -108,7 +108,6 @@ class Population:
         Mean relative change of the sensitivity, likewise.
     drift_spread, gain_spread : float
         Standard deviation over parts of the slopes, unit/°C and 1/°C.
-    source : str
     """
 
     drift: tuple[float, ...]

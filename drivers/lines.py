@@ -52,7 +52,6 @@ class LineBuffer:
 
         Returns
         -------
-        line : bytes
         whole : bool
             False if its beginning may be missing.
 

@@ -70,12 +70,10 @@ class RegisterColumn:
 
     Attributes
     ----------
-    name : str
     first : int
         Register, counted from 0.
     code : str
         Of :mod:`struct`.
-    scale : float
     """
 
     name: str
@@ -95,7 +93,6 @@ class RegisterLayout:
 
     Attributes
     ----------
-    columns : tuple of RegisterColumn
     function : int
         Code that reads them.
     order : tuple of bool
@@ -149,7 +146,6 @@ class ModbusColumns:
 
     Parameters
     ----------
-    layout : RegisterLayout
     link : Link
         Modbus.
     clock : Clock
@@ -221,7 +217,6 @@ def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
 
     Parameters
     ----------
-    address : Address
     default : str, optional
         The columns where the address names none; without it they are required.
 

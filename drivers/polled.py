@@ -28,8 +28,6 @@ class PolledSensor(ABC):
 
     Parameters
     ----------
-    port : RegisterPort
-    clock : Clock
     name : str
         Of the part, for messages.
     rate : float

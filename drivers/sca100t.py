@@ -268,7 +268,6 @@ class Sca100tVariant:
 
     Attributes
     ----------
-    counts_per_g : float
     range : float
         Largest acceleration that is specified, g.
     offset_limit : float
@@ -315,7 +314,6 @@ def population(
         Mean offset in degrees and mean change of the sensitivity in %, coefficients of 1, T, T², ... with T in °C.
     spread : tuple of float
         Standard deviation over parts of the slopes, °/°C and %/°C.
-    source : str
     """
     return Population(
         drift=tuple(counts * radians(k) for k in drift),

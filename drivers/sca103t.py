@@ -97,15 +97,12 @@ class OneAxisPart:
 
     Attributes
     ----------
-    title : str
-    counts_per_g : float
     zero : float
         Nominal reading at 0 g, count.
     offset_limit : float
         As delivered, degrees.
     rails : tuple of float
         count.
-    population : Population
     """
 
     title: str

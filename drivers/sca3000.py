@@ -59,10 +59,8 @@ class Sca3000Part:
 
     Attributes
     ----------
-    counts_per_g : float
     rate : float
         Output data rate in normal mode, Hz.
-    thermometer : bool
     pointer_shift : int
         On I2C the register pointer is the address shifted left by this many bits.
     """
@@ -80,7 +78,6 @@ class Sca3000:
     ----------
     link : Link
         SPI or I2C, by its letter.
-    part : Sca3000Part
     """
 
     def __init__(self, link: Link, part: Sca3000Part) -> None:
@@ -206,9 +203,6 @@ class Entry:
 
     Attributes
     ----------
-    name, title : str
-    addresses : tuple of str
-    schemes : tuple of str
     part : Sca3000Part
         As far as it is known.
     any_range : bool

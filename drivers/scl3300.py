@@ -68,7 +68,6 @@ class MeasuringRange:
         Murata's number, 1 to 4.
     extent : str
         In words.
-    counts_per_g : float
     bandwidth : float
         -3 dB of the first-order filter, Hz.
     settling : float
@@ -106,7 +105,6 @@ class Scl3300Part:
         Largest offset of either sign, g.
     sensitivity_limit : float
         Largest relative error of the sensitivity.
-    source : str
     """
 
     name: str
@@ -128,8 +126,6 @@ class Scl3300:
     ----------
     link : Link
         SPI.
-    clock : Clock
-    part : Scl3300Part
     measuring : MeasuringRange
         The mode to set.
     """

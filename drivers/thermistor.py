@@ -99,7 +99,6 @@ class Divider:
 
     Attributes
     ----------
-    curve : Curve
     fixed : float
         Ω.
     grounded : bool
@@ -139,11 +138,8 @@ class WiredThermistor:
 
     Attributes
     ----------
-    front_end : FrontEnd
     number : int
         Its input.
-    divider : Divider
-    supply : Supply
     """
 
     front_end: FrontEnd

@@ -96,7 +96,6 @@ class SensorError(HardwareError):
     ----------
     serial : str
         Which one.
-    message : str
     """
 
     def __init__(self, serial: str, message: str) -> None:

@@ -82,7 +82,6 @@ class Address:
 
         Parameters
         ----------
-        name : str
         default : str, optional
             Value if the option is left out; without it the option is required.
 
@@ -103,7 +102,6 @@ class Address:
 
         Parameters
         ----------
-        name : str
         default : int, optional
             Value if the option is left out; without it the option is required.
         low, high : int, optional
@@ -130,7 +128,6 @@ class Address:
 
         Parameters
         ----------
-        name : str
         default : float, optional
             Value if the option is left out; without it the option is required.
         low, high : float, optional

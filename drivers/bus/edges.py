@@ -48,7 +48,6 @@ class Edge(NamedTuple):
         On the capturing clock.
     line : int
         0 is x, 1 is y.
-    rising : bool
     number : int
         Counts the edges of both lines in the order of capture.
     """

@@ -53,7 +53,6 @@ class VcdLink:
 
     Parameters
     ----------
-    path : str
     x, y : str
         Names of signals of one bit.
 

@@ -61,7 +61,6 @@ def sentences_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTw
 
     Parameters
     ----------
-    truth : Truth
     fixture : HeldPose
         Holds the sensor, in the sensor frame.
     clock : Clock
@@ -87,8 +86,6 @@ class EdgesTwin:
 
     Parameters
     ----------
-    truth : Truth
-    fixture : HeldPose
     clock : Clock
         Advances to the end of that period.
     """
@@ -131,7 +128,6 @@ def draw_truth(variant: Adxl202Variant, seed: int) -> Truth:
 
     Parameters
     ----------
-    variant : Adxl202Variant
     seed : int
         The same seed is the same part.
 

@@ -58,7 +58,6 @@ class Adxl355Registers(CountingUp):
 
     Parameters
     ----------
-    conversions : Conversions
     clock : Clock
         Session time.
     settings : Adxl355Settings

@@ -26,7 +26,6 @@ class Wiring(ABC):
 
     Parameters
     ----------
-    truth : Truth
     clock : Clock
         Session time; it numbers the noise.
     supply : Supply
@@ -84,10 +83,8 @@ class SensorWiring(Wiring):
         In V referred to a supply of 5 V.
     fixture : HeldPose
         Holds the sensor, in the sensor frame.
-    clock : Clock
     numbers : sequence of int
         The inputs of x and y.
-    supply : Supply
     """
 
     def __init__(
@@ -129,12 +126,10 @@ class ThermistorWiring(Wiring):
         Only its seed, supply, thermometer error and faults are used.
     fixture : HeldPose
         The chamber around it.
-    clock : Clock
     number : int
         Its input.
     divided : callable
         The output of its divider at a temperature in °C, as a share of the supply.
-    supply : Supply
     """
 
     def __init__(
@@ -166,7 +161,6 @@ def draw_truth(part: AnalogPart, seed: int) -> Truth:
 
     Parameters
     ----------
-    part : AnalogPart
     seed : int
         The same seed is the same part.
 

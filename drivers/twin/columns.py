@@ -27,8 +27,6 @@ def columns_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: 
 
     Parameters
     ----------
-    columns : ColumnLayout
-    truth : Truth
     fixture : HeldPose
         Holds the sensor, in the sensor frame.
     clock : Clock
@@ -58,7 +56,6 @@ def draw_truth(channels: tuple[str, ...], offset: float, sensitivity: float, see
 
     Parameters
     ----------
-    channels : tuple of str
     offset : float
         Nominal, unit.
     sensitivity : float

@@ -33,7 +33,6 @@ class Conversions:
 
     Parameters
     ----------
-    truth : Truth
     fixture : HeldPose
         Holds the sensor, in the sensor frame.
     clock : Clock
@@ -63,7 +62,6 @@ class Conversions:
 
         Parameters
         ----------
-        channel : str
         rate : float
             Conversions a second.
         low, high : int
@@ -118,7 +116,6 @@ class CountingUp:
 
     Parameters
     ----------
-    conversions : Conversions
     clock : Clock
         Session time.
     after_reset : mapping of int to int
@@ -172,7 +169,6 @@ class SpiTwin:
 
     Parameters
     ----------
-    registers : Registers
     clock : Clock
         Session time.
     decode : callable
@@ -230,7 +226,6 @@ class I2cTwin:
 
     Parameters
     ----------
-    registers : Registers
     clock : Clock
         Session time.
     decode : callable
@@ -320,7 +315,6 @@ def draw_truth(channels: tuple[str, ...], counts_per_g: float, spread: Spread, s
         Axes that it measures.
     counts_per_g : float
         Nominal.
-    spread : Spread
     seed : int
         The same seed is the same part.
     """

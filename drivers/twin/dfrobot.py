@@ -22,7 +22,6 @@ class DfrobotTwin:
 
     Parameters
     ----------
-    truth : Truth
     fixture : HeldPose
         Holds the module, in the sensor frame.
     clock : Clock

@@ -35,7 +35,6 @@ class Change:
 
     Attributes
     ----------
-    start_ns : int
     start, target : float
         °C.
     pace : float
@@ -160,7 +159,6 @@ class Pose:
 
     Parameters
     ----------
-    fixture : Fixture
     seen : callable
         Converts a vector of the fixture frame to the sensor frame.
     """

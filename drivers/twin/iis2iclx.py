@@ -45,7 +45,6 @@ class Iis2iclxRegisters(CountingUp):
 
     Parameters
     ----------
-    conversions : Conversions
     clock : Clock
         Session time.
     settings : Iis2iclxSettings

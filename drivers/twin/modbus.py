@@ -30,8 +30,6 @@ class ModbusTwin:
 
     Parameters
     ----------
-    layout : RegisterLayout
-    truth : Truth
     fixture : HeldPose
         Holds the sensor; its frame is the sensor's.
     clock : Clock

@@ -54,7 +54,6 @@ class Sca100tTwin:
 
     Parameters
     ----------
-    truth : Truth
     fixture : HeldPose
         Holds the sensor, in the sensor frame.
     clock : Clock
@@ -181,7 +180,6 @@ class Push:
 
     Attributes
     ----------
-    on : bool
     since_ns : int or None
         Time of the last switch; None if there was none.
     start : float
@@ -219,7 +217,6 @@ def draw_truth(variant: Sca100tVariant, seed: int) -> Truth:
 
     Parameters
     ----------
-    variant : Sca100tVariant
     seed : int
         The same seed is the same part.
 

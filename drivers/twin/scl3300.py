@@ -56,7 +56,6 @@ class Scl3300Twin:
         Holds the sensor, in the sensor frame.
     clock : Clock
         Session time; each frame lets it advance by its bits at 2 MHz.
-    part : Scl3300Part
     measuring : MeasuringRange
         What the driver is going to set; a session that is resumed finds it set.
     """

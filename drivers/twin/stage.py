@@ -41,7 +41,6 @@ def stage_twin(columns: ColumnLayout, truth: Truth, clock: Clock) -> StreamingTw
 
     Parameters
     ----------
-    columns : ColumnLayout
     truth : StageTruth
         During its fault ``stuck``, it repeats the first line of the fault.
     clock : Clock

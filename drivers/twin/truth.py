@@ -32,7 +32,6 @@ class Truth:
 
     Attributes
     ----------
-    channels : tuple of str
     offset : mapping of str to float
         Per channel, unit, at the reference temperature.
     sensitivity : mapping of str to mapping of str to float
@@ -53,10 +52,8 @@ class Truth:
         Supply of an analog sensor, V; its coefficients always refer to 5 V.
     mounting : tuple of float
         Rotation of the sensor on the fixture: roll, pitch, yaw, degrees.
-    seed : int
     jig, ambient, time_constant : float
         Of its fixture: see :class:`tiltcal.drivers.twin.fixture.Fixture`.
-    faults : tuple of Fault
     """
 
     channels: tuple[str, ...]
@@ -82,7 +79,6 @@ class Truth:
 
         Parameters
         ----------
-        channel : str
         gravity : tuple of float
             Up in the sensor frame, g.
         temperature : float

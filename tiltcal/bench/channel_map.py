@@ -66,7 +66,6 @@ def map_channels(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> Ch
 
     Parameters
     ----------
-    rotation : Rotation
     devices : sequence of (str, Model)
         Serial number and model as it is wired, in the order of the bench.
 

@@ -237,7 +237,6 @@ class RecordedLink:
 
     Parameters
     ----------
-    log : EventLog
     connect : callable
         Opens the real link; called when it is first needed.
     letter : str

@@ -36,7 +36,6 @@ class PlannedRotation:
 
     Attributes
     ----------
-    pairs : tuple of Pair
     turns : int
         The most turns of the stage.
     left_out : tuple of str

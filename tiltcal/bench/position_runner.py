@@ -44,11 +44,6 @@ class PositionRunner:
 
     Parameters
     ----------
-    plan : SessionPlan
-    sensors : SensorSet
-    operator : PositionOperator
-    log : EventLog
-    clock : RecordedClock
     fixture : Fixture or None
         The virtual jig, where the sensors are virtual.
     """

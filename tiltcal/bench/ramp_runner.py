@@ -36,7 +36,6 @@ class RampRunner(PositionRunner):
 
     Parameters
     ----------
-    ramp : Ramp
     plan, sensors, operator, log, clock, fixture
         As for :class:`PositionRunner`.
     """

@@ -33,7 +33,6 @@ class RecordingTally:
 
     Attributes
     ----------
-    rows : int
     missing : int
         Readings that could not be taken; their cells are empty.
     why : str
@@ -52,7 +51,6 @@ class CsvRecorder:
     ----------
     path : Path
         Made anew; an existing file is never touched.
-    header : sequence of str
     """
 
     def __init__(self, path: Path, header: Sequence[str]) -> None:
@@ -134,7 +132,6 @@ def sample_rows(
     ----------
     stream : BinaryIO
         Has the header at once.
-    connected : sequence of ConnectedSensor
     started : datetime
         UTC, when the session began.
     events : EventLog
@@ -168,9 +165,6 @@ def record(
 
     Parameters
     ----------
-    sensors : SensorSet
-    log : CsvRecorder
-    clock : Clock
     started : datetime
         UTC, when ``clock`` stood at zero.
     thermometer : bool

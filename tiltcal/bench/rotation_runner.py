@@ -43,7 +43,6 @@ class RotationResult:
 
     Attributes
     ----------
-    matchings : tuple of Matching
     turns : float
         That were used.
     seconds : float

@@ -38,7 +38,6 @@ class SampleBlock:
         Nanoseconds since the session began.
     theta : list of float
         Degrees.
-    readings : list of list of float
     """
 
     times: list[int] = field(default_factory=list)
@@ -51,7 +50,6 @@ class SampleSpan:
 
     Attributes
     ----------
-    samples : int
     turns, seconds : float
         Gaps are not counted.
     """
@@ -98,7 +96,6 @@ class RotationSamples:
 
     Parameters
     ----------
-    pairs : sequence of Pair
     channels : sequence of str
         Of the readings, in their order.
 

@@ -122,8 +122,6 @@ def require_living(
 
     Parameters
     ----------
-    sensor : ConnectedSensor
-    result : PositionResult
     accepted : sequence of PositionResult
         The positions before.
     last : bool

@@ -61,7 +61,6 @@ class SensorSet:
 
     Parameters
     ----------
-    connected : sequence of ConnectedSensor
     thermometer : Sensor, optional
         Its temperature stands for that of every sensor.
 
@@ -210,8 +209,6 @@ def connected(
 
     Parameters
     ----------
-    sensors : sequence of DeviceSetup
-    thermometer : DeviceSetup or None
     log : EventLog
         Numbers the devices in their order, the thermometer last.
     clock : Clock

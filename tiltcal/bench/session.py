@@ -40,7 +40,6 @@ class SessionResult:
     ----------
     calibrations : dict of Path to CalibrationRecord or PairRecord
         By the file that each goes to.
-    ending : SessionEnd
     """
 
     calibrations: dict[Path, CalibrationRecord | PairRecord]
@@ -83,7 +82,6 @@ class Session:
 
     Parameters
     ----------
-    plan : SessionPlan
     path : Path
         The journal.
     journal : Journal, optional
@@ -93,7 +91,6 @@ class Session:
 
     Attributes
     ----------
-    journal : Journal or None
     finished : bool
         Whether the journal has its end, so that there is nothing to resume.
     """

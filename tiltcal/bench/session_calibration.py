@@ -50,7 +50,6 @@ def tilt_calibrations(
 
     Parameters
     ----------
-    plan : SessionPlan
     sensors : sequence of ConnectedSensor
         Those that were not given up.
     accepted : sequence of PositionResult

@@ -37,7 +37,6 @@ class DeviceSetup:
 
     Attributes
     ----------
-    model_name, serial, address : str
     output : str
         The calibration file, relative to the journal's folder; empty where none is made.
     orientation : Orientation
@@ -79,9 +78,6 @@ class SessionPlan:
 
     Attributes
     ----------
-    procedure : Procedure
-    sensors : tuple of DeviceSetup
-    settings : SessionSettings
     jig : float or None
         Standard uncertainty of a set angle, degrees.
     lead : str
@@ -90,10 +86,8 @@ class SessionPlan:
         Who stands at the bench.
     started : datetime
         UTC.
-    software : str
     journal : str
         The journal's file name.
-    thermometer : DeviceSetup or None
     thermometer_uncertainty : float or None
         Stated standard uncertainty of a temperature, °C.
     table, heading : float or None
@@ -210,13 +204,10 @@ def plan_session(
 
     Parameters
     ----------
-    procedure : Procedure
     bench : BenchFile
         The sensors; :func:`single` makes one of a single sensor.
     outputs : sequence of Path or None
         Calibration files, one per sensor; None where none is made.
-    journal : Path
-    lead : str
     samples, settle
         In place of the procedure's; the soaking window is scaled with ``settle``.
     bases : mapping of str to BaseFile, optional

@@ -106,8 +106,6 @@ def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Cal
     ----------
     sensors : SensorSet
         Their nominal sensitivities turn g into their units.
-    clock : Clock
-    window : Window
     look : callable
         Shown each sample, and what is being waited for.
 

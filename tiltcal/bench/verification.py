@@ -35,7 +35,6 @@ class VerifiedPosition:
 
     Attributes
     ----------
-    position : str
     expected, measured : dict of str to float
         Tilt per axis, degrees; NaN where the arcsine has no angle.
     direction : float or None
@@ -74,8 +73,6 @@ class Verification:
 
     Attributes
     ----------
-    sensor : SensorIdentity
-    positions : tuple of VerifiedPosition
     limit : float
         The largest error of a tilt that passes, degrees.
     jig : float or None
@@ -143,7 +140,6 @@ def verify_positions(
 
     Parameters
     ----------
-    calibration : CalibrationRecord
     measurements : sequence of Measurement
         In positions that were set.
     jig : float, optional

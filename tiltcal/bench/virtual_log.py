@@ -48,8 +48,6 @@ def sweep(
     ----------
     address : Address
         A ``sim:`` address.
-    model : Model
-    rows : int
     reach : float
         Degrees.
     temperatures : tuple of float

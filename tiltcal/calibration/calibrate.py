@@ -43,8 +43,6 @@ def calibrate(
     ----------
     sensors : sequence of MeasuredSensor
         They share the fixture's attitude in every position.
-    procedure : Procedure
-    bench : BenchUncertainty
     typical_temperature : bool
         The mean temperature curves of the sensors' models stand in for runs of the units' own.
     table : bool

@@ -23,10 +23,8 @@ class Comparison:
 
     Attributes
     ----------
-    sensor : SensorIdentity
     changes : tuple of CoefficientChange
         Every coefficient that both have, at the newer one's reference temperature.
-    verdict : Verdict
     """
 
     sensor: SensorIdentity

@@ -73,7 +73,6 @@ def uncertainty_of(found: Estimate, reading: Mapping[str, float]) -> Uncertainty
 
     Parameters
     ----------
-    found : Estimate
     reading : mapping of str to float
         Standard uncertainty of a single reading by channel, unit, and of its temperature, °C; where they are known.
     """
@@ -146,8 +145,6 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
 
     Parameters
     ----------
-    found : Estimate
-    design : Design
     noise : float
         The largest standard uncertainty of a reading, unit.
     """

@@ -78,10 +78,8 @@ class ModelFleet:
 
     Attributes
     ----------
-    model, unit : str
     reference : float or None
         The reference temperature of all coefficients, °C: that of most calibrations.
-    histories : tuple of SensorHistory
     distributions : tuple of CoefficientDistribution
         Of each coefficient that three sensors have. Of a fleet without outliers, 5 % have one named.
     """
@@ -99,13 +97,10 @@ class FleetHistory:
 
     Attributes
     ----------
-    folder : str
     interval : timedelta
         In which each sensor is calibrated again.
     now : datetime
         UTC.
-    histories : tuple of SensorHistory
-    models : tuple of ModelFleet
     problems : tuple of str
         Files that cannot be used, or contradict each other.
     """
@@ -187,7 +182,6 @@ def fleet_history(library: CalibrationLibrary, interval: timedelta, now: datetim
 
     Parameters
     ----------
-    library : CalibrationLibrary
     interval : timedelta
         In which each sensor is calibrated again.
     now : datetime

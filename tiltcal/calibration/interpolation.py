@@ -56,7 +56,6 @@ def interpolate(
 
     Parameters
     ----------
-    before, after : CalibrationRecord
     share : float
         Of the time between them that has passed, 0 to 1.
     days : float
@@ -97,7 +96,6 @@ def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | 
 
     Parameters
     ----------
-    nearest : CalibrationRecord
     days : float
         How far away it is, d.
     stability : Stability, optional

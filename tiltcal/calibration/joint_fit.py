@@ -45,9 +45,6 @@ def fit_jointly(
 
     Parameters
     ----------
-    sensors : sequence of MeasuredSensor
-    procedure : Procedure
-    bench : BenchUncertainty
     settings : mapping, optional
         ``samples`` and ``settle_seconds`` of the procedure as run.
 
@@ -83,11 +80,8 @@ def record_of(
 
     Parameters
     ----------
-    found : Estimate
-    design : Design
     sensor : MeasuredSensor
         Its measurements are those of the estimate.
-    procedure : Procedure
     settings : mapping, optional
         How the procedure was run.
     """

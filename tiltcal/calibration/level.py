@@ -72,7 +72,6 @@ def level(
         One, or several at different headings, where the application is level.
     procedure : Procedure
         Its ``alignment`` is the most that the sensor may sit askew since the base was measured.
-    bench : BenchUncertainty
     settings : mapping, optional
         How the procedure was run, for the file.
 

@@ -63,7 +63,6 @@ class Measurement:
 
     Attributes
     ----------
-    position : str
     gravity : tuple of float
         Up in the sensor frame as set, g.
     tilt : mapping of str to float or None
@@ -134,8 +133,6 @@ class MeasuredSensor:
 
     Attributes
     ----------
-    sensor : SensorIdentity
-    measurements : sequence of Measurement
     nominal : Nominal or None
         Of the sensor's model.
     orientation : sequence of sequence of float

@@ -45,10 +45,6 @@ def mount(
     settings : mapping, optional
         Records for the file.
 
-    Returns
-    -------
-    CalibrationRecord
-
     Raises
     ------
     EstimateError

@@ -39,11 +39,8 @@ class PredictedUncertainty:
 
     Attributes
     ----------
-    design : Design
-    prediction : Prediction
     noise : float
         Standard deviation of one sample that was counted with, unit.
-    unit : str
     """
 
     design: Design
@@ -179,8 +176,6 @@ def predict(
 
     Parameters
     ----------
-    procedure : Procedure
-    model : Model
     jig : float, optional
         Standard uncertainty of a set angle, degrees; None counts with a perfect one.
     thermometer : float, optional

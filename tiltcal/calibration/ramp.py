@@ -46,7 +46,6 @@ def calibrate_ramp(
     ----------
     sensor : MeasuredSensor
         With a ``ramp``; its first measurement states the attitude.
-    procedure : Procedure
     bench : BenchUncertainty
         A stated thermometer is an error that all temperatures share; a step of its reading averages.
     settings : mapping, optional

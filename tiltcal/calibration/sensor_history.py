@@ -41,12 +41,10 @@ class DatedCalibration:
 
     Attributes
     ----------
-    record : CalibrationRecord
     date : datetime
         When it ended, UTC.
     started : str
         When it began.
-    path : str
     """
 
     record: CalibrationRecord
@@ -66,7 +64,6 @@ class SensorHistory:
 
     Attributes
     ----------
-    calibrations : tuple of DatedCalibration
     remarks : tuple of str
         Sessions that overlap, and files that are copies.
     """
@@ -178,7 +175,6 @@ def estimated_stability(history: SensorHistory, fleet: Sequence[SensorHistory]) 
 
     Parameters
     ----------
-    history : SensorHistory
     fleet : sequence of SensorHistory
         Sensors of the same model and unit, itself among them.
     """

@@ -39,7 +39,6 @@ class OrderChoice:
 
     Attributes
     ----------
-    order : int
     errors : mapping of int to float
         Mean square error of predicting a position that was left out, over its variance, by order.
     """
@@ -57,7 +56,6 @@ def choose_order(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench:
         All of them have the same order.
     procedure : Procedure
         Its ``drift`` is the highest order that is tried.
-    bench : BenchUncertainty
 
     Raises
     ------

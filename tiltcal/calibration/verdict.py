@@ -54,7 +54,6 @@ def judge(found: Sequence[CoefficientChange], incomplete: str = "") -> Verdict:
 
     Parameters
     ----------
-    found : sequence of CoefficientChange
     incomplete : str
         Why the uncertainties are too small; empty where they are whole.
     """

@@ -39,12 +39,10 @@ class ApplyTask:
     ----------
     calibration : Path
         Its file.
-    options : ApplyOptions
     log, output : str
         A file, or ``-``.
     columns : str
         The text of ``--columns``.
-    skip_bad_rows : bool
     """
 
     calibration: Path
@@ -135,7 +133,6 @@ def done_here(
 
     Parameters
     ----------
-    tasks : sequence of ApplyTask
     jobs : int, optional
         How many run at a time, each in a process of its own, in place of one on each processor core; small logs run
         one after another in this process.
@@ -198,7 +195,6 @@ def done_on(scheduler: str, tasks: Sequence[ApplyTask], force: bool = False) -> 
     ----------
     scheduler : str
         Such as ``tcp://10.0.0.1:8786``.
-    tasks : sequence of ApplyTask
     force : bool
         Run tasks whose results are up to date, too.
 

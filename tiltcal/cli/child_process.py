@@ -152,7 +152,6 @@ class _Progress:
 
     Parameters
     ----------
-    process : int
     files : sequence of str
         Only while one of them is open does the time count.
     """

@@ -30,7 +30,6 @@ class RecordedRows:
 
     Attributes
     ----------
-    tally : RecordingTally
     interrupted : bool
         Whether it was stopped before its end.
     """

@@ -53,7 +53,6 @@ class AngleUncertainty:
 
     Attributes
     ----------
-    compensated : Compensated
     standard : ndarray, shape (n, angles)
         Standard uncertainty of each angle (k = 1), degrees, to four digits; NaN where it is not known.
     expanded : ndarray, shape (n, angles)
@@ -80,10 +79,8 @@ class CompensationWithUncertainty:
 
     Parameters
     ----------
-    compensation : Compensation
     coefficients : Coefficients
         Those of the compensation.
-    inputs : UncertaintyInputs
 
     Raises
     ------
@@ -234,7 +231,6 @@ class Propagation:
 
         Parameters
         ----------
-        chunk : KernelChunk
         gradients : sequence of UpGradient
             One for each quantity.
 

@@ -31,7 +31,6 @@ class Part:
 
     Attributes
     ----------
-    source : str
     by : ndarray, shape (k, m)
         Derivatives of the quantities by the errors.
     covariance : ndarray, shape (m, m)

@@ -32,7 +32,6 @@ class ColumnStatistics:
 
     Attributes
     ----------
-    angles : tuple of str
     rows : int
         So far.
     flags : Counter

@@ -92,7 +92,6 @@ class Combination:
 
     Attributes
     ----------
-    coefficients : Coefficients
     names : tuple of str
         The coefficients that are uncertain.
     budget : Budget
@@ -104,8 +103,6 @@ class Combination:
     differences : tuple of CoefficientChange
         By coefficient that more than one session has measured, what one states (``after``) against what all others
         give (``before``); that of the largest ratio.
-    chi_square : float
-    dof : int
     """
 
     coefficients: Coefficients
@@ -123,7 +120,6 @@ def combine_statements(statements: Sequence[Statement], start: Coefficients, nam
 
     Parameters
     ----------
-    statements : sequence of Statement
     start : Coefficients
         At the common reference temperature; what is in no statement stays.
     names : sequence of str
@@ -250,7 +246,6 @@ def conditional(names: Sequence[str], covariance: Array, measured: NDArray[np.bo
 
     Parameters
     ----------
-    names : sequence of str
     covariance : ndarray, shape (n, n)
     measured : ndarray of bool, shape (n,)
 

@@ -420,7 +420,6 @@ def linearise(signal: Array, coefficients: Coefficients) -> None:
     ----------
     signal : ndarray, shape (channels, n)
         Unit.
-    coefficients : Coefficients
     """
     if coefficients.nonlinearity is None:
         return

@@ -47,7 +47,6 @@ def derived_uncertainty(
     ----------
     quantity : callable
         :func:`cross_axis` or :func:`misalignment`.
-    coefficients : Coefficients
     names : sequence of str
         Dotted names of the uncertain coefficients.
     covariance : ndarray, shape (k, k)

@@ -57,7 +57,6 @@ class EarthUncertainty:
 
         Parameters
         ----------
-        chunk : KernelChunk
         frame : EarthFrame
             Of the same rows.
         field, velocity : ndarray, shape (3, n), or None

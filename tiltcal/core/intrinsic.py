@@ -28,12 +28,7 @@ from tiltcal.frozen import frozen
 
 @frozen
 class IntrinsicQuantity:
-    """A number with its standard uncertainty, in the same unit.
-
-    Attributes
-    ----------
-    value, u : float
-    """
+    """A number with its standard uncertainty, in the same unit."""
 
     value: float
     u: float

@@ -234,7 +234,6 @@ class ChannelModel:
 
     Attributes
     ----------
-    name : str
     axes : tuple of str
         Columns of the sensitivity.
     drift, gain, nonlinearity : int

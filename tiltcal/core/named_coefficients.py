@@ -37,7 +37,6 @@ class CoefficientChange:
     ----------
     name : str
         Dotted, such as ``sensitivity.x.y``.
-    before, after : float
     u : float or None
         Standard uncertainty of the difference; None where one of the files states none.
     dof : float
@@ -79,7 +78,6 @@ def known(
 
     Parameters
     ----------
-    coefficients : Coefficients
     names : sequence of str
         Of the uncertain coefficients.
     covariance : ndarray, shape (k, k)
@@ -163,7 +161,6 @@ def changes(
 
     Parameters
     ----------
-    before, after : Coefficients
     known_before, known_after : mapping of str to KnownCoefficient
         By dotted name, at the later one's reference temperature; a name that is missing is not known.
     """

@@ -39,7 +39,6 @@ class ExpectedReadings:
 
     Parameters
     ----------
-    channels : tuple of str
     offset : float
         Nominal, unit.
     sensitivity : float

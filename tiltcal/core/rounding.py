@@ -15,7 +15,6 @@ def round_to(value: float, uncertainty: float) -> float:
 
     Parameters
     ----------
-    value : float
     uncertainty : float
         Standard uncertainty in the unit of the value. Zero, negative or not finite: 12 significant digits are kept.
 
@@ -40,7 +39,6 @@ def significant(value: float, digits: int) -> float:
 
     Parameters
     ----------
-    value : float
     digits : int
         At least 1; more than 17 changes nothing.
     """

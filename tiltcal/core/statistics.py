@@ -103,7 +103,6 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     ----------
     times : sequence of float
         Seconds, not decreasing, at least three. Where all are one instant nothing can have changed.
-    samples : sequence of float
 
     Returns
     -------

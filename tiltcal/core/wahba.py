@@ -38,7 +38,6 @@ class MountingEstimate:
         Standard uncertainty of each angle, radians; None in gimbal lock, where the angles have none of their own.
     residuals : ndarray, shape (positions,)
         Angle between each direction as set and as read, radians.
-    dof : int
     stated : bool
         Whether the covariance stands on the stated jig, or on the residuals.
     """
@@ -68,10 +67,6 @@ def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> Mou
         Up in the application's frame, as set.
     sigma : ndarray, shape (positions,), optional
         Standard uncertainty of each direction, radians; where it is left out the residuals say it.
-
-    Returns
-    -------
-    MountingEstimate
 
     Raises
     ------

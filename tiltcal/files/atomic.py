@@ -27,14 +27,6 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
     where the block raises, it is gone and a file that stood at ``path`` is as it was. A device or pipe has no such end:
     it is written as it comes. What was written can be read again, but for a device or pipe.
 
-    Parameters
-    ----------
-    path : str or Path
-
-    Yields
-    ------
-    BinaryIO
-
     Raises
     ------
     UsageError
@@ -58,11 +50,6 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
 def write_whole(path: str | Path, text: str) -> None:
     """Write a text as UTF-8, whole or not at all.
 
-    Parameters
-    ----------
-    path : str or Path
-    text : str
-
     Raises
     ------
     UsageError
@@ -76,10 +63,6 @@ def check_writable(path: str | Path) -> None:
     """Check, before anything is measured, that a file can be written.
 
     A temporary file is made in the folder and removed: permission bits alone do not show a read-only disk.
-
-    Parameters
-    ----------
-    path : str or Path
 
     Raises
     ------

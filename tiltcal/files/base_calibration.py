@@ -49,7 +49,6 @@ def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[st
 
     Parameters
     ----------
-    procedure : Procedure
     path : str or Path or None
         A file, or a folder with a file ``SERIAL.yaml`` for every sensor.
     serials : sequence of str

@@ -162,14 +162,6 @@ TILT = Section(CalibrationRecord, follow=_names, kind="tilt")
 def read_calibration(path: str | Path) -> CalibrationRecord:
     """Read and check a calibration file.
 
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    CalibrationRecord
-
     Raises
     ------
     InputError
@@ -183,7 +175,6 @@ def write_calibration(path: str | Path, calibration: CalibrationRecord) -> None:
 
     Parameters
     ----------
-    path : str or Path
     calibration : CalibrationRecord
         Its numbers are written as they are; round them before.
 

@@ -40,8 +40,6 @@ class CalibrationFile(NamedTuple):
         When the calibration ended, UTC.
     started : str
         When it began, as it stands in the file.
-    model : str
-    path : str
     """
 
     serial: str

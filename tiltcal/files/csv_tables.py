@@ -25,7 +25,6 @@ def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iter
 
     Parameters
     ----------
-    table : str, Path or sequence of mapping
     file : str or Path
         What messages call it.
     keys : mapping of str to bool

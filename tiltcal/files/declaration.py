@@ -89,7 +89,6 @@ class KeyDeclaration:
 
     Attributes
     ----------
-    form : Format
     text : str
         What the value means, for the schema and the reference.
     default : object
@@ -249,7 +248,6 @@ class ListOf(Format[tuple[T, ...]]):
 
     Attributes
     ----------
-    item : Format
     least, most : int
         The bounds of the length; ``most`` may be None.
     says : str
@@ -300,8 +298,6 @@ class ByKey(Format[Mapping[str, T]]):
 
     Attributes
     ----------
-    item : Format
-    keys : sequence of str
     complete : bool
         Whether none may be left out.
     """
@@ -387,13 +383,7 @@ class Converted(Format[T], Generic[S, T]):
 
 @frozen
 class Either(Format[T]):
-    """One of two kinds of section, distinguished by a key that the second one has.
-
-    Attributes
-    ----------
-    key : str
-    usual, other : Format
-    """
+    """One of two kinds of section, distinguished by a key that the second one has."""
 
     key: str
     usual: Format[T]
@@ -408,12 +398,7 @@ class Either(Format[T]):
 
 @frozen
 class Imported(Format[T]):
-    """A format whose module is imported only where a file has it.
-
-    Attributes
-    ----------
-    module, name : str
-    """
+    """A format whose module is imported only where a file has it."""
 
     module: str
     name: str

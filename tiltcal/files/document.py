@@ -37,10 +37,6 @@ KINDS = {
 def read_document(path: str | Path) -> Node:
     """Read one YAML document from a file.
 
-    Parameters
-    ----------
-    path : str or Path
-
     Returns
     -------
     Node
@@ -59,7 +55,6 @@ def read_tiltcal_file(path: str | Path, kind: str) -> Node:
 
     Parameters
     ----------
-    path : str or Path
     kind : str
         The ``kind`` that is needed, one of ``KINDS``.
 
@@ -126,7 +121,6 @@ def parse_document(text: str, file: str | None = None) -> Node:
 
     Parameters
     ----------
-    text : str
     file : str, optional
         For messages.
 

@@ -211,8 +211,6 @@ class Journal:
 
     Attributes
     ----------
-    path : Path
-    header : dict
     events : Events
         Without the end record.
     end : dict or None

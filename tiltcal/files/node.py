@@ -40,7 +40,6 @@ class Node:
 
     Attributes
     ----------
-    content : Scalar, list of Node or dict of str to Node
     file : str or None
         As the user named it.
     line : int or None
@@ -160,10 +159,6 @@ class Node:
             Keys that must be there.
         optional : sequence of str
             Keys that may be there; one that holds null is taken as absent.
-
-        Returns
-        -------
-        dict of str to Node
         """
         entries = self.entries()
         known = [*required, *optional]
@@ -252,7 +247,6 @@ def document_of(data: Any, file: str | None = None, line: int | None = None) -> 
     ----------
     data : dict, list, str, int, float, bool or None
         As :meth:`Node.plain` gives it.
-    file : str, optional
     line : int, optional
         Where the record stands, for messages.
 

@@ -208,7 +208,6 @@ class PairRecord:
         Of the spin, Hz; None where the record has no time.
     online : bool
         Whether p and q are what the online estimator ended with.
-    provenance : PairProvenance
     """
 
     matchings: tuple[Matching, ...]
@@ -222,10 +221,6 @@ class PairRecord:
 def read_pair(path: str | Path) -> PairRecord:
     """Read and check a pair file.
 
-    Parameters
-    ----------
-    path : str or Path
-
     Raises
     ------
     InputError
@@ -236,11 +231,6 @@ def read_pair(path: str | Path) -> PairRecord:
 
 def write_pair(path: str | Path, calibration: PairRecord) -> None:
     """Write a pair file, whole or not at all.
-
-    Parameters
-    ----------
-    path : str or Path
-    calibration : PairRecord
 
     Raises
     ------

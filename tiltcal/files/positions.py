@@ -78,7 +78,6 @@ def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition
         CSV with the columns ``position``, a mean for each channel (``x``, ...), and optionally a direction (``gx``,
         ``gy``, ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``; or a JSON list of
         objects with these keys; or such rows.
-    channels : sequence of str
 
     Returns
     -------

@@ -316,9 +316,6 @@ class Procedure:
 
     Attributes
     ----------
-    name, title, source : str
-    determines : Determines
-    positions : tuple of Position
     angle : float or None
         The angle that positions use by name, degrees; None where the procedure leaves no angle free.
     reference : float or None
@@ -450,10 +447,6 @@ def find_procedure(name_or_path: str, angle: float | None = None) -> Procedure:
     angle : float, optional
         In place of the angle that the procedure leaves free, degrees.
 
-    Returns
-    -------
-    Procedure
-
     Raises
     ------
     UsageError
@@ -476,7 +469,6 @@ def read_procedure(path: str | Path, angle: float | None = None) -> Procedure:
 
     Parameters
     ----------
-    path : str or Path
     angle : float, optional
         In place of the angle that the procedure leaves free, degrees.
 

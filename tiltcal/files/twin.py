@@ -293,7 +293,6 @@ def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Tr
 
     Parameters
     ----------
-    path : str or Path
     seed : int, optional
         In place of the file's.
 
@@ -301,7 +300,6 @@ def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Tr
     -------
     model : str or None
         The sensor model that the file is for; None where it fits any.
-    truth : Truth
 
     Raises
     ------

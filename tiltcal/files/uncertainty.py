@@ -77,7 +77,6 @@ class Uncertainty(Mapping[str, float]):
         Of one reading of a log by channel, in its unit, and of its temperature, °C.
     coverage_factor : mapping of str to float
         By coefficient, what its standard uncertainty is multiplied with for an interval of 95 %.
-    covariance : Covariance or None
     alignment : float
         How far the sensor may have turned about each axis since its coefficients were measured, degrees; it makes no
         error where it was level when its offset was renewed.
@@ -105,7 +104,6 @@ class StatedUncertainty:
 
     Attributes
     ----------
-    inputs : UncertaintyInputs
     remarks : tuple of str
         What had to be assumed.
     """
@@ -204,8 +202,6 @@ def stated_uncertainty(
 
     Parameters
     ----------
-    uncertainty : Uncertainty
-    coefficients : Coefficients
     reading_noise : float, optional
         Standard uncertainty of a reading, unit, in place of the one that the file states.
 

@@ -177,8 +177,6 @@ class CompensatedLog:
 
     Attributes
     ----------
-    log : LogReader
-    prepared : PreparedCalibration
     channels : tuple of int
         Where each reading stands in the log, in the order of the calibration.
     roles : mapping of str to int

@@ -161,10 +161,8 @@ class LibraryKernel:
 
     Parameters
     ----------
-    history : SensorHistory
     stability : Stability or None
         None where no uncertainty is asked for.
-    options : ApplyOptions
     columns : tuple of str
         What each compensation gives.
     start : float or None
@@ -320,7 +318,6 @@ class BenchKernel:
     parts : sequence of (str, Kernel, sequence of int, int or None)
         Of each sensor what its columns begin with, its compensation, and where its readings and its own temperature
         stand among the readings.
-    columns : tuple of str
     """
 
     parts: Sequence[tuple[str, Kernel, Sequence[int], int | None]]

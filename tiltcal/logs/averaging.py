@@ -91,7 +91,6 @@ class Means:
 
     Attributes
     ----------
-    averaging : Averaging
     names : sequence of str
         The columns of the log.
     readings : sequence of int

@@ -107,7 +107,6 @@ def describe(
 
     Parameters
     ----------
-    name : str
     added : sequence of str
         All new columns.
     like : mapping of str to Any

@@ -182,7 +182,6 @@ class FitPositions:
 
     Attributes
     ----------
-    measurements : sequence of Measurement
     provenance : Provenance
         Names and checksums of what was read.
     ramp : RampRecord or None

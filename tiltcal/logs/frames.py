@@ -41,7 +41,6 @@ def apply_frame(
 
     Parameters
     ----------
-    calibration : Calibration, PairCalibration or CalibrationLibrary
     frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
         A column for each reading, and for the temperature in °C where there is one.
     columns : mapping of str to str, or str
@@ -78,7 +77,6 @@ class FrameReader(LogReader):
 
     Parameters
     ----------
-    frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
     name : str
         What messages call it.
     unit : str, optional
@@ -142,7 +140,6 @@ class FrameReader(LogReader):
 
         Parameters
         ----------
-        table : mapping of str to ndarray
         channels : sequence of int
             Where the readings stand that they were made of.
         units : mapping of str to str or None
@@ -156,7 +153,6 @@ def rows_of(frame: Any, name: str) -> list[dict[str, Any]]:
 
     Parameters
     ----------
-    frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, mapping of str to array_like, or sequence of mapping
     name : str
         What messages call it.
 

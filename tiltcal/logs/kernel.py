@@ -98,7 +98,6 @@ class TiltKernel:
 
     Parameters
     ----------
-    compensation : Compensation
     uncertain : CompensationWithUncertainty, optional
         Adds the uncertainty of every angle.
     earth : EarthFrameCompensation, optional

@@ -85,7 +85,6 @@ class LogReader(ABC):
 
     Parameters
     ----------
-    source : LogSource
     skip_bad_rows : bool
         Keep rows that cannot be parsed, named in :attr:`LogBlock.faults`, instead of raising; CSV alone has such rows.
     digest : bool
@@ -95,7 +94,6 @@ class LogReader(ABC):
 
     Attributes
     ----------
-    source : LogSource
     names : tuple of str
         The columns.
     header_line : int or None

@@ -80,8 +80,6 @@ class MatchedLog:
 
     Attributes
     ----------
-    calibration : PairCalibration
-    demodulated : Demodulated
     spectra : SpectrumObserver or None
         Where spectra were asked for.
     online : PairObserver or None

@@ -140,7 +140,6 @@ class NoiseFacts:
     ----------
     channels : tuple of str
         Its readings; empty where the log has to show them.
-    unit : str or None
     sensitivity : dict of str to float
         Unit/g, per channel, or under ``*`` for all of them; empty where it is not known.
     source : str
@@ -219,8 +218,6 @@ def characterise_readings(
 
     Parameters
     ----------
-    facts : NoiseFacts
-    target : NoiseTarget
     name : str, optional
         What messages call the log, in place of its own name.
     progress : callable, optional

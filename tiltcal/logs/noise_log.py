@@ -18,8 +18,6 @@ class NoiseLog:
 
     Attributes
     ----------
-    pace : SamplingInterval
-    channels : mapping of str to ChannelNoise
     missing : mapping of str to int
         Values that are missing in the log's own rows, per channel that lacks some.
     moved : sequence of RowRange
@@ -98,7 +96,6 @@ def characterise_log(
 
     Parameters
     ----------
-    log : UniformLog
     channels : sequence of str
         As the log has them.
     sizes : sequence of int

@@ -66,7 +66,6 @@ class NoisePositions:
 
     Attributes
     ----------
-    advice : mapping of str to SampleSize
     channel : str
         The one that settles it.
     samples : int
@@ -91,11 +90,8 @@ def positions(
 
     Parameters
     ----------
-    noises : mapping of str to ChannelNoise
     interval : float
         Seconds from sample to sample.
-    scale : NoiseScale
-    target : NoiseTarget
     """
     targets = {channel: scale.from_degrees(channel, target.degrees) for channel in noises}
     advice = {channel: advise(noise, interval, targets[channel]) for channel, noise in noises.items()}

@@ -27,7 +27,6 @@ def look_over(log: CompensatedLog, angles: Sequence[str], time: int | None = Non
 
     Parameters
     ----------
-    log : CompensatedLog
     angles : sequence of str
         The columns that are angles.
     time : int, optional

@@ -27,7 +27,6 @@ class Demodulated:
 
     Attributes
     ----------
-    demodulation : Demodulation
     turns : float
         Of the stage.
     rows : int
@@ -71,7 +70,6 @@ def demodulate_log(
 
     Parameters
     ----------
-    log : LogReader
     channels : sequence of str
         The columns of the readings.
     phase : str or None

@@ -28,7 +28,6 @@ class PairObserver:
 
     Parameters
     ----------
-    pairs : sequence of Pair
     channels : sequence of str
         Of the log's stretches.
     say : callable
@@ -55,7 +54,6 @@ class PairObserver:
 
         Parameters
         ----------
-        pair : Pair
         loops : bool
             The source's two loops; otherwise the recursive estimator.
 

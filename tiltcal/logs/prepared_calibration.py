@@ -123,7 +123,6 @@ class PreparedCalibration:
 
     Attributes
     ----------
-    kernel : Kernel
     channels : tuple of str
         The readings that it takes.
     unit : str or None
@@ -200,8 +199,6 @@ def prepare(
 
     Parameters
     ----------
-    calibration : Calibration or PairCalibration
-    options : ApplyOptions
     say : callable
         Called with each remark about what had to be assumed.
     file : Path, optional

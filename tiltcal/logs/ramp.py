@@ -21,7 +21,6 @@ class RampLog:
 
     Attributes
     ----------
-    record : RampRecord
     rows : int
         Of the log.
     missing : int
@@ -40,8 +39,6 @@ def read_ramp(
 
     Parameters
     ----------
-    log : str, Path or frame
-    channels : sequence of str
     named : mapping of str to str
         Column name by role, from ``--columns``.
     unit : str

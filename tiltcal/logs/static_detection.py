@@ -91,7 +91,6 @@ def find_still(
 
     Returns
     -------
-    chosen : StaticDetection
     tried : tuple of StaticDetection
         All of them, the strictest of each window first.
 
@@ -127,8 +126,6 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
 
     Parameters
     ----------
-    chosen : StaticDetection
-    tried : sequence of StaticDetection
     unit : str
         Of the readings.
     """

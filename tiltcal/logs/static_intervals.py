@@ -136,8 +136,6 @@ def read_record(
 
     Parameters
     ----------
-    log : str, Path or frame
-    channels : sequence of str
     named : mapping of str to str
         Column name by role, from ``--columns``.
     unit : str
@@ -173,7 +171,6 @@ def holds_of(
 
     Parameters
     ----------
-    record : RecordedReadings
     segments : sequence of Segment
         Segments of one name that follow each other are parts of one hold.
     file : str
@@ -223,7 +220,6 @@ def placed(holds: Sequence[StaticInterval], procedure: Procedure, *, file: str) 
 
     Parameters
     ----------
-    holds : sequence of StaticInterval
     procedure : Procedure
         Says the direction of a position that is only named, and its temperature where none was recorded.
     file : str
@@ -250,7 +246,6 @@ def oriented(holds: Sequence[StaticInterval], attitudes: Array) -> list[Measurem
 
     Parameters
     ----------
-    holds : sequence of StaticInterval
     attitudes : ndarray, shape (holds, 3)
         Unit vectors, up in the sensor frame.
     """
@@ -372,8 +367,6 @@ def _rise_before(record: RecordedReadings, parts: Sequence[Segment], first: int,
 
     Parameters
     ----------
-    record : RecordedReadings
-    parts : sequence of Segment
     first : int
         The row behind the segment before, from which on rows are of this one where the log has no times.
     soak : float

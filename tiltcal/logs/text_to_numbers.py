@@ -31,10 +31,6 @@ _ZONE = r"T.*(?:Z|[+-]\d\d:?\d\d)$"
 def numbers(cells: pl.Series) -> tuple[Array, Bits | None]:
     """Parse the cells of one column.
 
-    Parameters
-    ----------
-    cells : polars.Series of String, length n
-
     Returns
     -------
     values : ndarray, shape (n,)

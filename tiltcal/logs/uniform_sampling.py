@@ -52,7 +52,6 @@ class UniformLog:
 
     Parameters
     ----------
-    log : LogReader
     channels : sequence of str
         The readings.
     named : mapping of str to str

@@ -34,8 +34,6 @@ class ChangeSection:
     ----------
     since : str
         Name of the earlier file, and when it was measured.
-    verdict : str
-    rows : sequence of ChangeRow
     """
 
     since: str

@@ -51,12 +51,10 @@ class CoefficientRow:
     ----------
     name : str
         Dotted, as in the file.
-    words : str
     symbol : tuple of str
         A letter and its index.
     value : AlignedNumber
         With its standard uncertainty in brackets.
-    unit : str
     interval : AlignedNumber
         Half width of its 95 % interval; empty where it is not known.
     factor : str

@@ -79,7 +79,6 @@ def picture(
         Draws on the figure.
     title, description : str
         For who does not see it.
-    caption : str
     """
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -101,7 +100,6 @@ def inline(svg: str, name: str, title: str, description: str) -> str:
         As matplotlib writes it.
     name : str
         Leads every id.
-    title, description : str
     """
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<defs>\s*</defs>", "", svg, flags=re.DOTALL)

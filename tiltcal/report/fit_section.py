@@ -17,11 +17,8 @@ class PositionRow:
 
     Attributes
     ----------
-    name : str
     set : str
         The angles, or up.
-    temperature : AlignedNumber
-    n : str
     mean, residual : sequence of AlignedNumber
         Per channel.
     suspect : bool

@@ -25,15 +25,12 @@ def draw_tilt_error(
 
     Parameters
     ----------
-    path : Path
     time : ndarray, shape (n,)
         Seconds.
     temperature : ndarray, shape (n,)
         °C.
     before, after : mapping of str to ndarray, shape (n,)
         Tilt error per axis, degrees.
-    axes : sequence of str
-    title : str
     """
     from matplotlib.figure import Figure
 

@@ -44,9 +44,6 @@ class ReportedLog:
 
     Attributes
     ----------
-    name : str
-    sha256 : str
-    overview : ColumnStatistics
     compensated : bool
         Whether the log brought its tilt along; otherwise the calibration of the page was applied to it.
     timed : bool

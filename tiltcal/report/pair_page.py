@@ -46,7 +46,6 @@ def spectrum(name: str, number: int, drawing: PairDrawing) -> Spectrum:
         Of the log.
     number : int
         Counts the logs of the page.
-    drawing : PairDrawing
     """
     shown = _outstanding(drawing.frequency, list(drawing.densities.values()))
     densities = {said: one[shown] for said, one in drawing.densities.items()}

@@ -36,7 +36,6 @@ class Curves:
 
     Attributes
     ----------
-    tilt : ndarray
     before : ndarray or None
         Error with the data sheet's coefficients; None where they are not known.
     alone, reading : ndarray

@@ -50,12 +50,10 @@ def tilt_page(
 
     Parameters
     ----------
-    calibration : CalibrationRecord
     source : FileFacts
         The file that it was read from.
     earlier : sequence of (CalibrationRecord, str)
         Earlier calibrations of the sensor, with the names of their files.
-    logs : sequence of ReportedLog
 
     Raises
     ------

@@ -27,7 +27,6 @@ def stated_budgets(near: LinearSolution, bias: Array | None = None) -> list[Budg
 
     Parameters
     ----------
-    near : LinearSolution
     bias : ndarray, shape (coefficients,), optional
         What was taken off for the squares of the attitudes' errors.
     """
@@ -43,10 +42,8 @@ def scaled_budgets(near: LinearSolution, scale: float, dof: float) -> list[Budge
 
     Parameters
     ----------
-    near : LinearSolution
     scale : float
         Sum of squares over degrees of freedom.
-    dof : float
     """
     return [
         Budget(scale * covariance, {NOISE: np.diag(scale * covariance)}, np.full(len(covariance), float(dof)))
@@ -61,7 +58,6 @@ def estimated_jig_budgets(near: LinearSolution, components: VarianceComponents, 
     ----------
     near : LinearSolution
         With the jig and the noise that were found.
-    components : VarianceComponents
     bias : ndarray, shape (coefficients,), optional
         What was taken off for the squares of the attitudes' errors.
 
@@ -182,7 +178,6 @@ def _estimated(shares: Array, block: EquationBlock) -> Array:
     Parameters
     ----------
     shares : ndarray, shape (coefficients, readings)
-    block : EquationBlock
     """
     if np.all(np.isinf(block.dof)):
         return np.zeros(len(shares))

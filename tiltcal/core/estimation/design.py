@@ -16,7 +16,6 @@ class Observation:
 
     Attributes
     ----------
-    position : str
     gravity : ndarray, shape (3,)
         Up in the sensor frame as set, g.
     mean : ndarray, shape (channels,)
@@ -52,7 +51,6 @@ class Prior:
 
     Attributes
     ----------
-    value : float
     u : float
         Standard uncertainty, same unit; 0 holds the coefficient at the value.
     """
@@ -67,7 +65,6 @@ class Design:
 
     Attributes
     ----------
-    channels : tuple of str
     axes : tuple of str
         Columns of the sensitivity matrix.
     drift, gain : int
@@ -137,7 +134,6 @@ class SensorObservations:
 
     Attributes
     ----------
-    design : Design
     observations : sequence of Observation
         Positions are common to the sensors of a fixture by their names, which are unique.
     orientation : sequence of sequence of float

@@ -65,7 +65,6 @@ class Elimination:
 
     Attributes
     ----------
-    factors : tuple of LocalFactor
     triangle : ndarray, shape (shared, shared)
         The remaining equations for the shared unknowns.
     right : ndarray, shape (shared,)
@@ -101,7 +100,6 @@ def eliminate(equations: Equations, shared: int, *, damping: float = 0.0, withou
 
     Parameters
     ----------
-    equations : Equations
     shared : int
         How many unknowns are shared.
     damping : float
@@ -196,7 +194,6 @@ class LinearSolution:
     ----------
     system : System
         With attitude angles, unless its jig is perfect.
-    equations : Equations
     elimination : Elimination
         Without the equations that state the jig.
     jig : float
@@ -305,7 +302,6 @@ def linearised(system: System, z: Array, jig: float | None = None) -> LinearSolu
 
     Parameters
     ----------
-    system : System
     z : ndarray, shape (unknowns,)
     jig : float, optional
         Standard deviation of the attitude angles, radians; the system's own where it is left out.

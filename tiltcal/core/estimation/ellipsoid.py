@@ -137,10 +137,6 @@ def fit_ellipsoid(mean: Array, u: Array) -> Ellipsoid:
     u : ndarray, shape (n, 3)
         Their standard uncertainties, same unit.
 
-    Returns
-    -------
-    Ellipsoid
-
     Raises
     ------
     EstimateError

@@ -127,7 +127,6 @@ class Equations:
 
     Attributes
     ----------
-    blocks : tuple of LocalEquations
     columns : ndarray of int, shape (priors,)
         The shared unknown of each equation that is no reading; those of the attitudes come last.
     weight, residual : ndarray, shape (priors,)

@@ -67,7 +67,6 @@ class AttitudeError:
 
     Attributes
     ----------
-    position : str
     turn : ndarray, shape (3,)
         Rotation vector of gravity in the fixture's frame, degrees.
     chi_square : float
@@ -88,12 +87,10 @@ class Estimate:
 
     Attributes
     ----------
-    coefficients : Coefficients
     names : tuple of str
         The parameters, in the order of ``covariance``.
     budget : Budget
         Covariance of the parameters, its sources, and degrees of freedom of each.
-    positions : tuple of str
     residuals : ndarray, shape (positions, channels)
         Measured minus modelled in the positions as they were set, in the sensor's unit.
     remainders : ndarray, shape (positions, channels)
@@ -155,15 +152,6 @@ class Estimate:
 
 def estimate(observations: Sequence[Observation], design: Design) -> Estimate:
     """Determine the coefficients of one sensor from positions.
-
-    Parameters
-    ----------
-    observations : sequence of Observation
-    design : Design
-
-    Returns
-    -------
-    Estimate
 
     Raises
     ------

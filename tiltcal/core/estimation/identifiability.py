@@ -45,7 +45,6 @@ def require_determined(system: System, z: Array) -> None:
 
     Parameters
     ----------
-    system : System
     z : ndarray, shape (unknowns,)
         Where the coefficients are near their minimum.
 
@@ -76,7 +75,6 @@ def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
     Parameters
     ----------
     jacobian : ndarray, shape (rows, coefficients)
-    names : sequence of str
 
     Returns
     -------
@@ -131,7 +129,6 @@ def positions_to_add(
 
     Parameters
     ----------
-    model : ChannelModel
     theta : ndarray, shape (coefficients,)
     gravity : ndarray, shape (positions, 3)
         Up in the sensor frame, g.

@@ -39,7 +39,6 @@ class PlannedPosition:
 
     Attributes
     ----------
-    name : str
     gravity : tuple of float
         Up in the sensor frame, g.
     temperature : float or None
@@ -102,7 +101,6 @@ def predicted_covariance(
     design : Design
         With the jig, the thermometer and the table as they are stated; a jig that is not stated counts as perfect, and
         what is predicted is then what noise alone leaves.
-    positions : sequence of PlannedPosition
     noise : float or sequence of float
         Standard uncertainty of a position's mean reading, for all channels or for each, in the sensor's unit.
     sensitivity : float
@@ -144,7 +142,6 @@ def strong_correlations(names: Sequence[str], covariance: Array) -> tuple[tuple[
 
     Parameters
     ----------
-    names : sequence of str
     covariance : ndarray, shape (k, k)
     """
     u = np.sqrt(np.diag(covariance))

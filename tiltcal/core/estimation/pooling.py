@@ -137,7 +137,6 @@ def noise_of_means(
     ----------
     summaries : sequence of SampleSummary
         One a position.
-    correlated : CorrelatedNoise, optional
 
     Returns
     -------

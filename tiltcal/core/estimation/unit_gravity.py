@@ -64,7 +64,6 @@ def triangular_gauge(system: System, z: Array) -> tuple[System, Array]:
 
     Parameters
     ----------
-    system : System
     z : ndarray, shape (unknowns without attitudes,)
         A start.
 

@@ -52,12 +52,7 @@ class AllanVariance:
 
 
 class Octaves:
-    """Collects the Allan variance of some channels along their samples.
-
-    Parameters
-    ----------
-    channels : int
-    """
+    """Collects the Allan variance of some channels along their samples."""
 
     def __init__(self, channels: int) -> None:
         self._channels = channels

@@ -46,7 +46,6 @@ class Averager:
     ----------
     samples : int
         In each average.
-    channels : int
     """
 
     def __init__(self, samples: int, channels: int) -> None:

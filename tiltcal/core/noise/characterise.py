@@ -66,7 +66,6 @@ class ChannelNoise:
         Averaging times, seconds.
     deviation, low, high : ndarray, shape (k,)
         Allan deviation with its limits (95 %), unit.
-    terms : AllanFit
     """
 
     mean: float
@@ -106,7 +105,6 @@ class Characteriser:
 
     Parameters
     ----------
-    channels : int
     sizes : sequence of int
         Sizes of averages that are asked for beside 1, 10, 100, ...
     """

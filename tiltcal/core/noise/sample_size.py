@@ -35,7 +35,6 @@ class SampleSize:
 
     Attributes
     ----------
-    samples : int
     uncertainty : float
         Of their mean, unit.
     limit : str
@@ -61,7 +60,6 @@ def advise(noise: ChannelNoise, interval: float, target: float | None = None) ->
 
     Parameters
     ----------
-    noise : ChannelNoise
     interval : float
         Seconds from sample to sample.
     target : float, optional
@@ -87,7 +85,6 @@ def uncertainty(noise: ChannelNoise, tau: Array) -> Array:
 
     Parameters
     ----------
-    noise : ChannelNoise
     tau : ndarray, shape (n,)
         Seconds, within the record's averaging times.
 

@@ -13,7 +13,6 @@ class NoiseScale:
 
     Attributes
     ----------
-    unit : str
     per_g : mapping of str to float
         Unit/g, of the channels of which it is known; above 0.
     source : str

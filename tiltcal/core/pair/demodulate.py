@@ -66,7 +66,6 @@ class Demodulator:
 
     Parameters
     ----------
-    channels : sequence of str
     harmonics : int
         Of the stage angle, from the first on.
     """
@@ -160,8 +159,6 @@ class Demodulation:
 
     Attributes
     ----------
-    channels : tuple of str
-    rows : int
     coefficients : ndarray, shape (columns, channels)
         Rows 0 and 1 are the sin θ and cos θ components, in the unit of the readings.
     residual : ndarray, shape (channels, channels)
@@ -231,7 +228,6 @@ def regress(blocks: Array, channels: Sequence[str], harmonics: int) -> Demodulat
     ----------
     blocks : ndarray, shape (blocks, size, size)
         Products of the harmonics' columns, 1, the drift and the readings, summed over each block.
-    channels : sequence of str
     harmonics : int
         As many as the columns have; fewer are fitted where the rows of a turn are too few for all.
 

@@ -60,7 +60,6 @@ class Matching:
 
     Attributes
     ----------
-    pair : Pair
     p, q : float
         Pure numbers.
     u_p, u_q : float
@@ -129,7 +128,6 @@ def solve(demodulation: Demodulation, pair: Pair) -> PairCoefficients:
     ----------
     demodulation : Demodulation
         Of a record that has the pair's three channels.
-    pair : Pair
 
     Raises
     ------

@@ -63,10 +63,6 @@ def matching_coefficients(scale: Array, misalignment: Array) -> tuple[float, flo
         K of the first, the second and the orthogonal accelerometer, unit/g.
     misalignment : array_like, shape (3,)
         δP of the same, radians.
-
-    Returns
-    -------
-    p, q : float
     """
     k1, k2, k4 = (float(value) for value in scale)
     d1, d2, d4 = (float(value) for value in misalignment)
@@ -81,7 +77,6 @@ def matched_sum(first: Array, second: Array, orthogonal: Array, p: float, q: flo
     ----------
     first, second, orthogonal : ndarray, all of one shape
         Readings, or components of readings.
-    p, q : float
     """
     return np.asarray(first + (second + q * orthogonal) / (1.0 - p), dtype=float)
 

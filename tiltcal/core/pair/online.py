@@ -105,7 +105,6 @@ class Loops:
 
     Parameters
     ----------
-    pair : Pair
     channels : sequence of str
         Of the stream.
     gains : LoopGains
@@ -113,7 +112,6 @@ class Loops:
 
     Attributes
     ----------
-    p, q : float
     in_phase, quadrature : float
         Components of the matched sum over the last turn, relative to the first accelerometer.
 
@@ -196,15 +194,10 @@ class Recursive:
 
     Parameters
     ----------
-    pair : Pair
     channels : sequence of str
         Of the stream.
     memory : float
         Turns.
-
-    Attributes
-    ----------
-    p, q : float
     """
 
     def __init__(self, pair: Pair, channels: Sequence[str], memory: float = MEMORY) -> None:
@@ -297,7 +290,6 @@ class Online:
 
     Parameters
     ----------
-    pair : Pair
     channels : sequence of str
         Of the stream.
     gains : LoopGains, optional
@@ -307,9 +299,6 @@ class Online:
 
     Attributes
     ----------
-    stream : SectorStream
-    loops : Loops
-    recursive : Recursive
     course : list of OnlineHistory
         One entry for each turn.
     refused : str

@@ -99,10 +99,6 @@ class _Open:
 class SectorStream:
     """Cuts a stream into sectors.
 
-    Parameters
-    ----------
-    channels : int
-
     Attributes
     ----------
     rows : int

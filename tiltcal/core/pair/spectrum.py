@@ -17,7 +17,6 @@ class Spectra:
 
     Parameters
     ----------
-    channels : sequence of str
     segment : int
         Rows of a segment; even.
     """
@@ -50,7 +49,6 @@ class Spectra:
 
         Parameters
         ----------
-        weights : dict of str to float
         rate : float
             Rows per second.
 

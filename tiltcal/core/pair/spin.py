@@ -88,7 +88,6 @@ def followed_spin(before: Spin, time: Array, readings: Array) -> Spin:
 
     Parameters
     ----------
-    before : Spin
     time : ndarray, shape (n,)
         Finite.
     readings : ndarray, shape (n, channels)

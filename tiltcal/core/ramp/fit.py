@@ -50,7 +50,6 @@ class HeldOutLeg:
 
     Attributes
     ----------
-    leg : Leg
     polynomial, lagged : ndarray, shape (channels,)
         Root mean square error of the polynomial alone, and of the one with a lag, unit.
     """
@@ -82,10 +81,8 @@ class RampFit:
         What is left.
     loop_variance : ndarray, shape (channels,)
         What that adds to the variance of the reading, unit².
-    held_out : tuple of HeldOutLeg
     error_by_order : mapping of int to float
         Mean square error of predicting a leg that was left out, over the variance of the residuals.
-    means : FittedMeans
     """
 
     reference: float
@@ -126,7 +123,6 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
 
     Parameters
     ----------
-    record : RampRecord
     reference : float
         °C.
     highest : int

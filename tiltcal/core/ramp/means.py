@@ -24,8 +24,6 @@ class FittedMeans:
 
     Parameters
     ----------
-    record : RampRecord
-    legs : sequence of Leg
     reference : float
         °C.
     """

@@ -28,7 +28,6 @@ def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:
 
     Parameters
     ----------
-    means : FittedMeans
     design : ndarray, shape (means, p)
         Columns that the noise is left by; the first is constant.
     values : ndarray, shape (means,)

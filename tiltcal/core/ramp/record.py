@@ -52,12 +52,7 @@ class RampRecord:
 
 
 class RecordAverager:
-    """Makes a record of rows as they come.
-
-    Parameters
-    ----------
-    channels : int
-    """
+    """Makes a record of rows as they come."""
 
     def __init__(self, channels: int) -> None:
         self._sums = np.zeros((0, 2 + channels))
@@ -119,7 +114,6 @@ class Leg:
         Its first mean, and the one behind its last.
     low, high : float
         Its temperatures, °C.
-    rising : bool
     seconds : float
         How long it lasts.
     pace : float

@@ -34,7 +34,6 @@ class CsvReader(LogReader):
 
     Parameters
     ----------
-    source : LogSource
     skip_bad_rows : bool
         Keep rows that cannot be parsed, named in :attr:`LogBlock.faults`, instead of raising.
     digest : bool
