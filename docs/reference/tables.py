@@ -21,10 +21,10 @@ from tiltcal.files.declaration import (
     Section,
     entries_of,
 )
-from tiltcal.files.journal import Header
+from tiltcal.files.journal_header import Header
 from tiltcal.files.pair import PairFile
 from tiltcal.files.positions import TabledRow
-from tiltcal.files.procedure import PositionsProcedure
+from tiltcal.files.procedure_file import PositionsProcedure
 from tiltcal.files.records import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.rotation import Rotation
 from tiltcal.files.segments import SegmentRow

@@ -15,7 +15,7 @@ from support.command import tiltcal
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.pair import read_pair
-from tiltcal.files.procedure import shipped_procedures
+from tiltcal.files.procedure_file import shipped_procedures
 from tiltcal.files.twin import read_twin
 
 JOURNALS = sorted(FIXTURES.glob("*.journal.jsonl"))

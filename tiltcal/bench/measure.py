@@ -26,7 +26,8 @@ from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.base_calibration import bases_of, identity_in
 from tiltcal.files.bench import BenchFile, read_bench
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure_file import find_procedure
 
 if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration

@@ -22,7 +22,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.errors import UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.procedure_file import find_procedure
 
 _NOT_PREDICTED = (
     "nothing can be predicted before the stage turns: p and q will have a standard uncertainty of 2 s / (A sqrt(n)), "

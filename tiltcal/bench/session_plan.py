@@ -23,9 +23,11 @@ from tiltcal.drivers.device import Model
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.base_calibration import BASE, BaseFile
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
-from tiltcal.files.journal import DeviceHeader, Journal
+from tiltcal.files.journal import Journal
+from tiltcal.files.journal_header import DeviceHeader
 from tiltcal.files.node import require_printable
-from tiltcal.files.procedure import Procedure, procedure_from_record
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure_file import procedure_from_record
 
 VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
 """When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""

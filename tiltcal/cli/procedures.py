@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from tiltcal.files.procedure import Determines, Procedure, find_procedure, shipped_procedures
+from tiltcal.files.procedure import Determines, Procedure
+from tiltcal.files.procedure_file import find_procedure, shipped_procedures
 from tiltcal.files.rotation import Rotation
 
 

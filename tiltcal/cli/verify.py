@@ -11,7 +11,7 @@ import click
 from tiltcal.cli import options
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.procedure_file import find_procedure
 
 if TYPE_CHECKING:
     from tiltcal.bench.operators.operator import PositionOperator

@@ -26,6 +26,7 @@ from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE, Bytes
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.tilt_angles import DIRECTIONS
+from tiltcal.core.uncertainty_columns import round_up, uncertainty_columns
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
@@ -40,8 +41,6 @@ ANYWHERE = pi / sqrt(3.0)
 """Standard uncertainty of an angle of which nothing is known, radians."""
 
 _EXACT = 1e-9  # part of a square below which its error changes nothing else
-_LOWEST = -60  # binary exponent of an angle too small for anyone
-_SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(_LOWEST, 10) - 1)), 0, 22)  # by binary exponent
 _ROWS = 8192  # of a step: they stay in the cache
 _ONE_THREAD = 1 << 18  # multiplications of a matrix product for which the linear algebra starts no threads
 _CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
@@ -481,39 +480,6 @@ def _through_arcsine(argument: Array, half: Array) -> Array:
         widest[widest == 0.0] = np.nan
         width[curved] = widest
     return width
-
-
-def uncertainty_columns(quantities: Sequence[str], *, averaged: bool = False) -> tuple[str, ...]:
-    """Return the names of the columns that hold the uncertainties of some quantities; of means, with their shares."""
-    leads = ("u_", "U95_", *(("u_random_", "u_common_") if averaged else ()))
-    return tuple(f"{lead}{name}" for lead in leads for name in quantities)
-
-
-def with_shares(total: Array, common: Array) -> Array:
-    """Return what means add to the standard uncertainty: the share of independent readings, then the common one.
-
-    Parameters
-    ----------
-    total, common : ndarray, shape (2, k, n)
-        Standard and expanded uncertainty of k quantities: of the means, and without the noise of readings.
-
-    Returns
-    -------
-    ndarray, shape (4 k, n)
-        Rounded up: standard and expanded uncertainty, then both shares of the standard one.
-    """
-    random = np.sqrt(np.maximum(total[0] ** 2 - common[0] ** 2, 0.0))
-    found = np.concatenate([total[0], total[1], random, common[0]])
-    round_up(found)
-    return found
-
-
-def round_up(room: Array) -> None:
-    """Round to four digits, or five, in place: an uncertainty has no more."""
-    scale = np.take(_SCALES, np.frexp(room)[1] - _LOWEST, mode="clip")
-    room *= scale
-    np.ceil(room, out=room)
-    room /= scale
 
 
 def _part(chunk: KernelChunk, rows: slice) -> KernelChunk:

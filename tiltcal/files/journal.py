@@ -33,8 +33,7 @@ from typing import Any, BinaryIO, overload
 from zlib import crc32
 
 from tiltcal.errors import InputError, JournalError, UsageError
-from tiltcal.files.base_calibration import BASE, BaseFile
-from tiltcal.files.declaration import Anything, ByName, Flag, Integer, ListOf, Number, Section, Text, entry
+from tiltcal.files.journal_header import HEADER, Header
 from tiltcal.files.node import document_of
 from tiltcal.frozen import frozen
 
@@ -59,74 +58,6 @@ _BYTES = re.compile("(?:[0-9a-f]{2})*")
 _ANSWER_KEYS = {"to", "answer", "tilt", "gravity", "temperature"}
 _ARRAY_CHECK = len(',"00000000"]')
 _OBJECT_CHECK = len(',"check":"00000000"}')
-
-
-@frozen(kw_only=True)
-class DeviceHeader:
-    """A sensor or the thermometer in the header."""
-
-    model: str = entry(Text(), "as `--sensor`")
-    serial: str = entry(Text(blank=True), "serial number; empty of a thermometer")
-    address: str = entry(Text(), "as `--address`")
-    output: str = entry(Text(blank=True), "calibration file, relative to the journal; empty where none is made")
-    axes: tuple[str, ...] | None = entry(
-        ListOf(Text(), 3, 3), "how it sits, where it does not sit straight", default=None
-    )
-
-
-@frozen(kw_only=True)
-class SettingsHeader:
-    """How the session measures."""
-
-    samples: int = entry(Integer(minimum=2), "samples a position")
-    settle: float = entry(Number(above=0.0), "seconds over which the reading must hold still")
-    soak: float = entry(Number(above=0.0), "seconds of the window at a new temperature")
-    jig: float | None = entry(Number(minimum=0.0), "standard uncertainty of a set angle, degrees", default=None)
-    thermometer: float | None = entry(Number(minimum=0.0), "standard uncertainty of a temperature, °C", default=None)
-    angle: float | None = entry(Number(), "the angle that the procedure leaves free, degrees", default=None)
-    turns: int | None = entry(Integer(minimum=1), "the most turns of a rotation", default=None)
-    table: float | None = entry(
-        Number("degrees", minimum=0.0), "uncertainty of the table's lean, degrees", default=None
-    )
-    heading: float | None = entry(Number("degrees", minimum=0.0), "uncertainty of a heading, degrees", default=None)
-
-
-@frozen(kw_only=True)
-class Header:
-    """The plan of a session, the first line of its journal."""
-
-    software: str = entry(Text(), "who wrote the journal")
-    journal: str = entry(Text(), "its file name")
-    started: str = entry(Text(), "when, UTC")
-    virtual: bool = entry(Flag(), "whether every device is a twin")
-    operator: str = entry(Text(), "who leads: `terminal`, `json`, `sim` or `python`")
-    person: str | None = entry(Text(), "the name in the bench file", default=None)
-    sensors: tuple[DeviceHeader, ...] = entry(
-        ListOf(Section(DeviceHeader), 1, says="a session has at least one sensor"), "the sensors, in order"
-    )
-    thermometer: DeviceHeader | None = entry(Section(DeviceHeader), "of a bench that has one", default=None)
-    settings: SettingsHeader = entry(Section(SettingsHeader), "how the session measures")
-    procedure: Mapping[str, Any] = entry(Anything(), "the procedure file in full")
-    base: str | None = entry(
-        Text(), "in older journals, the text of the calibration file that a mounting completes", default=None
-    )
-    bases: Mapping[str, BaseFile] = entry(
-        ByName(BASE),
-        "by serial number the calibration file that the sensor brings (`--base`): `name`, `text`",
-        default={},
-    )
-    typical_temperature: bool = entry(
-        Flag(), "`true` where the data sheet's mean temperature curves were asked for", default=False
-    )
-
-    @property
-    def known(self) -> dict[str, BaseFile]:
-        """The calibrations that sensors bring with them, by serial number."""
-        return dict(self.bases) if self.base is None else {self.sensors[0].serial: BaseFile(self.base)}
-
-
-HEADER = Section(Header)
-"""The header of a journal, without the version and the check."""
 
 
 @dataclass(frozen=True, slots=True)

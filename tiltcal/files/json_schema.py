@@ -8,7 +8,7 @@ from tiltcal.files.bench import BENCH
 from tiltcal.files.calibration import TILT
 from tiltcal.files.declaration import Format
 from tiltcal.files.pair import PAIR
-from tiltcal.files.procedure import PROCEDURE
+from tiltcal.files.procedure_file import PROCEDURE
 from tiltcal.files.twin import TWIN
 
 FORMATS: dict[str, Format[Any]] = {"tilt": TILT, "pair": PAIR, "procedure": PROCEDURE, "bench": BENCH, "twin": TWIN}

@@ -24,7 +24,8 @@ from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.node import require_printable
 from tiltcal.files.positions import read_positions
-from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.records import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.segments import Segment, read_segments
 from tiltcal.logs.columns import named_columns

@@ -10,7 +10,7 @@ from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.model import Coefficients
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.procedure_file import find_procedure
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
 PERFECT = CalibrationRecord(

@@ -21,7 +21,8 @@ from tiltcal.core.named_coefficients import values
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import Determines, Procedure, find_procedure
+from tiltcal.files.procedure import Determines, Procedure
+from tiltcal.files.procedure_file import find_procedure
 
 SENSOR = SensorIdentity("sca100t-d02", "S-1", "count", ("x", "y"))
 TRUTH = Coefficients(

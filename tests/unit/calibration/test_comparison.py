@@ -13,7 +13,7 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.files.calibration import SensorIdentity
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.procedure_file import find_procedure
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
 ZERO_45 = find_procedure("zero-45")

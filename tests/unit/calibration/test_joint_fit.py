@@ -9,7 +9,7 @@ from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.procedure_file import find_procedure
 
 SENSOR = SensorIdentity("recorded", "S", "g", ("x", "y", "z"))
 NOISE, JIG = 1e-4, 0.1

@@ -18,7 +18,7 @@ from tiltcal.core.model import Array, Mounting, vector_of, with_vector
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.procedure_file import find_procedure
 
 COMPLETE = read_calibration(FIXTURES / "complete.yaml")
 """Two channels over x, y and z, with a drift."""

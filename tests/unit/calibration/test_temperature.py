@@ -14,7 +14,8 @@ from tiltcal.calibration.temperature import choose_order, swept, with_order
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure_file import find_procedure
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
 NOMINAL = Nominal(819.0, 2.4, (101.0, 2047.0))

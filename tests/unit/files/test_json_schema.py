@@ -19,7 +19,7 @@ from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.json_schema import json_schema
 from tiltcal.files.pair import read_pair
-from tiltcal.files.procedure import read_procedure
+from tiltcal.files.procedure_file import read_procedure
 from tiltcal.files.twin import read_twin
 
 READERS = {

@@ -10,14 +10,8 @@ import pytest
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.document import parse_document
-from tiltcal.files.procedure import (
-    Determines,
-    Procedure,
-    find_procedure,
-    procedure_from_record,
-    read_procedure,
-    shipped_procedures,
-)
+from tiltcal.files.procedure import Determines, Procedure
+from tiltcal.files.procedure_file import find_procedure, procedure_from_record, read_procedure, shipped_procedures
 
 OWN = """\
 tiltcal: 1

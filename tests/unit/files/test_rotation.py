@@ -9,7 +9,7 @@ import pytest
 
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.procedure import find_procedure, procedure_from_record, read_procedure
+from tiltcal.files.procedure_file import find_procedure, procedure_from_record, read_procedure
 from tiltcal.files.rotation import Rotation
 
 OWN = """\

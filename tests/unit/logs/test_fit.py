@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tiltcal
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.procedure_file import find_procedure
 from tiltcal.logs.fit import fit
 
 OWN = """\

@@ -1,0 +1,45 @@
+"""The columns of an uncertainty in a log: their names, the shares of a mean, and their digits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tiltcal.core.model import Array
+
+_LOWEST = -60  # binary exponent of an angle too small for anyone
+_SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(_LOWEST, 10) - 1)), 0, 22)  # by binary exponent
+
+
+def uncertainty_columns(quantities: Sequence[str], *, averaged: bool = False) -> tuple[str, ...]:
+    """Return the names of the columns that hold the uncertainties of some quantities; of means, with their shares."""
+    leads = ("u_", "U95_", *(("u_random_", "u_common_") if averaged else ()))
+    return tuple(f"{lead}{name}" for lead in leads for name in quantities)
+
+
+def with_shares(total: Array, common: Array) -> Array:
+    """Return what means add to the standard uncertainty: the share of independent readings, then the common one.
+
+    Parameters
+    ----------
+    total, common : ndarray, shape (2, k, n)
+        Standard and expanded uncertainty of k quantities: of the means, and without the noise of readings.
+
+    Returns
+    -------
+    ndarray, shape (4 k, n)
+        Rounded up: standard and expanded uncertainty, then both shares of the standard one.
+    """
+    random = np.sqrt(np.maximum(total[0] ** 2 - common[0] ** 2, 0.0))
+    found = np.concatenate([total[0], total[1], random, common[0]])
+    round_up(found)
+    return found
+
+
+def round_up(room: Array) -> None:
+    """Round to four digits, or five, in place: an uncertainty has no more."""
+    scale = np.take(_SCALES, np.frexp(room)[1] - _LOWEST, mode="clip")
+    room *= scale
+    np.ceil(room, out=room)
+    room /= scale
