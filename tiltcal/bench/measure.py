@@ -9,11 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.operators.selection import open_operator
 from tiltcal.bench.sensor_set import open_device
 from tiltcal.bench.session import Session
 from tiltcal.bench.session_calibration import changes_in_words
-from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, plan_session, single
+from tiltcal.bench.session_plan import SessionPlan, plan_session, single
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.level import level_summary

@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.bench.operators.operator import OperatorAnswer
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
 from tiltcal.core.model import Array
 from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Reading
@@ -92,24 +90,6 @@ class PositionResult:
             "position": self.position.name,
             "sensors": {serial: self.values(serial) for serial in self.measurements},
         }
-
-
-def as_set(position: Position, answer: OperatorAnswer) -> Position:
-    """Return the position with the angles and the temperature that the operator actually set.
-
-    Raises
-    ------
-    InputError
-        No direction has these angles.
-    """
-    if answer.temperature is not None:
-        position = replace(position, temperature=answer.temperature if position.temperature is not None else None)
-    if answer.gravity is not None:
-        return replace(position, gravity=normalised(answer.gravity), tilt=None)
-    if answer.tilt:
-        tilt = {**(position.tilt or {}), **answer.tilt}
-        return replace(position, gravity=gravity_from_tilt(tilt), tilt=tilt)
-    return position
 
 
 def temperature_of(readings: Sequence[Reading], typed: float | None, asked: float | None) -> float | None:

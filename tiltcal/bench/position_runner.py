@@ -14,10 +14,10 @@ from functools import partial
 
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import PositionOperator
-from tiltcal.bench.position_result import PositionResult, as_set, temperature_of
+from tiltcal.bench.position_result import PositionResult, temperature_of
 from tiltcal.bench.sample_checks import far_off, require_agreement, require_few, require_living, require_off_rails
 from tiltcal.bench.sensor_set import ConnectedSensor, Sample, SensorSet
-from tiltcal.bench.session_plan import SessionPlan, stamp
+from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.calibration import level
 from tiltcal.calibration.measurement import Measurement
@@ -27,6 +27,7 @@ from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Reading
 from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.errors import HardwareError, InputError, JournalError, SensorError
+from tiltcal.files.moments import stamp
 from tiltcal.files.procedure import Position
 
 RECOVERY = 1.0
@@ -112,7 +113,7 @@ class PositionRunner:
         answer = log.ask("position", operator.position, position, len(accepted) + 1, self._live)
         if answer.word != "ready":
             return answer.word
-        actual = as_set(position, answer)
+        actual = answer.as_set(position)
         if actual != position:
             self._hold(actual)
         look = partial(self._look, position)

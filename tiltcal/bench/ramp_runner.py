@@ -13,7 +13,7 @@ import numpy as np
 
 from tiltcal.bench.event_log import EventLog, RecordedClock
 from tiltcal.bench.operators.operator import PositionOperator
-from tiltcal.bench.position_result import PositionResult, as_set
+from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.position_runner import PositionRunner, measurement_of
 from tiltcal.bench.sample_checks import require_off_rails
 from tiltcal.bench.sensor_set import Sample, SensorSet
@@ -72,7 +72,7 @@ class RampRunner(PositionRunner):
         if answer.word != "ready":
             raise Unsettled(NO_WAY_BACK)
         # A temperature that is typed is that of one moment; the thermometer is read all the time.
-        actual = replace(as_set(position, answer), temperature=position.temperature)
+        actual = replace(answer.as_set(position), temperature=position.temperature)
         if accepted and actual.gravity != accepted[0].position.gravity:
             raise Unsettled("a ramp has one attitude: leave the sensor as it lies")
         samples = self._leg(actual)

@@ -17,11 +17,11 @@ from typing import BinaryIO
 
 from tiltcal.bench.event_log import EventLog
 from tiltcal.bench.sensor_set import ConnectedSensor, Listener, SensorSet
-from tiltcal.bench.session_plan import stamp
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Reading
 from tiltcal.errors import HardwareError, UsageError
 from tiltcal.files.journal import write_all
+from tiltcal.files.moments import stamp
 
 SECURE_NS = 1_000_000_000
 """Time that a row may wait for the disk, ns."""

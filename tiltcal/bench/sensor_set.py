@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 
+from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.event_log import EventLog, Interruption, RecordedLink
-from tiltcal.bench.session_plan import DeviceSetup
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.drivers.bus import link_letter, open_link

@@ -10,6 +10,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, cast
 
+from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.event_log import EventLog, RecordedClock
 from tiltcal.bench.operators.operator import PositionOperator, RotationOperator
 from tiltcal.bench.operators.sim import SimOperator, SimRotationOperator
@@ -17,7 +18,7 @@ from tiltcal.bench.position_runner import PositionRunner
 from tiltcal.bench.recording import sample_rows
 from tiltcal.bench.sensor_set import SensorSet, connected, open_device
 from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
-from tiltcal.bench.session_plan import DeviceSetup, SessionPlan
+from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.verification import Verification, verify_positions
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock

@@ -8,13 +8,15 @@ from datetime import datetime
 from math import hypot
 from typing import Any
 
+from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
-from tiltcal.bench.session_plan import DeviceSetup, SessionPlan, stamp
+from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Nominal
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.moments import stamp
 from tiltcal.files.records import VIRTUAL, BenchRecord, FileRecord, Provenance
 
 

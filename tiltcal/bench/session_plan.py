@@ -9,69 +9,27 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import tiltcal
+from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.position_result import SessionSettings
 from tiltcal.calibration.prediction import require_tilt
-from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
-from tiltcal.drivers import find_model
+from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.base_calibration import BASE, BaseFile
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.journal import Journal
-from tiltcal.files.journal_header import DeviceHeader
+from tiltcal.files.moments import stamp
 from tiltcal.files.node import require_printable
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import procedure_from_record
 
 VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
 """When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""
-
-
-@dataclass(frozen=True)
-class DeviceSetup:
-    """One device of a plan.
-
-    Attributes
-    ----------
-    output : str
-        The calibration file, relative to the journal's folder; empty where none is made.
-    orientation : Orientation
-        How the sensor sits on the fixture.
-    """
-
-    model_name: str
-    serial: str
-    address: str
-    output: str = ""
-    orientation: Orientation = STRAIGHT
-
-    @cached_property
-    def model(self) -> Model:
-        """The model as it is wired at the address."""
-        return find_model(self.model_name).at(parse_address(self.address))
-
-    def record(self) -> dict[str, Any]:
-        """As plain data, for the journal."""
-        straight = self.orientation.straight
-        return {
-            "model": self.model_name,
-            "serial": self.serial,
-            "address": self.address,
-            "output": self.output,
-            **({} if straight else {"axes": list(self.orientation.names)}),
-        }
-
-    @classmethod
-    def from_header(cls, device: DeviceHeader) -> DeviceSetup:
-        """Return the setup of a device as a journal's header has it."""
-        turned = STRAIGHT if device.axes is None else orientation(device.axes)
-        return cls(device.model, device.serial, device.address, device.output, turned)
 
 
 @dataclass(frozen=True)
@@ -265,11 +223,6 @@ def single(model: str, serial: str, address: str, jig: float | None = None) -> B
     """Return a bench of one sensor, which needs no file."""
     require_printable(serial, None, None, "the serial number")
     return BenchFile((BenchSensor(serial, model, address),), jig=jig)
-
-
-def stamp(moment: datetime) -> str:
-    """ISO 8601, UTC, to the millisecond."""
-    return moment.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def _require_population(plan: SessionPlan) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from tiltcal.bench.sensor_set import Sample, SensorSet
+from tiltcal.core.detection import is_still
 from tiltcal.core.statistics import drift
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Model
@@ -206,8 +207,7 @@ def movement(
             values = [reading.values[place] for reading in readings]
             change, uncertainty = drift(times, values)
             limit = still * model.sensitivity
-            bound = limit - COVERAGE * uncertainty if shown else max(limit, sigmas * uncertainty)
-            if abs(change) > bound:
+            if not is_still(change, uncertainty, limit, sigmas=sigmas, shown=shown, coverage=COVERAGE):
                 return f"{channel} drifts by {change:+.4g} {model.unit} in {span:.3g} s"
             mean = sum(values) / len(values)
             scatter = (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5
@@ -216,6 +216,6 @@ def movement(
         temperatures = [reading.temperature for reading in readings if reading.temperature is not None]
         if temperature_drift is not None and len(temperatures) == len(readings):
             change, uncertainty = drift(times, temperatures)
-            if abs(change) > max(temperature_drift, sigmas * uncertainty):
+            if not is_still(change, uncertainty, temperature_drift, sigmas=sigmas):
                 return f"the temperature drifts by {change:+.2f} °C in {span:.3g} s"
     return None

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from math import radians
 
-from tiltcal.bench.session_plan import DeviceSetup
+from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import Mounting
 from tiltcal.drivers.bus.address import Address, parse_address

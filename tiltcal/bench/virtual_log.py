@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import asin, degrees, pi, radians, sin
 
-from tiltcal.bench.session_plan import DeviceSetup
+from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.drivers.bus.address import Address

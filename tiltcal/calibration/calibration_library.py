@@ -113,7 +113,7 @@ class CalibrationLibrary:
         InputError
             The time is none, a file is wrong, or two contradict each other.
         """
-        from tiltcal.files.calibration_folder import moment
+        from tiltcal.files.moments import moment
 
         when = moment(time) if isinstance(time, str) else time if time.tzinfo else time.replace(tzinfo=UTC)
         return calibration_at(self.history(serial), when.timestamp(), self.stability(serial, stability))

@@ -17,6 +17,7 @@ from tiltcal.core.budget import COVERAGE
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.outlier_test import extreme_values
 from tiltcal.errors import InputError
+from tiltcal.files.moments import to_the_second
 
 FEWEST = 3
 """Sensors of one model that make a distribution."""
@@ -140,14 +141,14 @@ class FleetHistory:
             "serial": history.sensor.serial,
             "model": history.sensor.model,
             "unit": history.sensor.unit,
-            "calibrations": [{"file": one.path, "date": written(one.date)} for one in dated],
+            "calibrations": [{"file": one.path, "date": to_the_second(one.date)} for one in dated],
             "changes": [
                 {"before": a.name, "after": b.name, "days": (b.date - a.date) / timedelta(days=1)} | found.as_data()
                 for a, b, found in zip(dated, dated[1:], history.comparisons, strict=False)
             ],
-            "due": written(history.due(self.interval)),
+            "due": to_the_second(history.due(self.interval)),
             "is_due": self.is_due(history),
-            "gaps": [[written(a.date), written(b.date)] for a, b in history.gaps(self.interval)],
+            "gaps": [[to_the_second(a.date), to_the_second(b.date)] for a, b in history.gaps(self.interval)],
             "remarks": list(history.remarks),
         }
 
@@ -170,11 +171,6 @@ class FleetHistory:
             lines += [found.line for found in fleet.distributions]
         lines += ["", *(f"problem: {one}" for one in self.problems)] if self.problems else []
         return "\n".join(lines)
-
-
-def written(moment: datetime) -> str:
-    """Return a moment in ISO 8601, to the second."""
-    return f"{moment:%Y-%m-%dT%H:%M:%SZ}"
 
 
 def fleet_history(library: CalibrationLibrary, interval: timedelta, now: datetime) -> FleetHistory:

@@ -19,7 +19,7 @@ from tiltcal.core.model import Array
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor
-from tiltcal.files.calibration_folder import moment
+from tiltcal.files.moments import moment, to_the_second
 from tiltcal.files.uncertainty import known_coefficients
 
 DAY = 86_400.0
@@ -98,7 +98,7 @@ class SensorHistory:
             if before.date == one.date:
                 if values(before.record.coefficients) != values(one.record.coefficients):
                     raise InputError(
-                        f"{before.path} has the same date, {one.date:%Y-%m-%dT%H:%M:%SZ}, and other coefficients of "
+                        f"{before.path} has the same date, {to_the_second(one.date)}, and other coefficients of "
                         f"{one.record.sensor.serial}: keep one of them in the folder",
                         file=one.path,
                     )

@@ -11,7 +11,7 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +19,7 @@ from typing import NamedTuple
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, calibration_of
 from tiltcal.files.document import checked_kind, read_document
+from tiltcal.files.moments import moment
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -107,23 +108,6 @@ def date_of(record: CalibrationRecord, path: str | Path) -> tuple[str, datetime]
             'the calibration has no date: write provenance.ended, such as ended: "2026-05-01T12:00:00Z"', file=path
         )
     return record.provenance.started or min(times, default=ended), moment(ended, path)
-
-
-def moment(text: str, path: str | Path | None = None) -> datetime:
-    """Return a moment in ISO 8601, UTC where it names no zone.
-
-    Raises
-    ------
-    InputError
-        It is none.
-    """
-    try:
-        found = datetime.fromisoformat(text)
-    except ValueError:
-        raise InputError(f"{text!r} is no date: write it as 2026-05-01T12:00:00Z", file=path) from None
-    if found.tzinfo is UTC:
-        return found
-    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 
 def _yaml_files(folder: str | Path) -> Iterator[str]:

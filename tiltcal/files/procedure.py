@@ -229,9 +229,7 @@ class Procedure:
             return self
         if self.rotation is None:
             raise UsageError(f"the procedure {self.name!r} has positions and no turns; leave --turns out")
-        from tiltcal.files.rotation import require_turns
-
-        return replace(self, rotation=replace(self.rotation, turns=require_turns(turns)))
+        return replace(self, rotation=self.rotation.with_turns(turns))
 
     def with_alignment(self, alignment: float | None) -> Procedure:
         """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it as it is.

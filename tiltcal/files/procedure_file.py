@@ -9,7 +9,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tiltcal.core.gravity_direction import Vector, gravity_from_tilt, normalised
 from tiltcal.errors import InputError, UsageError
@@ -41,6 +41,9 @@ from tiltcal.files.procedure import (
     chosen_angle,
 )
 from tiltcal.frozen import frozen
+
+if TYPE_CHECKING:
+    from tiltcal.files.rotation import Rotation
 
 LEVEL = (0.0, 0.0, 1.0)
 """Up in the application's frame where it is level."""
@@ -297,6 +300,31 @@ def _require_ramp(found: PositionsProcedure, node: Node) -> None:
             raise item.error("the positions of a ramp have one attitude, and each a temperature at which it turns")
 
 
+@frozen(kw_only=True)
+class RotationProcedure:
+    """A procedure of a stage that turns, as it stands in a file."""
+
+    name: str = entry(IDENTIFIER, "a letter, then letters, digits, `-`, `_`, `.`")
+    title: str = entry(Text(), "what it is for, in one line")
+    source: str = entry(Text(), "the document it comes from", default="")
+    rotation: Rotation = entry(
+        Imported("tiltcal.files.rotation", "ROTATION"), "which pairs are matched while the stage turns"
+    )
+
+
+def _of_rotation(found: RotationProcedure, node: Node, context: Context) -> Procedure:
+    return Procedure(
+        name=found.name,
+        title=found.title,
+        source=found.source,
+        determines=Determines(()),
+        positions=(),
+        angle=chosen_angle(found.name, None, context.given),
+        record=node.plain(),
+        rotation=found.rotation,
+    )
+
+
 def _with_angle(key: str, found: Mapping[str, Any], context: Context) -> Context:
     """Return the context with the angle that the positions may name."""
     if key != "angle":
@@ -307,7 +335,7 @@ def _with_angle(key: str, found: Mapping[str, Any], context: Context) -> Context
 PROCEDURE: Format[Procedure] = Either(
     "rotation",
     Converted(Section(PositionsProcedure, follow=_with_angle, kind="procedure"), _of_positions),
-    Imported("tiltcal.files.rotation", "ROTATION_PROCEDURE"),
+    Converted(Section(RotationProcedure, kind="procedure"), _of_rotation),
 )
 """The procedure file."""
 

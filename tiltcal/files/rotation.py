@@ -15,12 +15,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import UsageError
 from tiltcal.files.declaration import Context, Converted, Integer, ListOf, Number, Section, Text, entry
 from tiltcal.files.node import Node
-from tiltcal.files.procedure import IDENTIFIER, Determines, Procedure, chosen_angle
 from tiltcal.frozen import frozen
 
 FEWEST = int(FEWEST_TURNS)
@@ -100,6 +101,16 @@ class Rotation:
         """The channels of all pairs, each once."""
         return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
 
+    def with_turns(self, turns: int) -> Rotation:
+        """Return the rotation with another limit of turns.
+
+        Raises
+        ------
+        UsageError
+            The number cannot be.
+        """
+        return replace(self, turns=require_turns(turns))
+
 
 def require_turns(turns: int) -> int:
     """Return a number of turns after a check of its bounds.
@@ -123,30 +134,3 @@ def _apart(rotation: Rotation, node: Node, context: Context) -> Rotation:
 
 ROTATION = Converted(Section(Rotation), _apart)
 """The section ``rotation``."""
-
-
-@frozen(kw_only=True)
-class RotationProcedure:
-    """A procedure of a stage that turns, as it stands in a file."""
-
-    name: str = entry(IDENTIFIER, "a letter, then letters, digits, `-`, `_`, `.`")
-    title: str = entry(Text(), "what it is for, in one line")
-    source: str = entry(Text(), "the document it comes from", default="")
-    rotation: Rotation = entry(ROTATION, "which pairs are matched while the stage turns")
-
-
-def _of_rotation(found: RotationProcedure, node: Node, context: Context) -> Procedure:
-    return Procedure(
-        name=found.name,
-        title=found.title,
-        source=found.source,
-        determines=Determines(()),
-        positions=(),
-        angle=chosen_angle(found.name, None, context.given),
-        record=node.plain(),
-        rotation=found.rotation,
-    )
-
-
-ROTATION_PROCEDURE = Converted(Section(RotationProcedure, kind="procedure"), _of_rotation)
-"""The procedure file of a stage that turns."""

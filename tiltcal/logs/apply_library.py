@@ -20,7 +20,7 @@ from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_colum
 from tiltcal.core.model import Array, polynomial
 from tiltcal.core.named_coefficients import referred
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration_folder import moment
+from tiltcal.files.moments import moment
 from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
 from tiltcal.logs.kernel import ElementTemperature, Kernel, RoleValues
 from tiltcal.logs.log import LogReader, Table

@@ -73,7 +73,7 @@ def seconds_since_1970(time: Array, unit: str | None) -> Array:
     seconds = time * _SECONDS.get(name.strip(), 1.0)
     if not since:
         return np.asarray(seconds)
-    from tiltcal.files.calibration_folder import moment
+    from tiltcal.files.moments import moment
 
     try:
         return np.asarray(seconds + moment(since.strip().removesuffix(" UTC")).timestamp())

@@ -8,10 +8,11 @@ A procedure of positions is carried out by a :class:`PositionOperator`, one of a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.files.procedure import Position
 
@@ -48,6 +49,23 @@ class OperatorAnswer:
     tilt: dict[str, float] = field(default_factory=dict)
     gravity: tuple[float, ...] | None = None
     temperature: float | None = None
+
+    def as_set(self, position: Position) -> Position:
+        """Return a position with the angles and the temperature that the operator actually set.
+
+        Raises
+        ------
+        InputError
+            No direction has these angles.
+        """
+        if self.temperature is not None:
+            position = replace(position, temperature=self.temperature if position.temperature is not None else None)
+        if self.gravity is not None:
+            return replace(position, gravity=normalised(self.gravity), tilt=None)
+        if self.tilt:
+            tilt = {**(position.tilt or {}), **self.tilt}
+            return replace(position, gravity=gravity_from_tilt(tilt), tilt=tilt)
+        return position
 
     def record(self) -> dict[str, Any]:
         """Return plain data for the journal."""

@@ -24,6 +24,7 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, TiltcalError, UsageError
+from tiltcal.files.moments import to_the_second
 from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement, seconds_since_1970
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
 from tiltcal.logs.streams import interrupts_held
@@ -288,5 +289,5 @@ def _refusing_to_add(log: str) -> Iterator[None]:
 
 def _history(before: Any, origin: Mapping[str, str], moment: datetime) -> str:
     made = ", ".join(f"{key} {value}" for key, value in origin.items() if key != "software")
-    line = f"{moment:%Y-%m-%dT%H:%M:%SZ} {origin['software']} apply: {made}"
+    line = f"{to_the_second(moment)} {origin['software']} apply: {made}"
     return line if before is None else f"{before}\n{line}"

@@ -1,0 +1,35 @@
+"""Moments as text: ISO 8601, UTC."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tiltcal.errors import InputError
+
+
+def moment(text: str, path: str | Path | None = None) -> datetime:
+    """Return a moment in ISO 8601, UTC where it names no zone.
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(f"{text!r} is no date: write it as 2026-05-01T12:00:00Z", file=path) from None
+    if found.tzinfo is UTC:
+        return found
+    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+
+
+def stamp(moment: datetime) -> str:
+    """Return a moment as text, to the millisecond."""
+    return moment.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def to_the_second(moment: datetime) -> str:
+    """Return a moment as text; it is in UTC."""
+    return f"{moment:%Y-%m-%dT%H:%M:%SZ}"
