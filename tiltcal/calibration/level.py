@@ -308,26 +308,25 @@ class _LevelReading:
 def _errors_of_bench(at_level: _LevelReading, seen: Sequence[Observation], bench: BenchUncertainty) -> Iterator[Part]:
     """Yield what noise, jig, table and thermometer add to the mean reading."""
     count, channels = len(seen), len(at_level.coefficients.channels)
-    normal = coverage_factor(np.array([inf]))
     adc = np.array([np.zeros(channels) if one.adc is None else one.adc for one in seen])
     noise = np.array([one.u for one in seen]) ** 2 - adc**2
     for one, variance in zip(seen, noise, strict=True):
         dof = np.full(channels, inf) if one.dof is None else one.dof
         yield Part(NOISE, np.eye(channels) / count, np.diag(variance), coverage_factor(dof))
     # Rounding is alike in every position: it does not average out.
-    yield Part(ADC, np.eye(channels), np.diag(np.max(adc, axis=0) ** 2), np.repeat(normal, channels))
+    yield Part.known(ADC, np.eye(channels), np.diag(np.max(adc, axis=0) ** 2))
     headings = [one.heading or 0.0 for one in seen]
     for source, angle, by, number in (
         (JIG, bench.jig, at_level.by_lean([0.0] * count), count),
         (TABLE, bench.table, at_level.by_lean(headings), 1),
     ):
         if angle:
-            yield Part(source, by, np.eye(2) * radians(angle) ** 2 / number, np.repeat(normal, 2))
+            yield Part.known(source, by, np.eye(2) * radians(angle) ** 2 / number)
     if bench.thermometer and at_level.coefficients.thermal is not None:
         by = central_differences(
             lambda warmer: at_level((), np.zeros(0), warmer=float(warmer[0])), np.zeros(1), np.full(1, 1e-3)
         )
-        yield Part(THERMOMETER, by, np.eye(1) * bench.thermometer**2, normal)
+        yield Part.known(THERMOMETER, by, np.eye(1) * bench.thermometer**2)
 
 
 def objection(base: CalibrationRecord, measurement: Measurement) -> str:

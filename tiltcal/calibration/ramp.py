@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import hypot, inf, radians, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.calibration.joint_fit import design_of, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.budget import Budget
+from tiltcal.core.budget import Budget, Part
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
 from tiltcal.core.estimation.estimate import Estimate
@@ -137,53 +138,21 @@ def _estimate(
     bench: BenchUncertainty,
 ) -> Estimate:
     """Return the coefficients with their covariance: that of the record, and what is stated of the bench."""
-    coefficients, places = _coefficients(fit, design, gravity, temperatures)
+    coefficients = _coefficients(fit, design, gravity, temperatures)
     names = tuple(
         name for model in coefficients.models for name in model.coefficients if not name.startswith("nonlinearity")
     )
-    index = {name: k for k, name in enumerate(names)}
-    channels, order = len(design.channels), fit.order
-    size = len(names)
-    variance: dict[str, Array] = {}
-    covariance = np.zeros((size, size))
-
-    def add(source: str, part: Array) -> None:
-        nonlocal covariance
-        covariance = covariance + part
-        variance[source] = variance.get(source, np.zeros(size)) + np.diag(part)
-
-    rows = [index[name] for name in places]
-    noise = np.zeros((size, size))
-    noise[np.ix_(rows, rows)] = fit.covariance[:-1, :-1]
-    add(NOISE, noise)
-    offsets = [index[f"offset.{channel}"] for channel in design.channels]
-    loop = np.zeros(size)
-    loop[offsets] = fit.loop_variance
-    if loop.any():
-        add(HYSTERESIS, np.diag(loop))
-    _add_prior(add, coefficients, design, gravity, index)
-    across = np.array([np.cross(gravity, row) for row in _by_gravity(coefficients, gravity)])
-    for source, u in ((JIG, design.jig), (TABLE, design.table)):
-        if u and u < inf:
-            part = np.zeros((size, size))
-            part[np.ix_(offsets, offsets)] = radians(u) ** 2 * across @ across.T
-            add(source, part)
-    if bench.thermometer:
-        shift = np.zeros(size)
-        for c in range(channels):
-            slopes = fit.coefficients[c, 1:] * np.arange(1, order + 1)
-            for k, slope in enumerate(slopes.tolist()):
-                shift[rows[c * (order + 1) + k]] = slope * bench.thermometer
-        add(THERMOMETER, np.outer(shift, shift))
-    residuals = np.array([[one.summaries[c].mean for c in design.channels] for one in groups]) - _modelled(fit, groups)
+    by_model = fit.means.powers(fit.lag, fit.order) @ fit.coefficients.T
+    modelled = np.array([by_model[part].mean(axis=0) for _, part in _parts(fit)])
+    residuals = np.array([[one.summaries[c].mean for c in design.channels] for one in groups]) - modelled
     return Estimate(
         coefficients,
         names,
-        Budget(covariance, variance, np.full(size, inf)),
+        Budget.of(list(_sources(fit, design, coefficients, gravity, names, bench))),
         tuple(one.position for one in groups),
         residuals,
         residuals,
-        max(len(fit.means) - order - 1, 0) * channels,
+        max(len(fit.means) - fit.order - 1, 0) * len(design.channels),
         None,
         None,
         stated=False,
@@ -191,102 +160,85 @@ def _estimate(
     )
 
 
-def _coefficients(
-    fit: RampFit, design: Design, gravity: Array, temperatures: tuple[float, float]
-) -> tuple[Coefficients, list[str]]:
-    """Return the coefficients, and the names of those that the record determines, in the order of its covariance."""
+def _coefficients(fit: RampFit, design: Design, gravity: Array, temperatures: tuple[float, float]) -> Coefficients:
+    """Return the coefficients that the record shows, and those that stand in."""
     channels = design.channels
-    own = np.array([[channel == axis for axis in design.axes] for channel in channels], dtype=float)
     coefficients = Coefficients(
         channels,
         design.axes,
         np.zeros(len(channels)),
-        own,
-        Thermal(
-            design.reference,
-            temperatures,
-            fit.coefficients[:, 1:].copy(),
-            np.zeros((len(channels), 0)),
-        ),
+        np.array([[channel == axis for axis in design.axes] for channel in channels], dtype=float),
+        Thermal(design.reference, temperatures, fit.coefficients[:, 1:].copy(), np.zeros((len(channels), 0))),
         nonlinearity=np.zeros((len(channels), design.nonlinearity)) if design.nonlinearity else None,
     )
     known = design.priors
     coefficients = with_vector(coefficients, list(known), np.array([one.value for one in known.values()]))
-    signal = coefficients.predict(gravity[None, :])[0]
-    coefficients = replace(coefficients, offset=fit.coefficients[:, 0] - signal)
-    places = [
-        name
-        for channel in channels
-        for name in (
-            f"offset.{channel}",
-            *(f"temperature.offset.{channel}.{power}" for power in range(1, fit.order + 1)),
-        )
+    return replace(coefficients, offset=fit.coefficients[:, 0] - coefficients.predict(gravity[None, :])[0])
+
+
+def _sources(
+    fit: RampFit,
+    design: Design,
+    coefficients: Coefficients,
+    gravity: Array,
+    names: Sequence[str],
+    bench: BenchUncertainty,
+) -> Iterator[Part]:
+    """Yield what each source adds to the uncertainty of the coefficients."""
+    index = {name: k for k, name in enumerate(names)}
+    unit = np.eye(len(names))
+    offsets = unit[:, [index[f"offset.{channel}"] for channel in design.channels]]
+    drifts = [
+        [f"offset.{channel}", *(f"temperature.offset.{channel}.{power}" for power in range(1, fit.order + 1))]
+        for channel in design.channels
     ]
-    return coefficients, places
-
-
-def _by_gravity(coefficients: Coefficients, gravity: Array) -> list[Array]:
-    """Return the derivative of each channel's reading by gravity, unit/g, shape (3,) each."""
-    return [
-        model.read(theta, gravity[None, :], np.zeros(1)).by_gravity[0]
+    by_record = unit[:, [index[name] for own in drifts for name in own]]
+    yield Part.known(NOISE, by_record, fit.covariance[:-1, :-1])
+    if fit.loop_variance.any():
+        yield Part.known(HYSTERESIS, offsets, np.diag(fit.loop_variance))
+    readings = [
+        model.read(theta, gravity[None, :], np.zeros(1))
         for model, theta in zip(coefficients.models, coefficients.vectors, strict=True)
     ]
+    # An offset follows a sensitivity that stands in: the reading is what it was.
+    stands_in = [
+        prior.u * (unit[index[name]] - derivative * offsets[:, c])
+        for c, (model, reading) in enumerate(zip(coefficients.models, readings, strict=True))
+        for name, derivative in zip(model.coefficients, reading.by_coefficient[0].tolist(), strict=True)
+        if (prior := design.priors.get(name)) is not None and prior.u and name in index
+    ]
+    if stands_in:
+        yield Part.known(PRIOR, np.stack(stands_in, axis=1), np.eye(len(stands_in)))
+    across = np.array([np.cross(gravity, reading.by_gravity[0]) for reading in readings])
+    for source, u in ((JIG, design.jig), (TABLE, design.table)):
+        if u and u < inf:
+            yield Part.known(source, offsets @ across, radians(u) ** 2 * np.eye(3))
+    if bench.thermometer:
+        slopes = np.pad(fit.coefficients[:, 1:] * np.arange(1, fit.order + 1), ((0, 0), (0, 1)))
+        yield Part.known(THERMOMETER, by_record @ slopes.reshape(-1, 1), np.eye(1) * bench.thermometer**2)
 
 
-def _add_prior(add: Any, coefficients: Coefficients, design: Design, gravity: Array, index: Mapping[str, int]) -> None:
-    """Add the uncertainty of a sensitivity that stands in, and what it makes of the offset."""
-    size = len(index)
-    part = np.zeros((size, size))
-    for model, theta in zip(coefficients.models, coefficients.vectors, strict=True):
-        derivatives = model.read(theta, gravity[None, :], np.zeros(1)).by_coefficient[0]
-        for name, derivative in zip(model.coefficients, derivatives.tolist(), strict=True):
-            prior = design.priors.get(name)
-            if prior is None or not prior.u or name not in index:
-                continue
-            moved = np.zeros(size)
-            moved[index[name]] = prior.u
-            moved[index[f"offset.{model.name}"]] = -derivative * prior.u
-            part += np.outer(moved, moved)
-    if part.any():
-        add(PRIOR, part)
+def _parts(fit: RampFit) -> Iterator[tuple[str, NDArray[np.intp]]]:
+    """Yield the name and the means of each part of a leg that counts as a position."""
+    for number, leg in enumerate(fit.means.legs, start=1):
+        rows = np.flatnonzero(fit.means.leg == number - 1)
+        for k, part in enumerate(np.array_split(rows, min(GROUPS, len(rows))), start=1):
+            yield f"{leg.way}-{number}-{k}", part
 
 
 def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Measurement]:
     """Return parts of the legs as positions: what they read, and at which temperature of the thermometer."""
     means, groups = fit.means, []
     element = means.element(0.0) + 0.0
-    share = record.rows / len(means)
-    for number, leg in enumerate(means.legs, start=1):
-        rows = np.flatnonzero(means.leg == number - 1)
-        for k, part in enumerate(np.array_split(rows, min(GROUPS, len(rows))), start=1):
-            n = max(round(share * len(part)), 1)
-            summaries = {
-                channel: SampleSummary(float(values.mean()), float(noise), n, float(noise) / sqrt(n))
-                for channel, values, noise in zip(attitude.summaries, means.readings[part].T, record.noise, strict=True)
-            }
-            groups.append(
-                replace(
-                    attitude,
-                    position=f"{leg.way}-{number}-{k}",
-                    temperature=float(element[part].mean()) + fit.reference,
-                    summaries=summaries,
-                    when={},
-                )
-            )
+    for name, part in _parts(fit):
+        n = max(round(record.rows / len(means) * len(part)), 1)
+        summaries = {
+            channel: SampleSummary(float(values.mean()), float(noise), n, float(noise) / sqrt(n))
+            for channel, values, noise in zip(attitude.summaries, means.readings[part].T, record.noise, strict=True)
+        }
+        temperature = float(element[part].mean()) + fit.reference
+        groups.append(replace(attitude, position=name, temperature=temperature, summaries=summaries, when={}))
     return groups
-
-
-def _modelled(fit: RampFit, groups: Sequence[Measurement]) -> Array:
-    """Return what the model reads on average in each group, shape (groups, channels)."""
-    means = fit.means
-    modelled = means.powers(fit.lag, fit.order) @ fit.coefficients.T
-    parts = [
-        part
-        for number in range(len(means.legs))
-        for rows in [np.flatnonzero(means.leg == number)]
-        for part in np.array_split(rows, min(GROUPS, len(rows)))
-    ]
-    return np.array([modelled[part].mean(axis=0) for part in parts])
 
 
 def _hysteresis(fit: RampFit, channels: Sequence[str]) -> dict[str, Hysteresis]:

@@ -43,6 +43,11 @@ class Part:
     covariance: Array
     factors: Array
 
+    @classmethod
+    def known(cls, source: str, by: Array, covariance: Array) -> Part:
+        """Return the part of errors whose uncertainty is known and not estimated from a scatter."""
+        return cls(source, by, covariance, np.full(len(covariance), NORMAL_FACTOR))
+
     @property
     def dof(self) -> Array:
         """Degrees of freedom of its part of each quantity's variance, shape (k,), from its 95 % intervals."""
