@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from tiltcal.bench.session_calibration import changes_in_words
 from tiltcal.bench.session_plan import SessionPlan, plan_session, single
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.level import level_summary
+from tiltcal.calibration.level import NO_LEVEL, level_summary
 from tiltcal.calibration.prediction import predict
 from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.drivers.bus.address import parse_address
@@ -185,14 +185,25 @@ def measure(
 
         return PairCalibration(found[0])  # type: ignore[arg-type]
     calibrations = [Calibration(one) for one in found if isinstance(one, CalibrationRecord)]
+    _remark_notes(calibrations, remark, renewed=session.plan.procedure.determines.level)
     for one in calibrations:
-        for note in one.fit.notes:
-            remark(f"{one.sensor.serial}: {note}")
         if session.plan.procedure.determines.level:
             remark(level_summary(one.record))
         if session.plan.procedure.closes:
             remark(changes_in_words(one.record))
     return calibrations[0] if len(session.plan.sensors) == 1 else calibrations
+
+
+def _remark_notes(calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool) -> None:
+    """Say each note once, with the sensors that have it; after ``level``, those of the calibration before were said."""
+    having: dict[str, list[str]] = {}
+    for one in calibrations:
+        for note in one.fit.notes:
+            if not renewed or note == NO_LEVEL:
+                having.setdefault(note, []).append(one.sensor.serial)
+    for note, serials in having.items():
+        every = len(serials) == len(calibrations) > 1
+        remark(f"{'all sensors' if every else ', '.join(serials)}: {note}")
 
 
 @contextmanager

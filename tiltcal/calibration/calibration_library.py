@@ -78,7 +78,7 @@ class CalibrationLibrary:
         if serial not in self._histories:
             if serial not in self._files:
                 raise UsageError(self._unknown(serial))
-            self._histories[serial] = SensorHistory.of([_dated(one) for one in self._files[serial]])
+            self._histories[serial] = SensorHistory.of([self._dated(one) for one in self._files[serial]])
         return self._histories[serial]
 
     def stability(self, serial: str, stated: float | None = None) -> Stability:
@@ -156,6 +156,11 @@ class CalibrationLibrary:
 
         return apply_frame(self, frame, serial=serial, stability=stability, start=start, **options)
 
+    def _dated(self, file: CalibrationFile) -> DatedCalibration:
+        record = read_calibration(file.path)
+        started, date = date_of(record, file.path)
+        return DatedCalibration(record, date, started, file.path, Path(file.path).relative_to(self.folder).as_posix())
+
     def _fleet(self, history: SensorHistory) -> list[SensorHistory]:
         """Return the histories of other sensors of the same model and unit that have several calibrations."""
         sensor = history.sensor
@@ -209,9 +214,3 @@ def calibration_at(history: SensorHistory, time: float, stability: Stability | N
     return Calibration(
         interpolate(dated[k].record, dated[k + 1].record, (time - times[k]) / span, span / DAY, stability)
     )
-
-
-def _dated(file: CalibrationFile) -> DatedCalibration:
-    record = read_calibration(file.path)
-    started, date = date_of(record, file.path)
-    return DatedCalibration(record, date, started, file.path)

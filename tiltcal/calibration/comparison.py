@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.verdict import Verdict, judge
 from tiltcal.core.named_coefficients import CoefficientChange
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
@@ -30,6 +31,17 @@ class Comparison:
     sensor: SensorIdentity
     changes: tuple[CoefficientChange, ...]
     verdict: Verdict
+
+    @property
+    def in_words(self) -> str:
+        """The verdict in one word, and by how much each changed coefficient has changed."""
+        if self.verdict.word != "changed":
+            return self.verdict.word
+        changed = [one for one in self.changes if one.name in self.verdict.changed]
+        return "changed: " + ", ".join(
+            f"{one.name} by {one.difference:+.3g} ± {one.u or 0.0:.2g} {unit_of(one.name, self.sensor.unit)}".rstrip()
+            for one in changed
+        )
 
     def as_data(self) -> dict[str, Any]:
         """Return the comparison as plain data."""

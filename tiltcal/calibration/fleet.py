@@ -12,7 +12,6 @@ import numpy as np
 
 from tiltcal.calibration.calibration_library import CalibrationLibrary
 from tiltcal.calibration.sensor_history import SensorHistory
-from tiltcal.calibration.verdict import Verdict
 from tiltcal.core.budget import COVERAGE
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.outlier_test import extreme_values
@@ -159,7 +158,7 @@ class FleetHistory:
             word = "was due" if self.is_due(history) else "due"
             lines.append(f"{history.sensor.model} {history.sensor.serial}: {word} {due:%Y-%m-%d}")
             for place, one in enumerate(history.calibrations):
-                told = "" if not place else _changed(history.comparisons[place - 1].verdict)
+                told = f"  {history.comparisons[place - 1].in_words}" if place else ""
                 lines.append(f"  {one.date:%Y-%m-%d}  {one.name}{told}")
             for a, b in history.gaps(self.interval):
                 lines.append(f"  gap: {(b.date - a.date).days} days from {a.date:%Y-%m-%d} to {b.date:%Y-%m-%d}")
@@ -231,9 +230,3 @@ def _distribution(name: str, found: Mapping[str, float], rate: float) -> Coeffic
     numbers = np.array([found[serial] for serial in serials])
     outliers = tuple(serials[place] for place in extreme_values(numbers, rate))
     return CoefficientDistribution(name, {serial: found[serial] for serial in serials}, outliers)
-
-
-def _changed(verdict: Verdict) -> str:
-    if verdict.word == "changed":
-        return f"  changed: {', '.join(verdict.changed)}"
-    return f"  {verdict.word}"

@@ -8,7 +8,6 @@ from datetime import datetime, timedelta
 from functools import cached_property
 from itertools import pairwise
 from math import inf
-from pathlib import Path
 
 import numpy as np
 
@@ -45,17 +44,15 @@ class DatedCalibration:
         When it ended, UTC.
     started : str
         When it began.
+    name : str
+        The path within the folder.
     """
 
     record: CalibrationRecord
     date: datetime
     started: str
     path: str
-
-    @property
-    def name(self) -> str:
-        """The name of its file."""
-        return Path(self.path).name
+    name: str
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from tiltcal.calibration.fleet import FleetHistory, ModelFleet
@@ -24,9 +24,20 @@ class SensorRow:
     calibrations: int
     first: str
     last: str
-    change: str
     due: str
     is_due: bool
+
+
+@dataclass(frozen=True)
+class ChangeRow:
+    """One calibration beside the one before it."""
+
+    serial: str
+    date: str
+    name: str
+    days: str
+    change: str
+    is_changed: bool
 
 
 @dataclass(frozen=True)
@@ -71,6 +82,7 @@ def fleet_page(history: FleetHistory) -> str:
             Fact("Due", f"{sum(row.is_due for row in rows)} on {history.now:%Y-%m-%d}"),
         ],
         sensors=rows,
+        changes=[row for one in history.histories for row in _change_rows(one)],
         models=[_model_section(one, number) for number, one in enumerate(history.models, start=1)],
         remarks=[
             *(f"{one.sensor.serial}: {remark}" for one in history.histories for remark in one.remarks),
@@ -85,20 +97,27 @@ def fleet_page(history: FleetHistory) -> str:
 
 
 def _sensor_row(history: FleetHistory, one: SensorHistory) -> SensorRow:
-    verdict = one.comparisons[-1].verdict if one.comparisons else None
-    change = "" if verdict is None else verdict.word
-    if verdict is not None and verdict.word == "changed":
-        change = f"changed: {', '.join(words(name) for name in verdict.changed)}"
     return SensorRow(
         one.sensor.serial,
         one.sensor.model,
         len(one.calibrations),
         f"{one.calibrations[0].date:%Y-%m-%d}",
         f"{one.calibrations[-1].date:%Y-%m-%d}",
-        change,
         f"{one.due(history.interval):%Y-%m-%d}",
         history.is_due(one),
     )
+
+
+def _change_rows(history: SensorHistory) -> Iterator[ChangeRow]:
+    for before, after, found in zip(history.calibrations, history.calibrations[1:], history.comparisons, strict=False):
+        yield ChangeRow(
+            history.sensor.serial,
+            f"{after.date:%Y-%m-%d}",
+            after.name,
+            str((after.date - before.date).days),
+            found.in_words.removeprefix("changed: "),
+            found.verdict.word == "changed",
+        )
 
 
 def _model_section(fleet: ModelFleet, number: int) -> ModelSection:
