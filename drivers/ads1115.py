@@ -16,13 +16,13 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.converter import FrontEnd
+from tiltcal.drivers.device import from_twin
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.analog import Wiring
 
 CONVERSION, CONFIG = 0x00, 0x01
 """Registers."""
@@ -185,14 +185,8 @@ def front_end(address: Address) -> FrontEnd:
         options=("range", "rate"),
         spi=None,
         driver=partial(Ads1115, full_scale=full_scale, rate=rate),
-        twin=_twin,
+        twin=from_twin("ads1115", "Ads1115Twin"),
     )
-
-
-def _twin(wiring: Wiring, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.ads1115 import Ads1115Twin
-
-    return Ads1115Twin(wiring, clock)
 
 
 def _listed(choices: tuple[float, ...] | list[str]) -> str:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.edges import RECORD, Edge, unpack_edges
 from tiltcal.drivers.converter import SCHEMES as CONVERTERS
-from tiltcal.drivers.device import Model, Reading, in_words
+from tiltcal.drivers.device import Model, Reading, from_twin, in_words
 from tiltcal.drivers.lines import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.nmea import content, missing
 from tiltcal.drivers.pulses import Cycle, PulseTrains
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 ZERO = 0.5
 """Nominal duty cycle at 0 g."""
@@ -297,24 +295,6 @@ OFFSET_SPREAD = 0.5
 """Standard deviation of the offset between parts, g; our estimate, because the notes state only that it varies."""
 
 
-def _sentences_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.adxl202 import sentences_twin
-
-    return sentences_twin(truth, fixture, clock)
-
-
-def _edges_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.adxl202 import EdgesTwin
-
-    return EdgesTwin(truth, fixture, clock)
-
-
-def _default_truth(variant: Adxl202Variant, seed: int) -> Truth:
-    from tiltcal.drivers.twin.adxl202 import draw_truth
-
-    return draw_truth(variant, seed)
-
-
 def _tailored(model: Model, address: Address) -> Model:
     """Return the model for an address; at a ``sim:`` address ``wiring=edges`` selects edges."""
     if address.scheme in CONVERTERS:
@@ -333,7 +313,7 @@ def _tailored(model: Model, address: Address) -> Model:
         schemes=("gpio", "vcd", "serial"),
         thermometer=False,
         driver=Adxl202Edges,
-        twin=_edges_twin,
+        twin=from_twin("adxl202", "EdgesTwin"),
     )
 
 
@@ -361,7 +341,7 @@ def _model(name: str, title: str, variant: Adxl202Variant) -> Model:
         interval=0.0,
         thermometer=True,
         driver=Adxl202Sentences,
-        twin=_sentences_twin,
+        twin=from_twin("adxl202", "sentences_twin"),
         not_modelled=(
             "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
             "self-test",
@@ -371,7 +351,7 @@ def _model(name: str, title: str, variant: Adxl202Variant) -> Model:
             "the period's drift with temperature, on edges (sentences have it)",
             "the memory fault (parity) of other parts: this part has no such memory",
         ),
-        default_truth=partial(_default_truth, variant),
+        default_truth=from_twin("adxl202", "draw_truth", variant),
         options=("wiring",),
     )
     return replace(model, configure=partial(_tailored, model))

@@ -30,7 +30,7 @@ from functools import partial
 from math import log2, sqrt
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.device import Model, Reading, SpiPort
+from tiltcal.drivers.device import Model, Reading, SpiPort, from_twin
 from tiltcal.drivers.polled import PolledSensor, Settings
 from tiltcal.drivers.registers import RegisterPort, check_data_line, choose_range, slowest_clock
 from tiltcal.errors import DeviceFault
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 IDENTITY, STATUS, TEMPERATURE, DATA = 0x00, 0x04, 0x06, 0x08
 FILTER, RANGE, POWER, RESET, SHADOW = 0x28, 0x2C, 0x2D, 0x2F, 0x50
@@ -190,22 +188,6 @@ def decode_temperature(pair: bytes) -> float:
     return CENTRE_CELSIUS + (raw - CENTRE) / SLOPE
 
 
-def _driver(settings: Adxl355Settings, link: Link, clock: Clock) -> Adxl355:
-    return Adxl355(link, clock, settings)
-
-
-def _twin(settings: Adxl355Settings, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.adxl355 import adxl355_twin
-
-    return adxl355_twin(settings, truth, fixture, clock)
-
-
-def _default_truth(settings: Adxl355Settings, seed: int) -> Truth:
-    from tiltcal.drivers.twin.adxl355 import draw_truth
-
-    return draw_truth(settings, seed)
-
-
 def _tailored(address: Address) -> Model:
     """Return the model with the range and rate of the address."""
     rate = address.number("rate", FASTEST / 2**DEFAULT_STEP, low=FASTEST / 2**SLOWEST_STEP - 0.01, high=FASTEST)
@@ -236,8 +218,8 @@ def _model(settings: Adxl355Settings) -> Model:
         interval=0.0,
         thermometer=True,
         thermometer_step=1.0 / 9.05,
-        driver=partial(_driver, settings),
-        twin=partial(_twin, settings),
+        driver=partial(Adxl355, settings=settings),
+        twin=from_twin("adxl355", "adxl355_twin", settings),
         not_modelled=(
             "response time and bandwidth: a new position is there with the next sample, whose noise is independent",
             "overrange, self-test, FIFO, high-pass filter, interrupts, offset trim",
@@ -246,7 +228,7 @@ def _model(settings: Adxl355Settings) -> Model:
             "samples of two moments in one burst; thermometer noise",
             "supply: brown-out; the memory fault (parity) of other parts",
         ),
-        default_truth=partial(_default_truth, settings),
+        default_truth=from_twin("adxl355", "draw_truth", settings),
         spi=SpiPort(
             modes=(0,), fastest=10_000_000, speed=1_000_000, slowest=max(100_000, slowest_clock(16, settings.rate))
         ),

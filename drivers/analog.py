@@ -33,7 +33,7 @@ from tiltcal.drivers.converter import (
     take_input,
     take_supply,
 )
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import DeviceFault
 
 if TYPE_CHECKING:
@@ -185,12 +185,6 @@ def _twin(wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> 
     return wired.front_end.twin(wiring, clock)
 
 
-def _default_truth(part: AnalogPart, seed: int) -> Truth:
-    from tiltcal.drivers.twin.analog import draw_truth
-
-    return draw_truth(part, seed)
-
-
 def _model(part: AnalogPart, address: Address) -> Model:
     """Return the model of a part as it is connected at an address."""
     wired = _wire(part, address)
@@ -223,7 +217,7 @@ def _model(part: AnalogPart, address: Address) -> Model:
             "converter: offset, gain error, non-linearity, noise, charge taken from the sensor's output",
             "an input without a wire, which floats on the real part: it reads 0 V",
         ),
-        default_truth=partial(_default_truth, part),
+        default_truth=from_twin("analog", "draw_truth", part),
         spi=front_end.spi,
         options=(*CHANNELS, "supply", "vdd", *front_end.options, *chooses),
         configure=partial(_model, part),

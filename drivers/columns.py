@@ -22,7 +22,7 @@ from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.device import Model, Reading, in_words
+from tiltcal.drivers.device import Model, Reading, from_twin, in_words
 from tiltcal.drivers.lines import UNUSABLE, LineBuffer, shown
 from tiltcal.errors import BusError
 
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 AXES = ("x", "y", "z")
 TEMPERATURE = "temperature"
@@ -209,8 +207,8 @@ def _tailored(model: Model, address: Address) -> Model:
     return replace(
         fitted,
         driver=partial(ColumnsSensor, columns),
-        twin=partial(_twin, columns),
-        default_truth=partial(_default_truth, columns, fitted.offset, fitted.sensitivity),
+        twin=from_twin("columns", "columns_twin", columns),
+        default_truth=from_twin("columns", "draw_truth", columns.channels, fitted.offset, fitted.sensitivity),
     )
 
 
@@ -252,22 +250,6 @@ def with_numbers(
     )
 
 
-def _twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.columns import columns_twin
-
-    return columns_twin(columns, truth, fixture, clock)
-
-
-def _default_truth(columns: ColumnLayout, offset: float, sensitivity: float, seed: int) -> Truth:
-    from tiltcal.drivers.twin.columns import draw_truth
-
-    return draw_truth(columns.channels, offset, sensitivity, seed)
-
-
-def _driver(link: Link, clock: Clock) -> ColumnsSensor:
-    return ColumnsSensor(_ANY, link, clock)
-
-
 _ANY = ColumnLayout((*AXES[:2], TEMPERATURE), SEPARATORS["any"])
 
 _MODEL = Model(
@@ -286,15 +268,15 @@ _MODEL = Model(
     # The device streams: a read waits for the next line.
     interval=0.0,
     thermometer=True,
-    driver=_driver,
-    twin=partial(_twin, _ANY),
+    driver=partial(ColumnsSensor, _ANY),
+    twin=from_twin("columns", "columns_twin", _ANY),
     not_modelled=(
         "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
         "loss and damage on the line",
         "a receive buffer: lines that are not read at once are lost",
         "the memory fault (parity) of other parts",
     ),
-    default_truth=partial(_default_truth, _ANY, 0.0, 1.0),
+    default_truth=from_twin("columns", "draw_truth", _ANY.channels, 0.0, 1.0),
     options=("columns", "separator", "unit", "offset", "sensitivity", "low", "high"),
 )
 

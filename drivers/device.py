@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from importlib import import_module
 from math import sqrt
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -262,3 +264,18 @@ class StreamingSensor(Protocol):
 def in_words(link_statistics: Mapping[str, int]) -> str:
     """Return link statistics as text: ``120 sentences, 3 damaged, 1 lost``."""
     return ", ".join(f"{number} {what}" for what, number in link_statistics.items())
+
+
+def from_twin(module: str, name: str, *first: Any) -> Callable[..., Any]:
+    """Return a function of a twin's module, which is imported at its first call: a real sensor loads no twin.
+
+    Parameters
+    ----------
+    first
+        Arguments before those of a call.
+    """
+    return partial(_call, f"tiltcal.drivers.twin.{module}", name, *first)
+
+
+def _call(module: str, name: str, *arguments: Any) -> Any:
+    return getattr(import_module(module), name)(*arguments)

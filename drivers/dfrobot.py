@@ -20,7 +20,7 @@ from operator import xor
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers import sca100t
-from tiltcal.drivers.device import Model, Reading, in_words
+from tiltcal.drivers.device import Model, Reading, from_twin, in_words
 from tiltcal.drivers.lines import CHUNK
 from tiltcal.errors import BusError, DeviceFault
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 REQUEST = bytes.fromhex("55AA02FD")
 HEADER = bytes.fromhex("55AA")
@@ -152,12 +150,6 @@ def _sane(reading: Reading) -> Reading:
     return reading
 
 
-def _twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.dfrobot import DfrobotTwin
-
-    return DfrobotTwin(truth, fixture, clock)
-
-
 def _tailored(model: Model, address: Address) -> Model:
     """Return the model, and require a baud rate in the address."""
     if not address.simulated:
@@ -172,7 +164,7 @@ _MODEL = replace(
     schemes=("serial",),
     addresses=("serial:///dev/ttyUSB0?baudrate=9600",),
     driver=DfrobotSca100t,
-    twin=_twin,
+    twin=from_twin("dfrobot", "DfrobotTwin"),
     not_modelled=(
         *(line for line in sca100t.D02.not_modelled if "self-test" not in line and "chip select" not in line),
         "the microcontroller of the module: it answers at once and without damage",

@@ -24,7 +24,7 @@ from tiltcal.drivers.columns import (
     ColumnsSensor,
     columns_of,
 )
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.device import Model, from_twin
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -53,12 +53,6 @@ def _twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) 
     from tiltcal.drivers.twin.stage import stage_twin
 
     return stage_twin(columns, truth, clock)
-
-
-def _default_truth(seed: int) -> Truth:
-    from tiltcal.drivers.twin.stage import draw_truth
-
-    return draw_truth(seed)
 
 
 _PRINTED = ColumnLayout(tuple(PRINTED.split(",")), SEPARATORS["any"])
@@ -90,7 +84,7 @@ _MODEL = Model(
         "temperature",
         "loss and damage on the line",
     ),
-    default_truth=_default_truth,
+    default_truth=from_twin("stage", "draw_truth"),
     options=("columns", "separator", "unit"),
     scaled=False,
 )

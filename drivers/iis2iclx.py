@@ -26,7 +26,7 @@ from functools import partial
 from math import sqrt
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.device import Model, Reading, SpiPort
+from tiltcal.drivers.device import Model, Reading, SpiPort, from_twin
 from tiltcal.drivers.polled import PolledSensor, Settings
 from tiltcal.drivers.registers import RegisterPort, check_data_line, choose_range, slowest_clock
 from tiltcal.errors import DeviceFault
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 WHO_AM_I, CTRL1, CTRL3, CTRL9, STATUS, TEMPERATURE, DATA = 0x0F, 0x10, 0x12, 0x18, 0x1E, 0x20, 0x28
 
@@ -157,22 +155,6 @@ def decode_temperature(pair: bytes) -> float:
     return 25.0 + decode_word(pair) / 256.0
 
 
-def _driver(settings: Iis2iclxSettings, link: Link, clock: Clock) -> Iis2iclx:
-    return Iis2iclx(link, clock, settings)
-
-
-def _twin(settings: Iis2iclxSettings, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.iis2iclx import iis2iclx_twin
-
-    return iis2iclx_twin(settings, truth, fixture, clock)
-
-
-def _default_truth(settings: Iis2iclxSettings, seed: int) -> Truth:
-    from tiltcal.drivers.twin.iis2iclx import draw_truth
-
-    return draw_truth(settings, seed)
-
-
 def _tailored(address: Address) -> Model:
     """Return the model with the range and rate of the address."""
     rate = address.number("rate", 104.0)
@@ -200,8 +182,8 @@ def _model(settings: Iis2iclxSettings) -> Model:
         interval=0.0,
         thermometer=True,
         thermometer_step=1.0 / 256.0,
-        driver=partial(_driver, settings),
-        twin=partial(_twin, settings),
+        driver=partial(Iis2iclx, settings=settings),
+        twin=from_twin("iis2iclx", "iis2iclx_twin", settings),
         not_modelled=(
             "response time and bandwidth: a new position is there with the next sample, whose noise is independent",
             "filters, self-test, FIFO, user offset, interrupts, machine learning core",
@@ -210,7 +192,7 @@ def _model(settings: Iis2iclxSettings) -> Model:
             "thermometer noise; cross-axis sensitivity of a real part, which no source names",
             "supply: brown-out; the memory fault (parity) of other parts",
         ),
-        default_truth=partial(_default_truth, settings),
+        default_truth=from_twin("iis2iclx", "draw_truth", settings),
         spi=SpiPort(modes=(0, 3), fastest=10_000_000, speed=1_000_000, slowest=slowest_clock(12, settings.rate)),
         options=("range", "rate"),
         configure=_tailored,

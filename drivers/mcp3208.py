@@ -17,14 +17,13 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.converter import FrontEnd
-from tiltcal.drivers.device import SpiPort
+from tiltcal.drivers.device import SpiPort, from_twin
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.analog import Wiring
 
 INPUTS = 8
 
@@ -114,11 +113,5 @@ def front_end(address: Address) -> FrontEnd:
         options=("vref",),
         spi=PORT,
         driver=partial(Mcp3208, reference=reference),
-        twin=_twin,
+        twin=from_twin("mcp3208", "Mcp3208Twin"),
     )
-
-
-def _twin(wiring: Wiring, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.mcp3208 import Mcp3208Twin
-
-    return Mcp3208Twin(wiring, clock)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT
 from tiltcal.drivers.columns import AXES, OFFSET_SPREAD, RAIL, TEMPERATURE, TIME, require_name, with_numbers
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.drivers.registers import choose
 from tiltcal.errors import BusError, DeviceFault
 
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 TYPES = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "int64": "q", "float64": "d"}
 """Encoding of a number, by its name in the address."""
@@ -271,21 +269,9 @@ def _tailored(address: Address) -> Model:
         fitted,
         interval=1.0 / address.number("rate", RATE, low=0.001, high=1000.0),
         driver=partial(ModbusColumns, layout),
-        twin=partial(_twin, layout),
-        default_truth=partial(_default_truth, layout, fitted.offset, fitted.sensitivity),
+        twin=from_twin("modbus", "ModbusTwin", layout),
+        default_truth=from_twin("columns", "draw_truth", layout.channels, fitted.offset, fitted.sensitivity),
     )
-
-
-def _twin(layout: RegisterLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.modbus import ModbusTwin
-
-    return ModbusTwin(layout, truth, fixture, clock)
-
-
-def _default_truth(layout: RegisterLayout, offset: float, sensitivity: float, seed: int) -> Truth:
-    from tiltcal.drivers.twin.columns import draw_truth
-
-    return draw_truth(layout.channels, offset, sensitivity, seed)
 
 
 SIMULATED = "x@0:float32,y@2:float32,temperature@4:float32"
@@ -320,14 +306,14 @@ _MODEL = Model(
     interval=1.0 / RATE,
     thermometer=True,
     driver=partial(ModbusColumns, _SIMULATED),
-    twin=partial(_twin, _SIMULATED),
+    twin=from_twin("modbus", "ModbusTwin", _SIMULATED),
     not_modelled=(
         "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
         "frames and checksums of RTU and TCP: the twin answers what is inside them",
         "how often a real device renews its registers, and whether it does so between two of them",
         "the memory fault (parity) of other parts",
     ),
-    default_truth=partial(_default_truth, _SIMULATED, 0.0, 1.0),
+    default_truth=from_twin("columns", "draw_truth", _SIMULATED.channels, 0.0, 1.0),
     options=("columns", "table", "order", "rate", UNIT, "offset", "sensitivity", "low", "high"),
 )
 

@@ -14,19 +14,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from math import radians, sin, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
-from tiltcal.drivers.device import Model, Population, Reading, SpiPort
+from tiltcal.drivers.device import Model, Population, Reading, SpiPort, from_twin
 from tiltcal.drivers.registers import check_data_line
 from tiltcal.errors import BusError, DeviceFault, UsageError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
 
@@ -336,18 +333,6 @@ NOT_MODELLED = (
 )
 
 
-def _twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.sca100t import Sca100tTwin
-
-    return Sca100tTwin(truth, fixture, clock)
-
-
-def _default_truth(variant: Sca100tVariant, seed: int) -> Truth:
-    from tiltcal.drivers.twin.sca100t import draw_truth
-
-    return draw_truth(variant, seed)
-
-
 def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
     # Limits without further information are a rectangular distribution (GUM 4.3.7): limit / sqrt(3).
     return Model(
@@ -375,9 +360,9 @@ def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
             "SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
         ),
         driver=Sca100t,
-        twin=_twin,
+        twin=from_twin("sca100t", "Sca100tTwin"),
         not_modelled=NOT_MODELLED,
-        default_truth=partial(_default_truth, variant),
+        default_truth=from_twin("sca100t", "draw_truth", variant),
         spi=SpiPort(modes=(0, 3), fastest=500_000),
     )
 

@@ -18,7 +18,7 @@ from math import radians, sin, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
 from tiltcal.drivers import sca100t
-from tiltcal.drivers.device import Model, Population
+from tiltcal.drivers.device import Model, Population, from_twin
 from tiltcal.drivers.sca100t import (
     LOWEST_SANE_WORD,
     RDAX,
@@ -165,12 +165,6 @@ def _twin(part: OneAxisPart, truth: Truth, fixture: HeldPose, clock: Clock) -> L
     return (Sca103tTwin if part.differential else Sca61tTwin)(truth, fixture, clock)
 
 
-def _default_truth(part: OneAxisPart, seed: int) -> Truth:
-    from tiltcal.drivers.twin.sca103t import draw_truth
-
-    return draw_truth(part, seed)
-
-
 def _model(name: str, part: OneAxisPart) -> Model:
     # All that is not of the part is the SCA100T's: bus, waits, bandwidth, thermometer.
     return replace(
@@ -186,7 +180,7 @@ def _model(name: str, part: OneAxisPart) -> Model:
         population=part.population,
         driver=partial(_driver, part),
         twin=partial(_twin, part),
-        default_truth=partial(_default_truth, part),
+        default_truth=from_twin("sca103t", "draw_truth", part),
     )
 
 

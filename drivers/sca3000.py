@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.device import Model, Reading, SpiPort
+from tiltcal.drivers.device import Model, Reading, SpiPort, from_twin
 from tiltcal.drivers.registers import RegisterPort, check_data_line, choose, slowest_clock
 from tiltcal.errors import BusError, DeviceFault
 
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 REVID, STATUS, MODE = 0x00, 0x02, 0x14
 X_LSB, Z_MSB = 0x04, 0x09
@@ -221,18 +219,6 @@ def _driver(part: Sca3000Part, link: Link, clock: Clock) -> Sca3000:
     return Sca3000(link, part)
 
 
-def _twin(part: Sca3000Part, scheme: str, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.sca3000 import sca3000_twin
-
-    return sca3000_twin(part, scheme, truth, fixture, clock)
-
-
-def _default_truth(part: Sca3000Part, seed: int) -> Truth:
-    from tiltcal.drivers.twin.sca3000 import draw_truth
-
-    return draw_truth(part, seed)
-
-
 def _tailored(entry: Entry, address: Address) -> Model:
     """Return the model with the options of the address."""
     known = entry.part
@@ -268,7 +254,7 @@ def _model(entry: Entry, part: Sca3000Part) -> Model:
         thermometer=part.thermometer,
         thermometer_step=1.0 / 1.8,
         driver=partial(_driver, part),
-        twin=partial(_twin, part, entry.schemes[0]),
+        twin=from_twin("sca3000", "sca3000_twin", part, entry.schemes[0]),
         not_modelled=(
             "the real noise, tolerances and drift, which no source states: a virtual part has ours (noise 1.5 count)",
             "response time and bandwidth: a new position takes effect at the next output word, without ringing",
@@ -277,7 +263,7 @@ def _model(entry: Entry, part: Sca3000Part) -> Model:
             "supply: start-up time, brown-out",
             "bytes damaged by noise, clock too fast, clock stretching",
         ),
-        default_truth=partial(_default_truth, part),
+        default_truth=from_twin("sca3000", "draw_truth", part),
         # No source states the fastest clock; 4 MHz has been used, and 500 kHz suits the other parts of the maker.
         # A burst must end before the next word is due, or it mixes bytes of two words.
         spi=SpiPort(modes=(0,), fastest=None, speed=500_000, slowest=slowest_clock(6, part.rate))

@@ -19,7 +19,7 @@ from functools import partial
 from math import sqrt
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.device import Model, Reading, SpiPort, in_words
+from tiltcal.drivers.device import Model, Reading, SpiPort, from_twin, in_words
 from tiltcal.drivers.registers import check_data_line, choose_range
 from tiltcal.drivers.scl3300_frames import (
     BANK_0,
@@ -369,20 +369,10 @@ _SCA3300 = Scl3300Part(
 )
 
 
-def _driver(part: Scl3300Part, measuring: MeasuringRange, link: Link, clock: Clock) -> Scl3300:
-    return Scl3300(link, clock, part, measuring)
-
-
 def _twin(part: Scl3300Part, measuring: MeasuringRange, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.scl3300 import Scl3300Twin
 
     return Scl3300Twin(truth, fixture, clock, part, measuring)
-
-
-def _default_truth(part: Scl3300Part, measuring: MeasuringRange, seed: int) -> Truth:
-    from tiltcal.drivers.twin.scl3300 import draw_truth
-
-    return draw_truth(part, measuring, seed)
 
 
 def _tailored(name: str, part: Scl3300Part, address: Address) -> Model:
@@ -411,7 +401,7 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
         interval=0.5 / measuring.bandwidth,
         thermometer=True,
         thermometer_step=1.0 / 18.9,
-        driver=partial(_driver, part, measuring),
+        driver=partial(Scl3300, part=part, measuring=measuring),
         twin=partial(_twin, part, measuring),
         not_modelled=(
             "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
@@ -421,7 +411,7 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
             "supply: brown-out; chip select released for less than 10 µs",
             *(("offset over temperature beyond a line",) if part is _SCA3300 else ("the limits of a real part",)),
         ),
-        default_truth=partial(_default_truth, part, measuring),
+        default_truth=from_twin("scl3300", "draw_truth", part, measuring),
         spi=SpiPort(modes=(0,), fastest=8_000_000, speed=2_000_000, slowest=100_000),
         options=("range",),
         configure=partial(_tailored, name, part),
