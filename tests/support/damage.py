@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from copy import deepcopy
+from functools import cache
+from pickle import dumps, loads
 from random import Random
 from typing import Any
 from zlib import crc32
 
 import yaml
+
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 WORDS = [
     *(
@@ -99,6 +104,13 @@ def damaged_bytes(draw: Random, data: bytes) -> bytes:
     return bytes(damaged)
 
 
+def damaged_table(draw: Random, text: str) -> bytes:
+    """Damage rows of cells: their bytes, or their words."""
+    if draw.random() < 0.4:
+        return damaged_bytes(draw, text.encode())
+    return damaged_text(draw, text).encode(errors="replace")
+
+
 def damaged_text(draw: Random, text: str) -> str:
     """Put words where others were, and lines."""
     for _ in range(draw.choice((1, 1, 1, 2, 4))):
@@ -149,8 +161,11 @@ def _near(draw: Random, value: Any, places: Sequence[tuple[Any, Any]]) -> Any:
     if isinstance(value, bool):
         return not value
     if isinstance(value, int | float):
-        changed = draw.choice((-value, 0, 1, 2, 1.5 * value, value + 1, 1e-300, 1e300, 1e-9 * value, 1e9 * value))
-        return int(changed) if isinstance(value, int) and draw.random() < 0.7 else changed
+        near = value if abs(value) < 1e300 else 1e300  # an integer may be too large for a float
+        changed = draw.choice((-value, 0, 1, 2, 1.5 * near, value + 1, 1e-300, 1e300, 1e-9 * near, 1e9 * near))
+        return (
+            int(changed) if isinstance(value, int) and abs(changed) < float("inf") and draw.random() < 0.7 else changed
+        )
     others = [holder[key] for holder, key in places if _holds(holder, key) and type(holder[key]) is type(value)]
     return deepcopy(draw.choice(others or [value]))
 
@@ -173,8 +188,19 @@ def damaged_yaml(draw: Random, text: str) -> bytes:
             return damaged_bytes(draw, text.encode())
         case 1:
             return damaged_text(draw, text).encode(errors="replace")
-    data = damaged_value(draw, yaml.safe_load(text))
-    return yaml.safe_dump(data, allow_unicode=True, sort_keys=False).encode(errors="replace")
+    data = damaged_value(draw, loads(_parsed(text)))
+    return yaml.dump(data, Dumper=DUMPER, allow_unicode=True, sort_keys=False).encode(errors="replace")
+
+
+@cache
+def _parsed(text: str) -> bytes:
+    """Return what a YAML text says, from which each input has a copy of its own."""
+    return dumps(yaml.load(text, Loader=LOADER))
+
+
+def damaged_json(draw: Random, text: str) -> bytes:
+    """Damage what a JSON text says."""
+    return json.dumps(damaged_value(draw, json.loads(text))).encode()
 
 
 def damaged_journal(draw: Random, data: bytes) -> bytes:

@@ -110,11 +110,14 @@ def variance_components(shown: Array, right: Array, rest: float, dof: int, stron
 def _restricted_likelihood(d2: Array, z2: Array, lowest: float) -> float:
     """Find the q at which independent values with variances 1 + q d² most likely have the squares z²."""
     low, high = lowest, max(float(np.max((z2 - 1.0) / d2)), 0.0)
+    q = high
     for _ in range(BISECTIONS):
         q = (low + high) / 2.0
+        if q in (low, high):
+            break
         slope = np.sum(d2 * (1.0 + q * d2 - z2) / (1.0 + q * d2) ** 2)
         low, high = (low, q) if slope >= 0.0 else (q, high)
-    return (low + high) / 2.0
+    return q
 
 
 def _upper_tail(chi_square: float, dof: int) -> float:

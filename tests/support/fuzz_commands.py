@@ -1,0 +1,290 @@
+"""Commands with damaged input: files that are checked and used, and arguments."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from random import Random
+
+from support import FIXTURES
+from support.command import tiltcal
+from support.damage import (
+    WORDS,
+    damaged_bytes,
+    damaged_journal,
+    damaged_json,
+    damaged_table,
+    damaged_text,
+    damaged_yaml,
+)
+from support.fuzz_inputs import (
+    BENCH,
+    CALIBRATIONS,
+    JOURNALS,
+    LOG,
+    SEGMENTS,
+    TABLE,
+    VCD,
+    golden,
+    netcdf_log,
+    parquet_log,
+    shipped,
+)
+from support.fuzz_targets import target
+from tiltcal.errors import TiltcalError
+
+
+def run(*arguments: str) -> int:
+    """Call the command line; an error of ours is raised as one, another exit code than the documented ones fails."""
+    done = tiltcal(*arguments)
+    if done.returncode in (2, 3):
+        if not re.search(r"^(tiltcal: |Error: |Usage: )", done.stderr, re.MULTILINE):
+            raise AssertionError(f"exit code {done.returncode} without a reason: {done.stderr!r}")
+        raise TiltcalError(done.stderr)
+    if done.returncode not in (0, 1):
+        raise AssertionError(f"exit code {done.returncode}: {done.stderr}")
+    return done.returncode
+
+
+@target()
+def calibration_used(draw: Random) -> None:
+    Path("c.yaml").write_bytes(damaged_yaml(draw, golden(f"{draw.choice(CALIBRATIONS)}.yaml")))
+    run("check", "c.yaml")
+    Path("log.csv").write_text("x,y,z,temperature\n1024,1024,1024,20\n1500,900,1100,\n")
+    run(
+        *draw.choice(
+            (
+                ("apply", "c.yaml", "log.csv", "-o", "out.csv"),
+                ("apply", "c.yaml", "log.csv", "-o", "out.csv", "--uncertainty"),
+                ("diff", "c.yaml", str(FIXTURES / "plane.yaml")),
+                ("report", "c.yaml", "-o", "c.html"),
+                ("verify", "c.yaml", "--address", "sim:", "--operator", "sim"),
+            )
+        )
+    )
+
+
+@target()
+def pair_used(draw: Random) -> None:
+    Path("p.yaml").write_bytes(damaged_yaml(draw, golden("rotation.yaml")))
+    run("check", "p.yaml")
+    Path("log.csv").write_text("time,theta,a1,a2,a3,a4\n" + "".join(f"{k},{k * 9},1,2,3,{k}\n" for k in range(50)))
+    run(*draw.choice((("apply", "p.yaml", "log.csv", "-o", "out.csv"), ("report", "p.yaml", "-o", "p.html"))))
+
+
+@target()
+def procedure_used(draw: Random) -> None:
+    Path("p.yaml").write_bytes(damaged_yaml(draw, draw.choice([*shipped("procedures").values()])))
+    run("check", "p.yaml")
+    run(*draw.choice((("procedures", "./p.yaml"), ("plan", "./p.yaml", "--sensor", "sca100t-d02", "--jig", "0.1"))))
+
+
+@target()
+def bench_used(draw: Random) -> None:
+    Path("b.yaml").write_bytes(damaged_yaml(draw, BENCH))
+    run("check", "b.yaml")
+    if "sim:" in Path("b.yaml").read_text(errors="replace"):
+        run("record", "--bench", "b.yaml", "--rows", "3", "-o", "log.csv")
+
+
+@target()
+def twin_used(draw: Random) -> None:
+    text = draw.choice([*shipped("fixtures/twins").values()])
+    model = re.search(r"^model: (\S+)", text, re.MULTILINE)
+    Path("t.yaml").write_bytes(damaged_yaml(draw, text))
+    run("check", "t.yaml")
+    run(
+        "record",
+        "--sensor",
+        model[1] if model else "sca3000-d01",
+        "--address",
+        "sim:twin=t.yaml",
+        "--rows",
+        "3",
+        "-o",
+        "l.csv",
+    )
+
+
+# Journals
+
+
+@target()
+def journal_used(draw: Random) -> None:
+    name = draw.choice(JOURNALS)
+    Path("j.journal.jsonl").write_bytes(damaged_journal(draw, (FIXTURES / f"{name}.journal.jsonl").read_bytes()))
+    run("check", "j.journal.jsonl")
+    if draw.random() < 0.7:
+        run("replay", "j.journal.jsonl", "-o", "again.yaml")
+    else:
+        run("measure", "--resume", "j.journal.jsonl", "--operator", "sim")
+
+
+# Tables and texts
+
+
+@target()
+def segments_used(draw: Random) -> None:
+    Path("log.csv").write_text(LOG)
+    Path("s.csv").write_bytes(damaged_table(draw, SEGMENTS))
+    run("fit", "six-face", "log.csv", "--segments", "s.csv", "--unit", "g", "--serial", "S", "-o", "s.yaml")
+
+
+@target()
+def segments_json_used(draw: Random) -> None:
+    Path("log.csv").write_text(LOG)
+    rows = [dict(zip(("position", "start", "end"), row.split(","), strict=True)) for row in SEGMENTS.split()[1:]]
+    text = json.dumps([row | {"start": int(row["start"]), "end": int(row["end"])} for row in rows])
+    Path("s.json").write_bytes(damaged_yaml(draw, text) if draw.random() < 0.3 else damaged_json(draw, text))
+    run("fit", "six-face", "log.csv", "--segments", "s.json", "--unit", "g", "--serial", "S", "-o", "s.yaml")
+
+
+@target()
+def table_used(draw: Random) -> None:
+    Path("t.csv").write_bytes(damaged_table(draw, TABLE))
+    run("fit", "plane", "t.csv", "--table", "--unit", "V", "--serial", "S", "-o", "s.yaml")
+
+
+@target()
+def columns_used(draw: Random) -> None:
+    Path("log.csv").write_text("VoutX,VoutY,T,when\n1024,1024,20,0\n1030,1020,20,1\n")
+    named = damaged_text(draw, "x=VoutX,y=VoutY,temperature=T,time=when")
+    run("apply", str(FIXTURES / "plane.yaml"), "log.csv", "--columns", named, "-o", "out.csv")
+
+
+@target()
+def csv_used(draw: Random) -> None:
+    Path("log.csv").write_bytes(damaged_table(draw, LOG))
+    plane = str(FIXTURES / "plane.yaml")
+    run(
+        *draw.choice(
+            (
+                ("apply", plane, "log.csv", "-o", "out.csv"),
+                ("apply", plane, "log.csv", "-o", "out.csv", "--skip-bad-rows"),
+                ("apply", plane, "log.csv", "-o", "out.parquet", "--uncertainty"),
+                ("fit", "free", "log.csv", "--unit", "g", "--serial", "S", "-o", "s.yaml"),
+                ("noise", "log.csv", "--rate", "10", "--unit", "g"),
+                ("match", "log.csv", "--pair", "x,y", "--orthogonal", "z", "--phase", "theta", "-o", "p.yaml"),
+                ("report", plane, "log.csv", "-o", "r.html"),
+            )
+        )
+    )
+
+
+@target()
+def address_used(draw: Random) -> None:
+    from tiltcal.drivers import models
+    from tiltcal.drivers.bus.address import parse_address
+
+    model = draw.choice(list(models()))
+    text = draw.choice((*model.addresses, "sim:seed=1", "sim:twin=t.yaml&seed=2"))
+    text = (
+        damaged_text(draw, text) if draw.random() < 0.8 else damaged_bytes(draw, text.encode()).decode(errors="replace")
+    )
+    where = parse_address(text)
+    model.at(where)
+    if where.simulated:
+        run("probe", "--sensor", model.name, "--address", text)
+
+
+# Commands
+
+
+@cache
+def options_of(command: str) -> Sequence[tuple[list[str], bool]]:
+    """Return the names of a command's options, and whether each takes a value."""
+    from tiltcal.cli.main import group
+
+    known = group.get_command(group.make_context("tiltcal", [command]), command)
+    assert known is not None
+    return [
+        (list(one.opts), not getattr(one, "is_flag", False)) for one in known.params if one.param_type_name == "option"
+    ]
+
+
+STARTS = {
+    "devices": "devices",
+    "procedures": "procedures plane",
+    "probe": "probe --sensor sca100t-d02 --address sim:",
+    "plan": "plan plane --sensor sca100t-d02 --jig 0.1",
+    "measure": "measure plane --sensor sca100t-d02 --address sim: --serial S --operator sim --samples 5 -o s.yaml",
+    "record": "record --sensor sca100t-d02 --address sim: --rows 5 -o log.csv",
+    "verify": "verify plane.yaml --address sim: --operator sim --samples 5",
+    "diff": "diff plane.yaml complete.yaml",
+    "fit": "fit six-face faces.csv --segments segments.csv --unit g --serial S -o s.yaml",
+    "apply": "apply plane.yaml log.csv -o out.csv",
+    "noise": "noise log.csv --unit count --rate 10",
+    "match": "match log.csv --pair x,y --orthogonal z --phase theta",
+    "report": "report plane.yaml -o r.html",
+    "check": "check plane.yaml",
+    "replay": "replay zero-45.journal.jsonl -o again.yaml",
+}
+ENDLESS = {
+    "--samples",
+    "--rows",
+    "--for",
+    "--settle",
+    "--rate",
+    "--turns",
+    "--target",
+    "--scheduler",
+    "--workers",
+    "--address",
+}
+
+
+@target()
+def command(draw: Random) -> None:
+    for name in ("plane.yaml", "complete.yaml", "zero-45.journal.jsonl"):
+        shutil.copy(FIXTURES / name, name)
+    for name, text in (("faces.csv", LOG), ("segments.csv", SEGMENTS), ("log.csv", LOG)):
+        Path(name).write_text(text)
+    start = draw.choice(sorted(STARTS))
+    arguments = STARTS[start].split()
+    for _ in range(draw.choice((1, 1, 2, 3))):
+        names, valued = draw.choice(options_of(start))
+        value = draw.choice((*WORDS, "1", "2.5", "plane.yaml", "log.csv", "x=1,y=2", "sca100t-d02", "g", "out.nc"))
+        option = draw.choice(names)
+        # Asking for a thousand million samples is no damage.
+        value = (
+            "3" if option in ENDLESS and option != "--address" else "sim:?" + value if option == "--address" else value
+        )
+        match draw.randrange(3):
+            case 0:
+                arguments = (
+                    arguments[: draw.randrange(1, len(arguments) + 1)] + arguments[draw.randrange(len(arguments)) :]
+                )
+            case 1 if valued:
+                arguments += [option, value]
+            case _:
+                arguments += [option]
+    if "terminal" in arguments or not arguments:
+        return
+    arguments = [one.replace("\x00", "") for one in arguments]
+    if arguments[0] in STARTS:
+        run(*arguments)
+
+
+# Formats that others parse
+
+
+@target(compiled=True)
+def parquet_used(draw: Random) -> None:
+    Path("log.parquet").write_bytes(damaged_bytes(draw, parquet_log()))
+    run("apply", str(FIXTURES / "plane.yaml"), "log.parquet", "-o", draw.choice(("out.parquet", "out.csv")))
+
+
+@target(compiled=True)
+def netcdf_used(draw: Random) -> None:
+    Path("log.nc").write_bytes(damaged_bytes(draw, netcdf_log()))
+    run("apply", str(FIXTURES / "plane.yaml"), "log.nc", "-o", "out.nc")
+
+
+@target()
+def vcd_used(draw: Random) -> None:
+    Path("c.vcd").write_bytes(damaged_table(draw, VCD))
+    run("probe", "--sensor", "adxl202", "--address", "vcd:c.vcd?x=D0&y=D1")

@@ -1,0 +1,255 @@
+"""Readers and drivers with damaged input, called as functions: thousands of inputs in a minute."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from random import Random
+
+from support.damage import damaged_bytes, damaged_journal, damaged_json, damaged_table, damaged_text, damaged_yaml
+from support.fuzz_inputs import (
+    BENCH,
+    CALIBRATIONS,
+    JOURNALS,
+    LOG,
+    SEGMENTS,
+    TABLE,
+    VCD,
+    golden,
+    netcdf_log,
+    parquet_log,
+    shipped,
+)
+from support.fuzz_targets import target
+from tiltcal.drivers import models
+from tiltcal.drivers.device import Model
+from tiltcal.errors import TiltcalError
+
+EVENTS = 25
+"""Lines of a journal that are read, beside its first and its last."""
+
+ROWS = 40
+"""Rows of a log that are read."""
+
+
+@cache
+def known_models() -> Sequence[Model]:
+    """Return all sensor models."""
+    return list(models())
+
+
+# Files in YAML, and journals
+
+
+@target(share=30)
+def calibration(draw: Random) -> None:
+    from tiltcal.files.calibration import dump_calibration, read_calibration
+
+    Path("c.yaml").write_bytes(damaged_yaml(draw, golden(f"{draw.choice(CALIBRATIONS)}.yaml")))
+    dump_calibration(read_calibration("c.yaml"))
+
+
+@target(share=40)
+def pair(draw: Random) -> None:
+    from tiltcal.files.pair import dump_pair, read_pair
+
+    Path("p.yaml").write_bytes(damaged_yaml(draw, golden("rotation.yaml")))
+    dump_pair(read_pair("p.yaml"))
+
+
+@target(share=80)
+def procedure(draw: Random) -> None:
+    from tiltcal.files.procedure_file import read_procedure
+
+    Path("p.yaml").write_bytes(damaged_yaml(draw, draw.choice([*shipped("procedures").values()])))
+    read_procedure("p.yaml")
+
+
+@target(share=80)
+def bench(draw: Random) -> None:
+    from tiltcal.files.bench import read_bench
+
+    Path("b.yaml").write_bytes(damaged_yaml(draw, BENCH))
+    read_bench("b.yaml")
+
+
+@target(share=80)
+def twin(draw: Random) -> None:
+    from tiltcal.files.twin import read_twin
+
+    Path("t.yaml").write_bytes(damaged_yaml(draw, draw.choice([*shipped("fixtures/twins").values()])))
+    read_twin("t.yaml", 1)
+
+
+@target(share=60)
+def journal(draw: Random) -> None:
+    from tiltcal.files.journal import read_journal
+
+    lines = golden(f"{draw.choice(JOURNALS)}.journal.jsonl").encode().splitlines(keepends=True)
+    first = draw.randrange(1, max(len(lines) - EVENTS, 2))
+    piece = b"".join((lines[0], *lines[first : first + EVENTS], lines[-1]))
+    Path("j.jsonl").write_bytes(damaged_journal(draw, piece))
+    found = read_journal("j.jsonl")
+    found.plan()
+    for _ in found.events:
+        pass
+
+
+# Tables and texts
+
+
+@target(share=100)
+def segments(draw: Random) -> None:
+    from tiltcal.files.segments import read_segments
+
+    Path("s.csv").write_bytes(damaged_table(draw, SEGMENTS))
+    read_segments("s.csv")
+
+
+@target(share=100)
+def segments_json(draw: Random) -> None:
+    from tiltcal.files.segments import read_segments
+
+    text = '[{"position": "x-up", "start": 0, "end": 30}, {"position": "x-down", "start": 30, "end": 60}]'
+    Path("s.json").write_bytes(damaged_bytes(draw, text.encode()) if draw.random() < 0.3 else damaged_json(draw, text))
+    read_segments("s.json")
+
+
+@target(share=100)
+def table(draw: Random) -> None:
+    from tiltcal.files.positions import read_positions
+
+    Path("t.csv").write_bytes(damaged_table(draw, TABLE))
+    read_positions("t.csv", "xy")
+
+
+@target(share=100)
+def columns(draw: Random) -> None:
+    from tiltcal.logs.columns import locate_columns, parse_columns
+
+    named = parse_columns(damaged_text(draw, "x=VoutX,y=VoutY,temperature=T,time=when"), "xy")
+    locate_columns(("VoutX", "VoutY", "T", "when"), "xy", named, file="log.csv")
+
+
+@target(share=100)
+def address(draw: Random) -> None:
+    from tiltcal.drivers.bus.address import parse_address
+
+    model = draw.choice(known_models())
+    text = draw.choice((*model.addresses, "sim:seed=1", "sim:twin=t.yaml&seed=2"))
+    damaged = damaged_bytes(draw, text.encode()).decode(errors="replace")
+    model.at(parse_address(damaged_text(draw, text) if draw.random() < 0.8 else damaged))
+
+
+@target(share=100)
+def answer(draw: Random) -> None:
+    from tiltcal.bench.operators.json_lines import parsed
+    from tiltcal.bench.operators.rig import understood
+
+    text = '{"answer": "ready", "tilt": {"x": 30.0}, "gravity": [0, 0.5, 0.866], "temperature": 20.5}'
+    way = draw.choice((damaged_bytes, lambda draw, data: damaged_text(draw, data.decode()).encode(errors="replace")))
+    for line in (way(draw, text.encode()), damaged_json(draw, text)):
+        with suppress(TiltcalError):
+            understood(parsed(line.decode(errors="replace")))
+
+
+@target(share=20)
+def csv(draw: Random) -> None:
+    from tiltcal.logs.formats import open_log
+
+    Path("log.csv").write_bytes(damaged_table(draw, "".join(LOG.splitlines(keepends=True)[:ROWS])))
+    with open_log("log.csv", skip_bad_rows=draw.random() < 0.5) as log:
+        for _ in log.rows(range(min(len(log.names), 5)), time=0, frames=draw.random() < 0.5):
+            pass
+
+
+# What a device says
+
+
+class Babble:
+    """A link that answers with anything: as many bytes as are asked for, most of them near to what is right."""
+
+    def __init__(self, draw: Random, clock: object, letter: str, stream: bytes = b"") -> None:
+        self.letter = letter
+        self._draw, self._clock, self._stream, self._place = draw, clock, stream, 0
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        self._clock.sleep(0.005)
+        if self._stream:
+            piece = self._stream[self._place : self._place + self._draw.choice((0, 1, 7, 60, 300))]
+            self._place = (self._place + len(piece)) % len(self._stream)
+            return piece if count else b""
+        length = len(out) if self.letter == "s" else count
+        return self._draw.choice((bytes(length), b"\xff" * length, self._draw.randbytes(length)))
+
+    def close(self) -> None:
+        pass
+
+
+SENTENCES = (
+    b"$PTCDC,%d,10375,10080,20740,20740,24.0*5C\r\n",
+    b"0.12,-0.03,0.99,24.1\r\n",
+    b"time=%d x=0.12 y=0.3\r\n",
+    b"%d,10.5,0.1,0.2,0.3,0.4\r\n",
+)
+
+
+@target(share=100)
+def device(draw: Random) -> None:
+    """Every driver: bytes of a bus that mean nothing, and lines that are damaged."""
+    from tiltcal.drivers.bus import link_letter
+    from tiltcal.drivers.bus.address import parse_address
+    from tiltcal.drivers.bus.clock import VirtualClock
+    from tiltcal.drivers.device import SelfTesting
+
+    model = draw.choice(known_models())
+    where = parse_address(draw.choice(model.addresses))
+    model = model.at(where)
+    clock, letter = VirtualClock(), link_letter(where, model)
+    sentence = draw.choice(SENTENCES)
+    lines = b"".join(sentence % number if b"%d" in sentence else sentence for number in range(60))
+    stream = damaged_bytes(draw, lines) if letter in "r" else b""
+    driver = model.driver(Babble(draw, clock, letter, stream), clock)
+    for act in (driver.probe, driver.read, driver.read, driver.discard, driver.read):
+        with suppress(TiltcalError):
+            act()
+    if isinstance(driver, SelfTesting):
+        driver.self_test(model.channels[0])
+
+
+# Formats that others parse
+
+
+@target(share=10, compiled=True)
+def parquet(draw: Random) -> None:
+    Path("log.parquet").write_bytes(damaged_bytes(draw, parquet_log()))
+    _read("log.parquet")
+
+
+@target(share=4, compiled=True)
+def netcdf(draw: Random) -> None:
+    Path("log.nc").write_bytes(damaged_bytes(draw, netcdf_log()))
+    _read("log.nc")
+
+
+def _read(path: str) -> None:
+    from tiltcal.logs.formats import open_log
+
+    with open_log(path) as log:
+        for _ in log.rows(range(min(len(log.names), 4)), frames=True):
+            pass
+
+
+@target(share=40)
+def vcd(draw: Random) -> None:
+    from tiltcal.drivers.bus.vcd import VcdLink
+
+    Path("c.vcd").write_bytes(damaged_table(draw, VCD))
+    link = VcdLink("c.vcd", "D0", "D1")
+    try:
+        for _ in range(5):
+            link.exchange(b"", 100)
+    finally:
+        link.close()
