@@ -297,8 +297,8 @@ class CsvWriter(LogWriter):
         import polars as pl
 
         frame = _frame(block)
-        added = {name: pl.Series(name, column) for name, column in table.items()}
-        _write_csv(self._sink, frame.with_columns(*map(_words, frame)).with_columns(**added))
+        added = [pl.Series(name, column) for name, column in table.items()]
+        _write_csv(self._sink, frame.with_columns(*map(_words, frame)).hstack(added))
 
 
 def _frame(block: LogBlock) -> pl.DataFrame:

