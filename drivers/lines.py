@@ -52,6 +52,7 @@ class LineBuffer:
 
         Returns
         -------
+        line : bytes
         whole : bool
             False if its beginning may be missing.
 

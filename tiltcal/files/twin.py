@@ -300,6 +300,7 @@ def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Tr
     -------
     model : str or None
         The sensor model that the file is for; None where it fits any.
+    truth : Truth
 
     Raises
     ------

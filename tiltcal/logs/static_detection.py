@@ -91,6 +91,7 @@ def find_still(
 
     Returns
     -------
+    chosen : StaticDetection
     tried : tuple of StaticDetection
         All of them, the strictest of each window first.
 
