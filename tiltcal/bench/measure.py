@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.operators.selection import open_operator
 from tiltcal.bench.sensor_set import open_device
-from tiltcal.bench.session import Session
+from tiltcal.bench.session import Session, SessionResult
 from tiltcal.bench.session_calibration import changes_in_words
 from tiltcal.bench.session_plan import SessionPlan, plan_session, single
 from tiltcal.bench.virtual_bench import VirtualBench
@@ -130,9 +130,7 @@ def measure(
         The operator stopped; the message says how to go on.
     """
     if resume is not None and Path(resume).exists():
-        session = Session.of_journal(Path(resume), remark, None if output is None else Path(output))
-        if len(session.outputs) > 1 and output is not None and not Path(output).is_dir():
-            raise UsageError(f"the session has {len(session.outputs)} sensors: name a folder instead of {output}")
+        session = _resumed(Path(resume), None if output is None else Path(output), remark)
         operator = operator or session.plan.lead
     else:
         operator = operator or "terminal"
@@ -144,9 +142,7 @@ def measure(
         )
         steps = find_procedure(str(procedure), tilt).with_turns(turns).with_alignment(alignment)
         steps = steps.with_closing() if closing else steps
-        require_no_jig(steps, jig)
-        if steps.rotation is not None:
-            _require_no_positions(samples, settle, jig)
+        _require_settings(steps, samples, settle, jig)
         sensors = _bench(bench) if bench is not None else single(str(sensor), str(serial), str(address))
         sensors = replace(
             sensors,
@@ -177,21 +173,7 @@ def measure(
         result.write()
         opened.done(list(result.calibrations), session.path)
         result.require_all()
-    for name, statistics in result.ending.link_statistics_by_serial.items():
-        remark(f"{name}: {in_words(statistics)}")
-    found = list(result.calibrations.values())
-    if turning:
-        from tiltcal.calibration.pair_calibration import PairCalibration
-
-        return PairCalibration(found[0])  # type: ignore[arg-type]
-    calibrations = [Calibration(one) for one in found if isinstance(one, CalibrationRecord)]
-    _remark_notes(calibrations, remark, renewed=session.plan.procedure.determines.level)
-    for one in calibrations:
-        if session.plan.procedure.determines.level:
-            remark(level_summary(one.record))
-        if session.plan.procedure.closes:
-            remark(changes_in_words(one.record))
-    return calibrations[0] if len(session.plan.sensors) == 1 else calibrations
+    return _results(session, result, remark)
 
 
 def _remark_notes(calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool) -> None:
@@ -234,6 +216,35 @@ def open_sensor(model: str, address: str) -> Iterator[Sensor]:
     clock: Clock = VirtualClock() if simulated else SystemClock(time.time_ns())
     with closing(open_device(device, VirtualBench(clock, [device]))) as link:
         yield device.model.driver(link, clock)
+
+
+def _resumed(journal: Path, output: Path | None, remark: Callable[[str], None]) -> Session:
+    """Return the session of a journal, whose one calibration goes to ``output`` where that is named."""
+    session = Session.of_journal(journal, remark, output)
+    if len(session.outputs) > 1 and output is not None and not output.is_dir():
+        raise UsageError(f"the session has {len(session.outputs)} sensors: name a folder instead of {output}")
+    return session
+
+
+def _results(
+    session: Session, result: SessionResult, remark: Callable[[str], None]
+) -> Calibration | PairCalibration | list[Calibration]:
+    """Return what a session found, and remark what limits it."""
+    for name, statistics in result.ending.link_statistics_by_serial.items():
+        remark(f"{name}: {in_words(statistics)}")
+    found = list(result.calibrations.values())
+    if session.plan.procedure.rotation is not None:
+        from tiltcal.calibration.pair_calibration import PairCalibration
+
+        return PairCalibration(found[0])  # type: ignore[arg-type]
+    calibrations = [Calibration(one) for one in found if isinstance(one, CalibrationRecord)]
+    _remark_notes(calibrations, remark, renewed=session.plan.procedure.determines.level)
+    for one in calibrations:
+        if session.plan.procedure.determines.level:
+            remark(level_summary(one.record))
+        if session.plan.procedure.closes:
+            remark(changes_in_words(one.record))
+    return calibrations[0] if len(session.plan.sensors) == 1 else calibrations
 
 
 def free_journal(output: Path, remark: Callable[[str], None]) -> Path:
@@ -290,8 +301,11 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
         remark(f"{device.model_name}, {expected}")
 
 
-def _require_no_positions(samples: int | None, settle: float | None, jig: float | None) -> None:
-    """Refuse what only positions have."""
+def _require_settings(procedure: Procedure, samples: int | None, settle: float | None, jig: float | None) -> None:
+    """Refuse settings that a procedure does not have."""
+    require_no_jig(procedure, jig)
+    if procedure.rotation is None:
+        return
     for option, value in (("--samples", samples), ("--settle", settle), ("--jig", jig)):
         if value is not None:
             raise UsageError(f"a rotation has no positions: leave {option} out; --turns limits its length")

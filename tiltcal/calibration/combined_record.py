@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
@@ -38,8 +38,6 @@ def combined_record(
     scaled = [one for one in sessions if not one.assumes("sensitivity")]
     measured = bool(scaled)
     positions, renamed = _positions(sessions)
-    fits = [one.fit for one in records]
-    dofs = [one.degrees_of_freedom for one in fits]
     estimate = Estimate(
         coefficients=found.coefficients,
         names=found.names,
@@ -56,39 +54,54 @@ def combined_record(
     design = Design(found.coefficients.channels, found.coefficients.axes, jig=0.0)
     derived = derived_record(estimate, design, "") if measured else records[0].derived
     kept = tuple(sessions[0].assumes(kind) or "" for kind in KINDS if all(one.assumes(kind) for one in sessions))
-    sources = {one.uncertainty_from for one in fits if one.uncertainty_from}
-    left = [note for one in fits for note in one.notes if note != NO_FREEDOM or not found.dof]
-    notes = dict.fromkeys([f"combined of {' and '.join(_told(one) for one in sessions)}", *remarks, *left])
     return CalibrationRecord(
         sensor=sensor,
         coefficients=replace(rounded(estimate), mounting=found.coefficients.mounting),
         uncertainty=_uncertainty(sessions, estimate, found),
         limits=_limits(records, [one.record for one in scaled] or records),
         derived=replace(derived, assumed=tuple(kept)),
-        fit=FitRecord(
-            residuals={renamed[n, name]: row for n, one in enumerate(fits) for name, row in one.residuals.items()},
-            degrees_of_freedom=None if None in dofs else sum(one or 0 for one in dofs) + found.dof,
-            chi_square=significant(found.chi_square + sum(one.chi_square or 0.0 for one in fits), DIGITS)
-            if all(one.chi_square is not None or not one.degrees_of_freedom for one in fits)
-            else None,
-            uncertainty_from=NOISE_ALONE if NOISE_ALONE in sources else "; ".join(sorted(sources)) or None,
-            thermometer_celsius=max((one.thermometer_celsius or 0.0 for one in fits), default=0.0) or None,
-            budget=_budget(sessions, found),
-            notes=tuple(notes),
-            mounting=next((one.mounting for one in fits if one.mounting), None),
-            level=next((one.level for one in fits if one.level), None),
-        ),
-        procedure=ProcedureRecord(
-            name=" + ".join(one.record.procedure.name or one.label for one in sessions),
-            title=f"Combined of {len(sessions)} calibrations",
-            set={
-                renamed[n, name]: one for n, record in enumerate(records) for name, one in record.procedure.set.items()
-            },
-            mounting=next((one.procedure.mounting for one in records if one.procedure.mounting), None),
-            level=next((one.procedure.level for one in records if one.procedure.level), None),
-        ),
+        fit=_fit(sessions, found, renamed, remarks),
+        procedure=_procedure(sessions, renamed),
         positions=positions,
         provenance=combined_provenance(sessions),
+    )
+
+
+def _fit(
+    sessions: Sequence[CombinedSession],
+    found: Combination,
+    renamed: Mapping[tuple[int, str], str],
+    remarks: Sequence[str],
+) -> FitRecord:
+    """Return how well the sessions agree in themselves and with each other."""
+    fits = [one.record.fit for one in sessions]
+    dofs = [one.degrees_of_freedom for one in fits]
+    sources = {one.uncertainty_from for one in fits if one.uncertainty_from}
+    left = [note for one in fits for note in one.notes if note != NO_FREEDOM or not found.dof]
+    judged = all(one.chi_square is not None or not one.degrees_of_freedom for one in fits)
+    chi_square = found.chi_square + sum(one.chi_square or 0.0 for one in fits)
+    return FitRecord(
+        residuals={renamed[n, name]: row for n, one in enumerate(fits) for name, row in one.residuals.items()},
+        degrees_of_freedom=None if None in dofs else sum(one or 0 for one in dofs) + found.dof,
+        chi_square=significant(chi_square, DIGITS) if judged else None,
+        uncertainty_from=NOISE_ALONE if NOISE_ALONE in sources else "; ".join(sorted(sources)) or None,
+        thermometer_celsius=max((one.thermometer_celsius or 0.0 for one in fits), default=0.0) or None,
+        budget=_budget(sessions, found),
+        notes=tuple(dict.fromkeys([f"combined of {' and '.join(map(_told, sessions))}", *remarks, *left])),
+        mounting=next((one.mounting for one in fits if one.mounting), None),
+        level=next((one.level for one in fits if one.level), None),
+    )
+
+
+def _procedure(sessions: Sequence[CombinedSession], renamed: Mapping[tuple[int, str], str]) -> ProcedureRecord:
+    """Return what was set in all sessions."""
+    each = [one.record.procedure for one in sessions]
+    return ProcedureRecord(
+        name=" + ".join(one.record.procedure.name or one.label for one in sessions),
+        title=f"Combined of {len(sessions)} calibrations",
+        set={renamed[n, name]: one for n, procedure in enumerate(each) for name, one in procedure.set.items()},
+        mounting=next((one.mounting for one in each if one.mounting), None),
+        level=next((one.level for one in each if one.level), None),
     )
 
 

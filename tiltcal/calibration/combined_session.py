@@ -110,59 +110,52 @@ class CombinedSession:
         The offset is left out where its temperature is not known, and that of a session whose level is not stated where
         the sessions contradict (not ``unlevelled``).
         """
-        names, covariance, factors = self.known.names, self.known.covariance, self.known.factors
-        measured, assumed = self.places
-        stated = values(self.coefficients)
-        own = [name for name, kept in zip(names, measured, strict=True) if kept]
-        both = measured | assumed
-        conditioned, by = conditional(
-            [name for name, kept in zip(names, both, strict=True) if kept],
-            covariance[np.ix_(both, both)],
-            measured[both],
-        )
-        uncertain = [name for name, kept in zip(names, assumed, strict=True) if kept]
-        value = np.array([stated[name] for name in own])
-        wanted = set(values(target))
-        given, columns = [], []
-        for k, name in enumerate(uncertain):
-            if name in wanted:
-                given.append(name)
-                columns.append(-by[:, k])
-        for name in self._missing(target, uncertain):
-            if self.gravity is None:
-                continue
-            _, channel, axis = name.split(".")
-            column = np.array([float(row == f"offset.{channel}") * self.gravity[AXES.index(axis)] for row in own])
-            if name in wanted:
-                given.append(name)
-                columns.append(column)
+        known, (measured, assumed) = self.known, self.places
+        both = np.flatnonzero(measured | assumed)
+        joint, own = known.chosen(both), known.chosen(np.flatnonzero(measured))
+        conditioned, by = conditional(joint.names, joint.covariance, measured[both])
+        stated, uncertain = values(self.coefficients), known.chosen(np.flatnonzero(assumed)).names
+        value = np.array([stated[name] for name in own.names])
+        given = {name: -by[:, k] for k, name in enumerate(uncertain) if name in values(target)}
+        for name, column in self._along_gravity(target, uncertain, own.names):
+            if name in values(target):
+                given[name] = column
             else:  # the target's offset holds what this axis adds
                 value = value + column * stated[name]
-        kept = list(range(len(own)))
-        at, remark = self.temperature, ""
-        if target.thermal is None:
-            at = None
-        elif at is None:
-            kept = [k for k in kept if not own[k].startswith("offset.")]
-            remark = f"{self.label} states no temperature: its offset is left out"
-        if self.level_unstated and not unlevelled:
-            kept = [k for k in kept if not own[k].startswith("offset.")]
-            remark = f"{self.label} does not state how level it was (--jig), and its offset contradicts: it is left out"
-        return (
-            Statement(
-                self.label,
-                tuple(own[k] for k in kept),
-                value[kept],
-                conditioned[np.ix_(kept, kept)],
-                factors[measured][kept],
-                None if at is None else at[0],
-                0.0 if at is None else at[1],
-                tuple(given),
-                np.array([stated.get(name, 0.0) for name in given]),
-                np.array(columns).reshape(len(given), len(own)).T[kept],
-            ),
-            remark,
+        why = self._no_offset(target, unlevelled)
+        kept = [k for k, name in enumerate(own.names) if not (why and name.startswith("offset."))]
+        at = self.temperature if target.thermal is not None else None
+        statement = Statement(
+            self.label,
+            tuple(own.names[k] for k in kept),
+            value[kept],
+            conditioned[np.ix_(kept, kept)],
+            own.factors[kept],
+            None if at is None else at[0],
+            0.0 if at is None else at[1],
+            tuple(given),
+            np.array([stated.get(name, 0.0) for name in given]),
+            np.array(list(given.values())).reshape(len(given), len(own.names)).T[kept],
         )
+        return statement, why
+
+    def _no_offset(self, target: Coefficients, unlevelled: bool) -> str:
+        """Return why the offset of the session is left out; empty where it is not."""
+        if self.level_unstated and not unlevelled:
+            return f"{self.label} does not state how level it was (--jig), and its offset contradicts: it is left out"
+        if target.thermal is not None and self.temperature is None:
+            return f"{self.label} states no temperature: its offset is left out"
+        return ""
+
+    def _along_gravity(
+        self, target: Coefficients, uncertain: Sequence[str], own: Sequence[str]
+    ) -> Iterator[tuple[str, Array]]:
+        """Yield the sensitivities that the session took as exact, or left out, and how its values follow them."""
+        if self.gravity is None:
+            return
+        for name in self._missing(target, uncertain):
+            _, channel, axis = name.split(".")
+            yield name, np.array([float(row == f"offset.{channel}") * self.gravity[AXES.index(axis)] for row in own])
 
     def _missing(self, target: Coefficients, uncertain: Sequence[str]) -> Iterator[str]:
         """Yield the sensitivities that the session took as exact, or left out."""
