@@ -27,6 +27,7 @@ _HEAD, _TAIL = 256, 1024  # bytes of a file in which its sensor and its date sta
 _PLAIN = rb"([^\s,{}\[\]\"'\\&*!|>%@`#?:-][^,{}\[\]\"'\\#:\n]*)"
 _SENSOR = re.compile(rb"\Atiltcal: 1\nkind: tilt\nsensor: \{model: " + _PLAIN + rb", serial: " + _PLAIN + rb", unit: ")
 _TILT = re.compile(rb"\bkind\W+tilt\b")
+_KIND = re.compile(rb"^kind: \w+", re.MULTILINE)
 _DATES = re.compile(rb'\n  started: "([^"\n]+)"\n  ended: "([^"\n]+)"\n')
 
 
@@ -59,7 +60,7 @@ class FolderIndex:
     files : tuple of CalibrationFile
         By serial number and date.
     problems : tuple of InputError
-        Files that are calibrations and cannot be used, and why.
+        Files that are or may be calibrations and cannot be used, and why.
     """
 
     files: tuple[CalibrationFile, ...]
@@ -69,7 +70,8 @@ class FolderIndex:
 def index_folder(folder: str | Path) -> FolderIndex:
     """Find the calibrations in a folder and the folders below it.
 
-    Other files, of pairs, benches, procedures and twins as well, are passed over.
+    Other files, of pairs, benches, procedures and twins as well, are passed over; a file that is empty or no YAML may
+    have been a calibration.
 
     Raises
     ------
@@ -151,10 +153,13 @@ def _scanned(path: str) -> CalibrationFile | None:
 
 def _read(path: str) -> CalibrationFile | None:
     """Return what a file states that is read whole; None where it is no calibration of a tilt sensor."""
-    if not _TILT.search(Path(path).read_bytes()):
+    content = Path(path).read_bytes()
+    if not content.strip():
+        raise InputError("the file is empty", file=path)
+    if not _TILT.search(content) and _KIND.search(content):
         return None
     document = read_document(path)
-    kind = document.entries().get("kind")
+    kind = document.entries().get("kind") if isinstance(document.content, dict) else None
     if kind is None or not kind.names("tilt"):
         return None
     record = calibration_of(checked_kind(document, "tilt"))

@@ -71,6 +71,8 @@ def prepare_library(
         A calibration is wrong, or two contradict each other.
     """
     start = None if options.start is None else moment(options.start).timestamp()
+    for problem in library.index.problems:
+        say(f"note: left out: {problem}")
     sensors = [_Sensor(serial, library.history(serial), lead) for serial, lead in _serials(library, log, options, say)]
     parts = []
     for sensor in sensors:

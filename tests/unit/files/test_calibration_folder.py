@@ -45,15 +45,25 @@ def test_every_fixture_is_found_as_its_reader_reads_it() -> None:
 
 def test_files_of_other_kinds_are_passed_over_and_damaged_ones_are_named(tmp_path: Path) -> None:
     (tmp_path / "notes.yaml").write_text("this: is no file of tiltcal\n")
+    (tmp_path / "list.yaml").write_text("- this\n- neither\n")
     (tmp_path / "torn.yaml").write_text(MAVS[:400])
+    (tmp_path / "torn-early.yaml").write_text(MAVS[:37])
+    (tmp_path / "empty.yaml").touch()
+    (tmp_path / "random.yaml").write_bytes(bytes(range(256)))
     (tmp_path / "undated.yaml").write_text(
         MAVS[: MAVS.index("positions:")].replace("SIM-42", "S") + "provenance: {operator: me}\n"
     )
     index = index_folder(tmp_path)
     assert not index.files
     messages = sorted(str(problem) for problem in index.problems)
-    assert [Path(message.partition(":")[0]).name for message in messages] == ["torn.yaml", "undated.yaml"]
-    assert "write provenance.ended" in messages[1]
+    assert [Path(message.partition(":")[0]).name for message in messages] == [
+        "empty.yaml",
+        "random.yaml",
+        "torn-early.yaml",
+        "torn.yaml",
+        "undated.yaml",
+    ]
+    assert "write provenance.ended" in messages[-1]
 
 
 def test_what_is_no_folder_is_refused(tmp_path: Path) -> None:

@@ -160,6 +160,16 @@ def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
     assert library.apply(frame, serial="A", start=stamp(0.0))["reason"].tolist() == [0, 0]
 
 
+def test_a_damaged_file_is_named_and_left_out(tmp_path: Path) -> None:
+    folder = kept(tmp_path, calibrated(0, (1000, 990)))
+    (folder / "autumn.yaml").touch()
+    log = tmp_path / "log.csv"
+    log.write_text(f"time,x,y\n{stamp(50)},1100,1100\n")
+    said: list[str] = []
+    tiltcal.apply_log(folder, log, tmp_path / "tilt.csv", serial="S-1", say=said.append)
+    assert said == [f"note: left out: {folder / 'autumn.yaml'}: the file is empty"]
+
+
 def test_files_that_contradict_are_named(tmp_path: Path) -> None:
     kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(0, (1001, 1000)))
     with pytest.raises(InputError, match=r"S-1-1\.yaml: .*S-1-0\.yaml has the same date, 2026-01-01"):
