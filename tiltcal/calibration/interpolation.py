@@ -20,7 +20,7 @@ import numpy as np
 from tiltcal.core.budget import NORMAL_FACTOR, coverage_factor, welch_satterthwaite
 from tiltcal.core.derivatives import central_differences
 from tiltcal.core.instrumental_drift import RandomWalk
-from tiltcal.core.model import Array, Coefficients, Limits, Mounting, vector_of, with_vector
+from tiltcal.core.model import Array, Coefficients, Limits, Mounting, overlap, vector_of, with_vector
 from tiltcal.core.mounting import mounting_angles, mounting_matrix
 from tiltcal.core.named_coefficients import degrees_of_freedom, referred, values
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
@@ -200,7 +200,7 @@ def _blended(both: Sequence[Coefficients], share: float) -> Coefficients:
     before, after = both
     thermal, shares = after.thermal, after.nonlinearity
     if thermal is not None and before.thermal is not None:
-        known = _overlap(before.thermal.range, thermal.range)
+        known = overlap(before.thermal.range, thermal.range)
         thermal = replace(
             thermal,
             range=known,
@@ -231,13 +231,8 @@ def _mounting(before: Mounting | None, after: Mounting | None, share: float) -> 
 
 def _limits(before: Limits, after: Limits) -> Limits:
     """Return the ranges that both calibrations cover."""
-    tilt = {axis: _overlap(before.tilt.get(axis), one) or one for axis, one in after.tilt.items()}
-    return Limits(tilt, _overlap(before.temperature, after.temperature), after.reading)
-
-
-def _overlap(one: tuple[float, float] | None, other: tuple[float, float] | None) -> tuple[float, float] | None:
-    known = [given for given in (one, other) if given is not None]
-    return (max(low for low, _ in known), min(high for _, high in known)) if known else None
+    tilt = {axis: overlap(before.tilt.get(axis), one) or one for axis, one in after.tilt.items()}
+    return Limits(tilt, overlap(before.temperature, after.temperature), after.reading)
 
 
 def _at(

@@ -14,7 +14,8 @@ from tiltcal.calibration.estimate_record import derived_record, fit_record, roun
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.equations import HYSTERESIS
-from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, largest_loops
+from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
+from tiltcal.core.estimation.hysteresis import largest_loops
 from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means
 from tiltcal.core.model import AXES, Limits
 from tiltcal.core.named_coefficients import values

@@ -19,6 +19,7 @@ from numpy.polynomial import Polynomial
 from tiltcal.calibration.joint_fit import observations_of, observed_sensor
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.estimation.estimate import estimate_jointly
+from tiltcal.core.estimation.hysteresis import ALIKE
 from tiltcal.core.model import Array, Thermal
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.errors import EstimateError
@@ -28,9 +29,6 @@ from tiltcal.files.records import CrossValidation, Hysteresis
 
 ROOM = 25.0
 """Reference temperature where none was measured, °C."""
-
-ALIKE = 1.5
-"""Temperatures that are no further apart are one temperature met twice, °C."""
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,6 @@ Examples:
   tiltcal report calibrations -o fleet.html
 """
 
-_CALIBRATIONS = (".yaml", ".yml")
-
 
 @click.command(epilog=_EXAMPLES)
 @click.argument("files", nargs=-1, required=True, metavar="CAL.yaml [LOG]...")
@@ -64,6 +62,7 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
         A file is wrong; the message names file and line.
     """
     from tiltcal.files.atomic import check_writable, write_whole
+    from tiltcal.files.calibration_folder import SUFFIXES
     from tiltcal.report.page import require_extra
 
     require_extra()
@@ -74,7 +73,7 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
 
         write_whole(output, fleet_page(read_history(Path(files[0]))))
         return
-    calibrations = [name for name in files if name.lower().endswith(_CALIBRATIONS)]
+    calibrations = [name for name in files if name.lower().endswith(SUFFIXES)]
     logs = [name for name in files if name not in calibrations]
     if not calibrations:
         raise UsageError("no calibration file is given: name a CAL.yaml")

@@ -36,7 +36,7 @@ from tiltcal.core.flags import (
     Bytes,
     mark,
 )
-from tiltcal.core.model import AXES, Array, Coefficients, Limits, nonlinearity_slope, polynomial
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, nonlinearity_slope, overlap, polynomial
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, inclination, pitch, roll, tilt
 from tiltcal.errors import EstimateError
@@ -213,7 +213,7 @@ class Compensation:
             {axis: (_sine_of_limit(low, -1), _sine_of_limit(high, +1)) for axis, (low, high) in limits.tilt.items()},
             self.axes,
         )
-        self._temperatures = _overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
+        self._temperatures = overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
 
     @property
     def angles(self) -> tuple[str, ...]:
@@ -477,11 +477,3 @@ def _sine_of_limit(angle: float, side: int) -> float:
     if abs(widened) >= pi / 2:
         return float(np.copysign(np.inf, widened))
     return sin(widened)
-
-
-def _overlap(first: tuple[float, float] | None, second: tuple[float, float] | None) -> tuple[float, float] | None:
-    """Return the temperatures inside both ranges, °C."""
-    ranges = [given for given in (first, second) if given is not None]
-    if not ranges:
-        return None
-    return max(low for low, _ in ranges), min(high for _, high in ranges)

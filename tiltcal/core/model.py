@@ -155,6 +155,12 @@ class Limits:
     reading: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
+def overlap(first: tuple[float, float] | None, second: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Return what is inside both of two ranges; None counts as no limit."""
+    ranges = [given for given in (first, second) if given is not None]
+    return (max(low for low, _ in ranges), min(high for _, high in ranges)) if ranges else None
+
+
 def polynomial(coefficients: Array, variable: Array) -> Array:
     """Evaluate a polynomial without a constant term, by Horner's rule in place.
 

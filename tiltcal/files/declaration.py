@@ -213,6 +213,9 @@ class Number(Format[float]):
         return {"type": "number", **{name: bound for name, bound in bounds.items() if bound is not None}}
 
 
+FROM_ZERO = Number(minimum=0.0)
+
+
 @frozen
 class Integer(Format[int]):
     """A whole number of at least ``minimum``."""

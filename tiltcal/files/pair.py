@@ -13,6 +13,7 @@ from tiltcal.core.rounding import round_to, significant
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.declaration import (
     ANY,
+    FROM_ZERO,
     ByKey,
     ByName,
     Context,
@@ -34,7 +35,6 @@ from tiltcal.frozen import frozen
 _DIGITS = 4
 
 
-_U = Number(minimum=0.0)
 _NAMES = ListOf(Text(), 2, 2, says="a pair has two channels, found {found}")
 
 
@@ -75,16 +75,16 @@ class SpinSection:
 class CoefficientUncertainty:
     """Standard uncertainties of p and q."""
 
-    p: float = entry(_U, "of p")
-    q: float = entry(_U, "of q")
+    p: float = entry(FROM_ZERO, "of p")
+    q: float = entry(FROM_ZERO, "of q")
 
 
 @frozen(kw_only=True)
 class Suppression:
     """How far the common acceleration is suppressed."""
 
-    p: float = entry(_U, "after p")
-    pq: float = entry(_U, "after p and q")
+    p: float = entry(FROM_ZERO, "after p")
+    pq: float = entry(FROM_ZERO, "after p and q")
 
 
 def _by_stage(item: Format[tuple[float, float]]) -> ByKey[Mapping[str, tuple[float, float]]]:
@@ -114,7 +114,7 @@ class PairEntry:
         "unit of the readings",
     )
     component_uncertainty: Mapping[str, Mapping[str, tuple[float, float]]] = entry(
-        _by_stage(SinCos(_U)), "the same for their standard uncertainties"
+        _by_stage(SinCos(FROM_ZERO)), "the same for their standard uncertainties"
     )
 
 

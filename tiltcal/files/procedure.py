@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES
 from tiltcal.errors import UsageError
+from tiltcal.files.coefficients import ORDER_LIMIT
 from tiltcal.files.declaration import (
     Choice,
     Context,
@@ -27,8 +28,6 @@ from tiltcal.frozen import frozen
 if TYPE_CHECKING:
     from tiltcal.files.rotation import Rotation
 
-ORDER_LIMIT = 6
-"""The highest order of a temperature polynomial."""
 ABSOLUTE_ZERO = -273.15
 """°C."""
 MOST_ASKEW = 10.0

@@ -10,6 +10,7 @@ from typing import Any
 
 from tiltcal.files.declaration import (
     ANY,
+    FROM_ZERO,
     ByChannel,
     ByName,
     Context,
@@ -29,7 +30,6 @@ from tiltcal.frozen import frozen
 CHANNELS = ByChannel(Number())
 """A number for some channels of the sensor."""
 
-SHARE = Number(minimum=0.0)
 
 NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
 """Where an uncertainty comes from that leaves out how well the positions were set."""
@@ -51,8 +51,8 @@ class WorstResidual:
 class SuspectPosition:
     """A position that is further off than the stated jig allows."""
 
-    off_degrees: float = entry(SHARE, "how far it is off, degrees")
-    chi_square: float | None = entry(SHARE, "its share of chi-square", default=None)
+    off_degrees: float = entry(FROM_ZERO, "how far it is off, degrees")
+    chi_square: float | None = entry(FROM_ZERO, "its share of chi-square", default=None)
 
 
 @frozen(kw_only=True)
@@ -61,7 +61,7 @@ class CrossValidation:
 
     order: int = entry(Integer(minimum=1), "the order that was chosen")
     error_by_order: Mapping[str, float] = entry(
-        ByName(SHARE),
+        ByName(FROM_ZERO),
         "per order the mean square error of predicting a left-out position, over its variance",
         default={},
     )
@@ -81,12 +81,12 @@ class RampLeg:
 
     way: str = entry(Text(), "`up` or `down`")
     temperature: tuple[float, float] = entry(Range(), "`[low, high]`, °C")
-    seconds: float = entry(SHARE, "how long it lasts")
-    pace: float = entry(SHARE, "°C/min")
+    seconds: float = entry(FROM_ZERO, "how long it lasts")
+    pace: float = entry(FROM_ZERO, "°C/min")
     polynomial: Mapping[str, float] = entry(
-        ByChannel(SHARE), "per channel the rms error of the polynomial alone, fitted to the other legs, unit"
+        ByChannel(FROM_ZERO), "per channel the rms error of the polynomial alone, fitted to the other legs, unit"
     )
-    lagged: Mapping[str, float] = entry(ByChannel(SHARE), "the same with a lag")
+    lagged: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "the same with a lag")
 
 
 @frozen(kw_only=True)
@@ -94,7 +94,7 @@ class RampFitRecord:
     """The thermal lag that a ramp shows."""
 
     lag: float = entry(Number(), "that was found, s")
-    u_lag: float = entry(SHARE, "its standard uncertainty, s")
+    u_lag: float = entry(FROM_ZERO, "its standard uncertainty, s")
     used: bool = entry(Flag(), "whether it betters every leg that it was not fitted to, and is in the calibration")
     explained_percent: Mapping[str, float] = entry(
         CHANNELS, "per channel which part of the square of the loop it explains, %"
@@ -109,7 +109,7 @@ class MountingFit:
     residuals_degrees: Mapping[str, float] = entry(ByName(Number()), "per position, degrees", default={})
     degrees_of_freedom: int | None = entry(Integer(minimum=0), "readings left over", default=None)
     uncertainty_from: str | None = entry(Text(), "`stated jig` or `residuals`", default=None)
-    chi_square: float | None = entry(SHARE, "where the jig was stated", default=None)
+    chi_square: float | None = entry(FROM_ZERO, "where the jig was stated", default=None)
 
 
 @frozen(kw_only=True)
@@ -118,12 +118,12 @@ class LevelFit:
 
     change: Mapping[str, float] = entry(CHANNELS, "per channel, the new offset less the one before, unit", default={})
     change_uncertainty: Mapping[str, float] = entry(
-        ByChannel(SHARE), "per channel, its standard uncertainty, unit", default={}
+        ByChannel(FROM_ZERO), "per channel, its standard uncertainty, unit", default={}
     )
     verdict: str | None = entry(Text(), "whether the change is more than its uncertainty", default=None)
     temperature: float | None = entry(Number(), "of the position, °C", default=None)
     jig_degrees: float | None = entry(
-        SHARE, "the stated standard uncertainty of how level it was, degrees", default=None
+        FROM_ZERO, "the stated standard uncertainty of how level it was, degrees", default=None
     )
 
 
@@ -143,9 +143,11 @@ class FitRecord:
         Integer(minimum=0), "readings left over, of all sensors of the bench together", default=None
     )
     chi_square: float | None = entry(
-        SHARE, "where the jig was stated: the sum of squares of everything over its stated uncertainty", default=None
+        FROM_ZERO,
+        "where the jig was stated: the sum of squares of everything over its stated uncertainty",
+        default=None,
     )
-    p_value: float | None = entry(SHARE, "the probability of so large a chi-square or a larger one", default=None)
+    p_value: float | None = entry(FROM_ZERO, "the probability of so large a chi-square or a larger one", default=None)
     suspect_positions: Mapping[str, SuspectPosition] = entry(
         ByName(Section(SuspectPosition)),
         "positions that are further off than the stated jig allows: `off_degrees` and their `chi_square`",
@@ -155,14 +157,16 @@ class FitRecord:
     uncertainty_from: str | None = entry(
         Text(), "`stated noise and jig`, `residuals`, or `noise alone` and why", default=None
     )
-    jig_degrees: float | None = entry(SHARE, "the stated standard uncertainty of a set angle, degrees", default=None)
+    jig_degrees: float | None = entry(
+        FROM_ZERO, "the stated standard uncertainty of a set angle, degrees", default=None
+    )
     jig_estimated_degrees: float | None = entry(
-        SHARE,
+        FROM_ZERO,
         "where the jig was not stated: the standard deviation of a set angle that the residuals show, degrees",
         default=None,
         formerly="jig_that_shows_degrees",
     )
-    thermometer_celsius: float | None = entry(SHARE, "the standard uncertainty of a temperature, °C", default=None)
+    thermometer_celsius: float | None = entry(FROM_ZERO, "the standard uncertainty of a temperature, °C", default=None)
     budget: Mapping[str, Mapping[str, float]] = entry(
         ByName(ByName(Number())),
         "per coefficient, which share of its variance comes from `noise`, `adc`, `jig`, `table`, `thermometer`, "
@@ -185,7 +189,7 @@ class FitRecord:
         Integer(minimum=0), "from free positions: how many attitudes differ", default=None
     )
     misfit_rms_mg: float | None = entry(
-        SHARE, "from free positions: how well the length of gravity is met, mg rms", default=None
+        FROM_ZERO, "from free positions: how well the length of gravity is met, mg rms", default=None
     )
     warning: str | None = entry(Text(), "what speaks against the result", default=None)
     mounting: MountingFit | None = entry(
@@ -198,16 +202,16 @@ class FitRecord:
 class DerivedCoverage:
     """Coverage factors of derived quantities, for intervals of 95 %."""
 
-    cross_axis_percent: Mapping[str, float] = entry(ByChannel(SHARE), "per channel", default={})
-    misalignment_degrees: Mapping[str, float] = entry(ByChannel(SHARE), "per channel", default={})
+    cross_axis_percent: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel", default={})
+    misalignment_degrees: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel", default={})
 
 
 @frozen(kw_only=True)
 class DerivedUncertainty:
     """Standard uncertainties of derived quantities."""
 
-    cross_axis_percent: Mapping[str, float] = entry(ByChannel(SHARE), "per channel, %", default={})
-    misalignment_degrees: Mapping[str, float] = entry(ByChannel(SHARE), "per channel, degrees", default={})
+    cross_axis_percent: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel, %", default={})
+    misalignment_degrees: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel, degrees", default={})
     coverage_factor: DerivedCoverage | None = entry(
         Section(DerivedCoverage), "what each is multiplied with for an interval of 95 %", default=None
     )
@@ -217,10 +221,10 @@ class DerivedUncertainty:
 class IntrinsicUncertainty:
     """Standard uncertainties of the intrinsic parameters."""
 
-    offset: Mapping[str, float] = entry(ByChannel(SHARE), "per channel, unit", default={})
-    sensitivity: Mapping[str, float] = entry(ByChannel(SHARE), "per channel, unit/g", default={})
-    angle_degrees: Mapping[str, float] = entry(ByName(SHARE), "per pair of channels, degrees", default={})
-    rotation_degrees: Mapping[str, float] = entry(ByName(SHARE), "roll, pitch, yaw, degrees", default={})
+    offset: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel, unit", default={})
+    sensitivity: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel, unit/g", default={})
+    angle_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "per pair of channels, degrees", default={})
+    rotation_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "roll, pitch, yaw, degrees", default={})
 
 
 @frozen(kw_only=True)
@@ -295,7 +299,7 @@ class CompletingRun:
     """A procedure that completes a calibration, as run."""
 
     samples: int | None = entry(Integer(minimum=1), "per position", default=None)
-    settle_seconds: float | None = entry(SHARE, "over which the reading held still", default=None)
+    settle_seconds: float | None = entry(FROM_ZERO, "over which the reading held still", default=None)
     positions: tuple[str, ...] = entry(ListOf(Text()), "their names", default=())
 
 
@@ -307,7 +311,7 @@ class ProcedureRecord:
     title: str | None = entry(Text(), "its title", default=None)
     source: str | None = entry(Text(), "the document it comes from", default=None)
     samples: int | None = entry(Integer(minimum=1), "samples per position", default=None)
-    settle_seconds: float | None = entry(SHARE, "seconds over which the reading held still", default=None)
+    settle_seconds: float | None = entry(FROM_ZERO, "seconds over which the reading held still", default=None)
     set: Mapping[str, PositionSet] = entry(
         ByName(Section(PositionSet)), "per position `tilt` or `gravity` as it was set", default={}
     )
@@ -348,8 +352,12 @@ class PositionRecord:
 
     position: str = entry(Text(), "its name")
     mean: Mapping[str, float] = entry(CHANNELS, "mean readings, unit", default={})
-    std: Mapping[str, float] | None = entry(ByChannel(SHARE), "standard deviations of the samples, unit", default=None)
-    u: Mapping[str, float] | None = entry(ByChannel(SHARE), "standard uncertainties of the means, unit", default=None)
+    std: Mapping[str, float] | None = entry(
+        ByChannel(FROM_ZERO), "standard deviations of the samples, unit", default=None
+    )
+    u: Mapping[str, float] | None = entry(
+        ByChannel(FROM_ZERO), "standard uncertainties of the means, unit", default=None
+    )
     n: int | None = entry(Integer(minimum=0), "number of samples", default=None)
     left_out: int | None = entry(
         Integer(minimum=0), "samples that were far off the others and were taken again", default=None
@@ -388,8 +396,8 @@ class SegmentsRecord:
     sha256: str | None = entry(Text(), "the SHA-256 of their file", default=None)
     found: str | None = entry(Text(), "by what they were found", default=None)
     window_rows: int | None = entry(Integer(minimum=1), "rows in which the sensor held still", default=None)
-    threshold: float | None = entry(SHARE, "the largest standard deviation, unit", default=None)
-    times_noise: float | None = entry(SHARE, "the threshold over the noise", default=None)
+    threshold: float | None = entry(FROM_ZERO, "the largest standard deviation, unit", default=None)
+    times_noise: float | None = entry(FROM_ZERO, "the threshold over the noise", default=None)
 
 
 @frozen(kw_only=True)

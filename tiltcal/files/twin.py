@@ -54,6 +54,7 @@ from tiltcal.drivers.twin.stage import FASTEST, StageTruth
 from tiltcal.drivers.twin.truth import Fault, Polynomial, Truth
 from tiltcal.files.coefficients import ROWS, MountingSection, polynomials
 from tiltcal.files.declaration import (
+    FROM_ZERO,
     ByChannel,
     ByKey,
     Choice,
@@ -74,9 +75,6 @@ from tiltcal.frozen import frozen
 FAULTS = ("parity", "stuck", "silent", "unplugged")
 
 
-_SHARE = Number(minimum=0.0)
-
-
 def _fault_of(found: FaultSection, node: Node, context: Context) -> Fault:
     if found.end <= found.start:
         raise node.entries()["end"].error(
@@ -94,7 +92,7 @@ class FaultSection:
         "`parity` (memory error), `stuck` (the reading holds), `silent` (the data line floats) or `unplugged`; of a "
         "`gradiometer` not `parity`, and `stuck` is one line again and again: the stage stands",
     )
-    start: float = entry(_SHARE, "seconds after the session began")
+    start: float = entry(FROM_ZERO, "seconds after the session began")
     end: float = entry(Number(), "seconds after the session began")
 
 
@@ -137,26 +135,29 @@ class TruthSection:
     mounting: MountingSection = entry(
         Section(MountingSection), "how it sits on the fixture, degrees", default=MountingSection()
     )
-    supply: float = entry(_SHARE, "of an analog sensor or a thermistor, V", default=Truth.supply)
+    supply: float = entry(FROM_ZERO, "of an analog sensor or a thermistor, V", default=Truth.supply)
     nonlinearity: Mapping[str, Polynomial] = entry(
         polynomials(), "per channel the coefficients of a², a³, … in g, where a is the signal in g", default={}
     )
     noise: Mapping[str, float] = entry(
-        ByChannel(_SHARE, of="channels"), "per channel, standard deviation of one sample, unit", default={}, usual="0"
+        ByChannel(FROM_ZERO, of="channels"),
+        "per channel, standard deviation of one sample, unit",
+        default={},
+        usual="0",
     )
     thermometer_error: float = entry(
         Number("°C"), "what the sensor's thermometer reads too high, °C", default=Truth.thermometer_error
     )
     lag: float = entry(
-        _SHARE, "by how much the sensing element is later than chamber and thermometer, s", default=Truth.lag
+        FROM_ZERO, "by how much the sensing element is later than chamber and thermometer, s", default=Truth.lag
     )
     jig: float = entry(
-        _SHARE,
+        FROM_ZERO,
         "standard deviation of each set angle, degrees; jig and chamber are those of the bench's first virtual sensor",
         default=Truth.jig,
     )
     ambient: float = entry(Number("°C"), "temperature at the start, °C", default=Truth.ambient)
-    time_constant: float = entry(_SHARE, "of the chamber, seconds", default=Truth.time_constant)
+    time_constant: float = entry(FROM_ZERO, "of the chamber, seconds", default=Truth.time_constant)
     faults: tuple[Fault, ...] = entry(_FAULTS, "a list of `{kind, start, end}`", default=())
 
 
@@ -226,13 +227,13 @@ class DiskSection:
     rate: float = entry(
         Converted(Number(above=0.0), _rate, more={"maximum": FASTEST}), "lines a second", default=Disk.rate
     )
-    wander: float = entry(_SHARE, "of the common acceleration, its largest excursion, relative", default=Disk.wander)
+    wander: float = entry(FROM_ZERO, "of the common acceleration, its largest excursion, relative", default=Disk.wander)
     gradient: Gradient | None = entry(
         Section(Gradient), "`{differential, cross}`: R (Γxx − Γyy) and R Γxy, g", default=None, usual="0"
     )
-    noise: float = entry(_SHARE, "one-sided amplitude density, g/√Hz", default=Disk.noise)
-    corner: float = entry(_SHARE, "where 1/f noise is as large, Hz", default=Disk.corner)
-    encoder_noise: float = entry(_SHARE, "standard deviation of the angle, degrees", default=Disk.encoder_noise)
+    noise: float = entry(FROM_ZERO, "one-sided amplitude density, g/√Hz", default=Disk.noise)
+    corner: float = entry(FROM_ZERO, "where 1/f noise is as large, Hz", default=Disk.corner)
+    encoder_noise: float = entry(FROM_ZERO, "standard deviation of the angle, degrees", default=Disk.encoder_noise)
     accelerometers: Mapping[str, AccelerometerSection] | None = entry(
         ByKey(Section(AccelerometerSection), CHANNELS, complete=True),
         "`a1` to `a4`, each with `scale` (unit/g) and, 0 where left out, `misalignment` and `phase_error` (degrees), "

@@ -22,6 +22,7 @@ from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, wi
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.declaration import (
+    FROM_ZERO,
     ByChannel,
     ByKey,
     ByName,
@@ -42,9 +43,8 @@ SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
 TEMPERATURE = "temperature"
 
 _SYMMETRY = 1e-9
-_SHARE = Number(minimum=0.0)
 _POLYNOMIALS = ByChannel(
-    ListOf(_SHARE, most=ORDER_LIMIT, says=f"a polynomial has at most {ORDER_LIMIT} coefficients, found {{found}}"),
+    ListOf(FROM_ZERO, most=ORDER_LIMIT, says=f"a polynomial has at most {ORDER_LIMIT} coefficients, found {{found}}"),
     of="channels",
 )
 _ROUNDED = 0.01  # an eigenvalue of the correlations that is below zero by more is no matter of digits
@@ -116,33 +116,33 @@ class StatedUncertainty:
 class ThermalUncertainty:
     """Standard uncertainties in the shape of ``calibration.temperature``."""
 
-    reference: float | None = entry(_SHARE, "of the reference temperature, °C", default=None)
+    reference: float | None = entry(FROM_ZERO, "of the reference temperature, °C", default=None)
     offset: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, unit/°C, unit/°C², …", default={})
     sensitivity: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, 1/°C, 1/°C², …", default={})
-    lag: float | None = entry(_SHARE, "of the lag, s", default=None)
+    lag: float | None = entry(FROM_ZERO, "of the lag, s", default=None)
 
 
 @frozen(kw_only=True)
 class UncertaintySection:
     """The section as it stands in a file."""
 
-    offset: Mapping[str, float] = entry(ByChannel(_SHARE, of="channels"), "per channel, unit", default={})
+    offset: Mapping[str, float] = entry(ByChannel(FROM_ZERO, of="channels"), "per channel, unit", default={})
     sensitivity: Mapping[str, Mapping[str, float]] = entry(
-        ByChannel(ByChannel(_SHARE, of="axes"), of="channels"), "row = channel, column = axis, unit/g", default={}
+        ByChannel(ByChannel(FROM_ZERO, of="axes"), of="channels"), "row = channel, column = axis, unit/g", default={}
     )
     nonlinearity: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, pure numbers", default={})
     temperature: ThermalUncertainty | None = entry(
         Section(ThermalUncertainty), "in the shape of `calibration.temperature`", default=None
     )
-    mounting: Mapping[str, float] = entry(ByKey(_SHARE, ANGLES), "`roll`, `pitch`, `yaw`, degrees", default={})
+    mounting: Mapping[str, float] = entry(ByKey(FROM_ZERO, ANGLES), "`roll`, `pitch`, `yaw`, degrees", default={})
     single_reading: Mapping[str, float] = entry(
-        ByChannel(_SHARE, keys=(*AXES, TEMPERATURE), of="channels"),
+        ByChannel(FROM_ZERO, keys=(*AXES, TEMPERATURE), of="channels"),
         "of a single reading of a log, per channel, unit, and of its `temperature`, °C",
         default={},
         formerly="reading",
     )
     alignment: float = entry(
-        _SHARE,
+        FROM_ZERO,
         "after `level`: of how the sensor sits since its sensitivity was measured, degrees about each axis; it makes "
         "no error at level",
         default=0.0,

@@ -11,6 +11,7 @@ from tiltcal.calibration.labels import symbol, unit_of, words
 from tiltcal.core.model import Coefficients
 from tiltcal.core.named_coefficients import values
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.records import DerivedCoverage, DerivedUncertainty, IntrinsicRecord, IntrinsicUncertainty
 from tiltcal.report.number_format import AlignedNumber, at_place, column, half_width, measured, plain
 
@@ -23,8 +24,6 @@ SOURCES = {
     "assumed": "assumed",
 }
 """The sources of uncertainty: their names in a file and on the page, in the order of the bars."""
-
-ANGLES = ("roll", "pitch", "yaw")
 
 
 class Row(NamedTuple):

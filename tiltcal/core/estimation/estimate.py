@@ -15,8 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
-from math import degrees, hypot, inf, radians, sqrt
+from math import degrees, inf
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from tiltcal.core.estimation.identifiability import require_determined
 from tiltcal.core.estimation.second_order import second_order_bias
 from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
 from tiltcal.core.estimation.variance_components import VarianceComponents, variance_components
-from tiltcal.core.model import AXES, Array, Coefficients, Thermal
+from tiltcal.core.model import Array, Coefficients, Thermal
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
 
@@ -41,9 +40,6 @@ ROUNDS = 20
 
 CLOSE = 1e-4
 """A relative change of the jig below which it is found."""
-
-ALIKE = 1.5
-"""Temperatures that are no further apart are one temperature met twice, °C."""
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
 LUCKY = "the residuals are smaller than the noise of the readings, which is luck: the noise counts"
@@ -188,58 +184,6 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     if design.table is not None or system.lean_rotations is not None:
         return found
     return tuple(replace(one, notes=(*one.notes, LEANS)) for one in found)
-
-
-@dataclass(frozen=True)
-class Loop:
-    """The largest difference between two readings in one position at one temperature.
-
-    Attributes
-    ----------
-    difference, u : float
-        The later residual minus the earlier one, and its standard uncertainty, in the sensor's unit.
-    between : tuple of (str, str)
-        The positions.
-    """
-
-    difference: float
-    u: float
-    between: tuple[str, str]
-
-
-def largest_loops(found: Estimate, observations: Sequence[Observation], jig: float) -> dict[str, Loop]:
-    """Return the largest hysteresis loop of each channel; empty where no temperature was met twice.
-
-    Parameters
-    ----------
-    found : Estimate
-    observations : sequence of Observation
-        The positions of the estimate.
-    jig : float
-        Standard uncertainty of a set angle, degrees: two attitudes that were set apart differ by as much.
-    """
-    stands = np.cumsum([not one.held for one in observations])
-    pairs = [
-        (i, j)
-        for (i, one), (j, other) in combinations(enumerate(observations), 2)
-        if np.array_equal(one.gravity, other.gravity)
-        and one.heading == other.heading
-        and one.temperature is not None
-        and other.temperature is not None
-        and abs(one.temperature - other.temperature) <= ALIKE
-    ]
-    loops: dict[str, Loop] = {}
-    axes = [AXES.index(axis) for axis in found.coefficients.axes]
-    for column, channel in enumerate(found.coefficients.channels if pairs else ()):
-        measured = []
-        for i, j in pairs:
-            across = np.cross(np.eye(3)[axes].T @ found.coefficients.sensitivity[column], observations[i].gravity)
-            by_jig = 0.0 if stands[i] == stands[j] else sqrt(2.0) * radians(jig) * float(np.linalg.norm(across))
-            difference = float(found.residuals[j, column] - found.residuals[i, column])
-            u = hypot(observations[i].u[column], observations[j].u[column], by_jig)
-            measured.append(Loop(difference, u, (observations[i].position, observations[j].position)))
-        loops[channel] = max(measured, key=lambda one: abs(one.difference) / one.u)
-    return loops
 
 
 def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:

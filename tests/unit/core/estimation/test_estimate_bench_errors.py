@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from tiltcal.core.budget import coverage_factor
 from tiltcal.core.estimation.design import Design, Observation, Prior
-from tiltcal.core.estimation.estimate import LEANS, Estimate, estimate, largest_loops
+from tiltcal.core.estimation.estimate import LEANS, Estimate, estimate
+from tiltcal.core.estimation.hysteresis import largest_loops
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predicted_covariance
 from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, noise_under_rounding
 from tiltcal.core.gravity_direction import gravity_from_tilt
