@@ -108,31 +108,13 @@ class Adxl355(PolledSensor):
         super().__init__(port, clock, "ADXL355", settings.rate, (STATUS, DATA_READY))
         self._chosen = settings
 
-    def probe(self) -> Mapping[str, str]:
-        """Set the part up and take a sample.
-
-        Returns
-        -------
-        mapping of str to str
-            Revision, range, rate, words and temperature.
-
-        Raises
-        ------
-        BusError
-            No answer, or a data line that never moves.
-        DeviceFault
-            Another part, or one that does not measure.
-        """
-        self._ready = False
-        reading = self.read()
+    def _identity(self) -> Mapping[str, str]:
         (revision,) = self._port.read(IDENTITY + 3, 1)
         chosen = self._chosen
-        said = {
+        return {
             "revision": str(revision),
             "range": f"±{2**chosen.range} g, {chosen.counts_per_g:.0f} count/g, {chosen.rate:g} samples/s",
         }
-        said.update((channel, f"{value:.0f} count") for channel, value in zip("xyz", reading.values, strict=True))
-        return said | {"temperature": f"{reading.temperature:.1f} °C (not trimmed)"}
 
     def _set_up(self) -> None:
         who = self._port.read(IDENTITY, 3)

@@ -91,31 +91,13 @@ class Iis2iclx(PolledSensor):
         super().__init__(port, clock, "IIS2ICLX", settings.rate, (STATUS, DATA_READY))
         self._chosen = settings
 
-    def probe(self) -> Mapping[str, str]:
-        """Set the part up and take a sample.
-
-        Returns
-        -------
-        mapping of str to str
-            Identity, range, rate, words and temperature.
-
-        Raises
-        ------
-        BusError
-            No answer, or a data line that never moves.
-        DeviceFault
-            Another part, or one that does not measure.
-        """
-        self._ready = False
-        reading = self.read()
+    def _identity(self) -> Mapping[str, str]:
         chosen = self._chosen
         extent = next(word for word, code in RANGES.items() if code == chosen.range)
-        said = {
+        return {
             "identity": f"0x{IDENTITY:02X} (of other ST parts as well: is it an IIS2ICLX?)",
             "range": f"±{extent.removesuffix('g')} g, {chosen.counts_per_g:.1f} count/g, {chosen.rate:g} samples/s",
         }
-        said.update((channel, f"{value:.0f} count") for channel, value in zip("xy", reading.values, strict=True))
-        return said | {"temperature": f"{reading.temperature:.1f} °C (not trimmed)"}
 
     def _set_up(self) -> None:
         who = self._port.read(WHO_AM_I, 1)

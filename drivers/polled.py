@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.registers import RegisterPort
@@ -44,6 +44,26 @@ class PolledSensor(ABC):
         self._status, self._bit = ready
         self._ready = False
 
+    def probe(self) -> Mapping[str, str]:
+        """Set the part up and take a sample.
+
+        Returns
+        -------
+        mapping of str to str
+            Identity, range, rate, words and temperature.
+
+        Raises
+        ------
+        BusError
+            No answer, or a data line that never moves.
+        DeviceFault
+            Another part, or one that does not measure.
+        """
+        self._ready = False
+        reading = self.read()
+        words = {channel: f"{value:.0f} count" for channel, value in zip("xyz", reading.values, strict=False)}
+        return {**self._identity(), **words, "temperature": f"{reading.temperature:.1f} °C (not trimmed)"}
+
     def read(self) -> Reading:
         """Wait for the next sample and take it: counts, and the temperature in °C.
 
@@ -69,6 +89,10 @@ class PolledSensor(ABC):
     @abstractmethod
     def _set_up(self) -> None:
         """Reset the part and write its settings."""
+
+    @abstractmethod
+    def _identity(self) -> Mapping[str, str]:
+        """Return what the part is, and its range and rate."""
 
     @abstractmethod
     def _settings(self) -> Settings:

@@ -8,10 +8,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tiltcal.errors import InputError
 from tiltcal.logs.apply_summary import ApplySummary
-from tiltcal.logs.cf_attributes import same_unit
-from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, locate_columns, named_columns
+from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, locate_columns, named_columns, require_unit
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.kernel import RoleValues
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
@@ -211,7 +209,7 @@ class CompensatedLog:
         named = named_columns(columns, prepared.channels, prepared.roles)
         optional = (*prepared.optional_roles, *(() if prepared.averaging is None else (TIME,)))
         roles = (*prepared.roles, *(role for role in optional if role in named or role in log.names))
-        where = locate_columns(log.names, prepared.channels, named, roles, file=log.name, line=log.header_line)
+        where = locate_columns(log, prepared.channels, named, roles)
         vectors = {role: _locate_vector(log, role, names) for role, names in prepared.vectors.items()}
         require_free(log.names, prepared.columns)
         channels = tuple(where[channel] for channel in prepared.channels)
@@ -285,21 +283,5 @@ def _field_length(there: bool) -> FieldLength | None:
 
 def _locate_vector(log: LogReader, role: str, names: Sequence[str]) -> tuple[int, ...]:
     """Return where the three columns of an option such as ``--magnetometer`` stand."""
-    where = locate_columns(log.names, names, {}, file=log.name, line=log.header_line, option=f"--{role} ")
+    where = locate_columns(log, names, {}, option=f"--{role} ")
     return tuple(where[name] for name in names)
-
-
-def require_unit(log: LogReader, columns: Sequence[int], unit: str, whose: str = "the calibration") -> None:
-    """Refuse a log whose columns state another unit than ``whose`` (what messages call it).
-
-    Raises
-    ------
-    InputError
-    """
-    for column in columns:
-        stated = log.unit(column)
-        if stated is not None and not same_unit(stated, unit):
-            raise InputError(
-                f"column {log.names[column]!r} is in {stated}, and {whose} in {unit}: convert the readings",
-                file=log.name,
-            )

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
+from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError, UsageError
+from tiltcal.logs.cf_attributes import same_unit
+
+if TYPE_CHECKING:
+    from tiltcal.logs.log import LogReader
 
 TEMPERATURE = "temperature"
 TIME = "time"
@@ -66,13 +71,11 @@ def parse_columns(text: str, channels: Sequence[str], others: Sequence[str] = ()
 
 
 def locate_columns(
-    names: Sequence[str],
+    log: LogReader,
     channels: Sequence[str],
     named: Mapping[str, str],
     others: Sequence[str] = (),
     *,
-    file: str,
-    line: int | None = 1,
     option: str = "--columns {role}=",
 ) -> dict[str, int]:
     """Find the columns of the readings in a log.
@@ -81,18 +84,12 @@ def locate_columns(
 
     Parameters
     ----------
-    names : sequence of str
-        The header of the log.
     channels : sequence of str
         The readings that are needed.
     named : mapping of str to str
         Column name by role, from :func:`parse_columns`.
     others : sequence of str
         Further roles that are needed, such as time.
-    file : str
-        The log as the user named it, for the message.
-    line : int or None
-        Where its header stands; None where the file has no lines.
     option : str
         What on the command line names the column of a ``{role}``, for the message.
 
@@ -106,17 +103,49 @@ def locate_columns(
     InputError
         A column is not there; the message lists those that are.
     """
-    where = {name: index for index, name in enumerate(names)}
+    where = {name: index for index, name in enumerate(log.names)}
     located: dict[str, int] = {}
     for role in dict.fromkeys((*channels, *others, TEMPERATURE, TIME)):
         column = named.get(role, role)
         if column in where:
             located[role] = where[column]
         elif role in named or role in channels or role in others:
-            raise InputError(_absent(role, column, names, option.format(role=role)), file=file, line=line)
+            why = _absent(role, column, log.names, option.format(role=role))
+            raise InputError(why, file=log.name, line=log.header_line)
     if TIME not in others:
         located.pop(TIME, None)
     return located
+
+
+def locate_readings(
+    log: LogReader, channels: Sequence[str], named: Mapping[str, str], unit: str, others: Sequence[str] = ()
+) -> dict[str, int]:
+    """Find the columns of the readings in a log whose unit was named, as :func:`locate_columns` does.
+
+    Raises
+    ------
+    InputError
+        A column is missing, or states another unit.
+    """
+    where = locate_columns(log, channels, named, others)
+    require_unit(log, [where[channel] for channel in channels], unit, "the --unit")
+    return where
+
+
+def require_unit(log: LogReader, columns: Sequence[int], unit: str, whose: str = "the calibration") -> None:
+    """Refuse a log whose columns state another unit than ``whose`` (what messages call it).
+
+    Raises
+    ------
+    InputError
+    """
+    for column in columns:
+        stated = log.unit(column)
+        if stated is not None and not same_unit(stated, unit):
+            raise InputError(
+                f"column {log.names[column]!r} is in {stated}, and {whose} in {unit}: convert the readings",
+                file=log.name,
+            )
 
 
 def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:

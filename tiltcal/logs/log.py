@@ -60,7 +60,7 @@ class LogBlock:
 
 @dataclass(frozen=True)
 class LogSource:
-    """Where a log is read from.
+    """Where a log is read from, and how.
 
     Attributes
     ----------
@@ -72,25 +72,25 @@ class LogSource:
         The log as the user named it, for messages.
     size : int or None
         Bytes, where that is known.
+    skip_bad_rows : bool
+        Keep rows that cannot be parsed, named in :attr:`LogBlock.faults`, instead of raising; CSV alone has such rows.
+    digest : bool
+        Keep the checksum of what is read, for :attr:`LogReader.sha256`.
+    progress : callable or None
+        Called after each block.
     """
 
     stream: BinaryIO
     path: str
     name: str
     size: int | None = None
+    skip_bad_rows: bool = False
+    digest: bool = False
+    progress: Progress | None = None
 
 
 class LogReader(ABC):
     """A recorded log, read once from its beginning to its end.
-
-    Parameters
-    ----------
-    skip_bad_rows : bool
-        Keep rows that cannot be parsed, named in :attr:`LogBlock.faults`, instead of raising; CSV alone has such rows.
-    digest : bool
-        Keep the checksum of what is read, for :attr:`sha256`.
-    progress : callable, optional
-        Called after each block.
 
     Attributes
     ----------
@@ -107,20 +107,10 @@ class LogReader(ABC):
     names: tuple[str, ...]
     header_line: int | None = None
 
-    def __init__(
-        self,
-        source: LogSource,
-        *,
-        skip_bad_rows: bool = False,
-        digest: bool = False,
-        progress: Progress | None = None,
-    ) -> None:
+    def __init__(self, source: LogSource) -> None:
         self.source = source
         self.notes: Mapping[str, str] = {}
         self.bytes_read = 0
-        self._skip_bad_rows = skip_bad_rows
-        self._digest = digest
-        self._progress = progress
 
     @property
     def name(self) -> str:
@@ -158,8 +148,8 @@ class LogReader(ABC):
         blocks = self._blocks(tuple(columns), time, frames)
         for block in read_ahead(blocks) if self._reads_ahead else blocks:
             yield block
-            if self._progress is not None:
-                self._progress(self.bytes_read, self.source.size)
+            if self.source.progress is not None:
+                self.source.progress(self.bytes_read, self.source.size)
 
     @property
     def _reads_ahead(self) -> bool:

@@ -17,8 +17,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import read_calibration
-from tiltcal.logs.apply import require_unit
-from tiltcal.logs.columns import locate_columns, named_columns
+from tiltcal.logs.columns import locate_readings, named_columns
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import Progress
 from tiltcal.logs.noise_log import NoiseLog, characterise_log
@@ -230,8 +229,7 @@ def characterise_readings(
         # With neither, x is looked for, and the message that it is not there says how to name it.
         channels = asked or facts.channels or there or AXES[:1]
         if facts.unit is not None:
-            where = locate_columns(log.names, channels, named, file=log.name, line=log.header_line)
-            require_unit(log, [where[channel] for channel in channels], facts.unit, "the --unit")
+            locate_readings(log, channels, named, facts.unit)
         found = characterise_log(UniformLog(log, channels, named, rate), channels, averages)
     return SensorNoise(found, facts.scale(list(found.channels)), target)
 

@@ -159,10 +159,9 @@ class _Angles:
 
 def _stretches(log: LogReader, channels: Sequence[str], phase: str | None) -> Iterator[PairBlock]:
     """Yield the log's rows."""
-    file, line = log.name, log.header_line
-    where = locate_columns(log.names, channels, {}, file=file, line=line, option="--pair or --orthogonal ")
+    where = locate_columns(log, channels, {}, option="--pair or --orthogonal ")
     if phase is not None:
-        where |= locate_columns(log.names, (phase,), {}, file=file, line=line, option="--phase ")
+        where |= locate_columns(log, (phase,), {}, option="--phase ")
     if TIME in log.names:
         where[TIME] = log.names.index(TIME)
     first = 0

@@ -10,8 +10,7 @@ import numpy as np
 from tiltcal.core.ramp.record import RampRecord, RecordAverager
 from tiltcal.errors import InputError
 from tiltcal.files.segments import Segment
-from tiltcal.logs.apply import require_unit
-from tiltcal.logs.columns import TEMPERATURE, TIME, locate_columns
+from tiltcal.logs.columns import TEMPERATURE, TIME, locate_readings
 from tiltcal.logs.formats import open_log
 
 
@@ -56,11 +55,8 @@ def read_ramp(
     averager, rows, used = RecordAverager(len(channels)), 0, 0
     first, last = (0, np.inf) if segment is None else (segment.start, segment.end)
     with open_log(log) as reader:
-        where = locate_columns(
-            reader.names, channels, named, (TIME, TEMPERATURE), file=reader.name, line=reader.header_line
-        )
+        where = locate_readings(reader, channels, named, unit, (TIME, TEMPERATURE))
         columns = [where[channel] for channel in channels]
-        require_unit(reader, columns, unit, "the --unit")
         for block in reader.rows(sorted(set(where.values())), where[TIME]):
             part = slice(max(first - rows, 0), int(min(max(last - rows, 0), len(block))))
             readings = block.readings(columns)[part]

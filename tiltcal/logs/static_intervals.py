@@ -22,8 +22,7 @@ from tiltcal.errors import InputError
 from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
-from tiltcal.logs.apply import require_unit
-from tiltcal.logs.columns import TEMPERATURE, TIME, locate_columns
+from tiltcal.logs.columns import TEMPERATURE, TIME, locate_readings
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import Progress
 
@@ -151,8 +150,7 @@ def read_record(
         A column is missing or in another unit, or a row cannot be parsed.
     """
     with open_log(log, progress=progress) as reader:
-        where = locate_columns(reader.names, channels, named, others, file=reader.name, line=reader.header_line)
-        require_unit(reader, [where[channel] for channel in channels], unit, "the --unit")
+        where = locate_readings(reader, channels, named, unit, others)
         rows = reader.rows(sorted(set(where.values())), where.get(TIME))
         blocks = deque(block.readings(tuple(where.values())).T for block in rows)
     values = np.empty((len(where), sum(block.shape[1] for block in blocks)))

@@ -73,7 +73,7 @@ class UniformLog:
 
     def __init__(self, log: LogReader, channels: Sequence[str], named: Mapping[str, str], rate: float | None) -> None:
         self._log, self._channels, self._file = log, channels, log.name
-        self._where = locate_columns(log.names, channels, named, file=log.name, line=log.header_line)
+        self._where = locate_columns(log, channels, named)
         self._time: int | None = None
         self.pace = SamplingInterval(0.0 if rate is None else 1.0 / rate)
         if rate is None:

@@ -17,7 +17,7 @@ def paced(
     text: str, rate: float | None = None, block: int = 1 << 20, *, skip_bad_rows: bool = False
 ) -> tuple[SamplingInterval, list[float]]:
     """The pace of a log with a column x, and its samples."""
-    log = CsvReader(LogSource(BytesIO(text.encode()), "log.csv", "log.csv"), skip_bad_rows=skip_bad_rows, block=block)
+    log = CsvReader(LogSource(BytesIO(text.encode()), "log.csv", "log.csv", skip_bad_rows=skip_bad_rows), block=block)
     rows = UniformLog(log, ["x"], {}, rate)
     samples = [float(value) for part in rows.samples() for value in part[:, 0]]
     return rows.pace, samples

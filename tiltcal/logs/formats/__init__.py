@@ -121,13 +121,9 @@ def open_log(
         return
     path = str(log)
     reader = log_format(path).reader()
+    called = name or ("standard input" if path == STANDARD else path)
     with log_source(path, live=live) as (stream, size):
-        opened = reader(
-            LogSource(stream, path, name or ("standard input" if path == STANDARD else path), size),
-            skip_bad_rows=skip_bad_rows,
-            digest=digest,
-            progress=progress,
-        )
+        opened = reader(LogSource(stream, path, called, size, skip_bad_rows, digest, progress))
         try:
             yield opened
         finally:

@@ -17,7 +17,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
 from tiltcal.logs.formats.csv_short import SHORT, short_rows, short_text
 from tiltcal.logs.formats.whitespace import WhitespaceSeparated, blank_separated_names, numbered_columns
-from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
+from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import ByteReader, HashingReader, refused_by_system
 
 if TYPE_CHECKING:
@@ -59,17 +59,9 @@ class CsvReader(LogReader):
 
     header_line = 1
 
-    def __init__(
-        self,
-        source: LogSource,
-        *,
-        skip_bad_rows: bool = False,
-        digest: bool = False,
-        progress: Progress | None = None,
-        block: int = _BLOCK,
-    ) -> None:
-        super().__init__(source, skip_bad_rows=skip_bad_rows, digest=digest, progress=progress)
-        stream: ByteReader = HashingReader(source.stream) if digest else source.stream
+    def __init__(self, source: LogSource, *, block: int = _BLOCK) -> None:
+        super().__init__(source)
+        stream: ByteReader = HashingReader(source.stream) if source.digest else source.stream
         self._stream = self._source_stream = stream
         self._block = block
         self._line = 1
@@ -121,7 +113,7 @@ class CsvReader(LogReader):
         for data, ended, unended in self._lines():
             plain = short_rows(data, len(self.names), columns, unended=unended) if short else None
             rows = plain or parse_rows(data, self.names, columns, time=time, texts=texts, unended=unended)
-            if rows.faults and not self._skip_bad_rows:
+            if rows.faults and not self.source.skip_bad_rows:
                 row = min(rows.faults)
                 raise self._error(rows.faults[row], self._line + rows.starts[row])
             self._line += rows.line_count

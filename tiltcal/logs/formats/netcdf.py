@@ -26,7 +26,7 @@ from tiltcal.core.model import Array
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.files.moments import to_the_second
 from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement, seconds_since_1970
-from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
+from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import interrupts_held
 
 if TYPE_CHECKING:
@@ -59,15 +59,8 @@ class NetcdfReader(LogReader):
         The file is no NetCDF-4, or damaged.
     """
 
-    def __init__(
-        self,
-        source: LogSource,
-        *,
-        skip_bad_rows: bool = False,
-        digest: bool = False,
-        progress: Progress | None = None,
-    ) -> None:
-        super().__init__(source, skip_bad_rows=skip_bad_rows, digest=digest, progress=progress)
+    def __init__(self, source: LogSource) -> None:
+        super().__init__(source)
         xarray = _library()
         if source.stream.read(3) == _CLASSIC:
             self._refuse("this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
-from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Progress, Table
+from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import refused_by_system
 from tiltcal.logs.text_to_numbers import seconds
 
@@ -44,17 +44,10 @@ class ParquetReader(LogReader):
         The file is no Parquet file, damaged, or without a row.
     """
 
-    def __init__(
-        self,
-        source: LogSource,
-        *,
-        skip_bad_rows: bool = False,
-        digest: bool = False,
-        progress: Progress | None = None,
-    ) -> None:
+    def __init__(self, source: LogSource) -> None:
         import polars as pl
 
-        super().__init__(source, skip_bad_rows=skip_bad_rows, digest=digest, progress=progress)
+        super().__init__(source)
         path = Path(source.path)
         with self._refusing_damage():
             self._scan = pl.scan_parquet(path, glob=False, hive_partitioning=False)

@@ -23,7 +23,7 @@ NAMES = ("time", "x", "y")
 
 
 def log(content: bytes, *, skip: bool = False, block: int = 1 << 20) -> CsvReader:
-    return CsvReader(LogSource(io.BytesIO(content), "night.csv", "night.csv"), skip_bad_rows=skip, block=block)
+    return CsvReader(LogSource(io.BytesIO(content), "night.csv", "night.csv", skip_bad_rows=skip), block=block)
 
 
 def column(content: bytes, name: str = "x", *, skip: bool = False, block: int = 1 << 20) -> list[float]:
@@ -184,7 +184,7 @@ class TestSkippedRows:
         monkeypatch.setattr("tiltcal.logs.formats.csv._LONGEST_ROW", 100)
         stream = io.BytesIO(content)
         with pytest.raises(InputError, match="does not end") as raised:
-            list(CsvReader(LogSource(stream, "night.csv", "night.csv"), skip_bad_rows=True, block=20).rows([1]))
+            list(CsvReader(LogSource(stream, "night.csv", "night.csv", skip_bad_rows=True), block=20).rows([1]))
         assert raised.value.line == line
         assert stream.tell() < 200
 

@@ -15,10 +15,12 @@ from tiltcal.logs.formats.csv import CsvReader
 from tiltcal.logs.formats.whitespace import WhitespaceSeparated, blank_separated_names, numbered_columns
 from tiltcal.logs.log import LogSource
 
+NUMBERED = CsvReader(LogSource(BytesIO(b"4,5,6\n7,8,9\n"), "log.txt", "log.txt"))
+
 
 def table(content: bytes, block: int = 1 << 20, skip_bad_rows: bool = False) -> list[tuple[float, ...]]:
     """All numbers of a log, row by row."""
-    log = CsvReader(LogSource(BytesIO(content), "log.txt", "log.txt"), block=block, skip_bad_rows=skip_bad_rows)
+    log = CsvReader(LogSource(BytesIO(content), "log.txt", "log.txt", skip_bad_rows=skip_bad_rows), block=block)
     every = range(len(log.names))
     return [row for rows in log.rows(every) for row in zip(*(rows.values[k].tolist() for k in every), strict=True)]
 
@@ -136,7 +138,7 @@ def test_a_name_that_is_there_twice_is_refused_however_names_are_parted() -> Non
 
 
 def test_columns_are_told_by_number() -> None:
-    assert locate_columns(("1", "2", "3"), ("x", "y"), {"x": "3", "y": "1"}, file="log.txt") == {"x": 2, "y": 0}
+    assert locate_columns(NUMBERED, ("x", "y"), {"x": "3", "y": "1"}) == {"x": 2, "y": 0}
 
 
 @pytest.mark.parametrize(
@@ -148,5 +150,5 @@ def test_columns_are_told_by_number() -> None:
 )
 def test_a_wrong_number(named: dict[str, str], said: str) -> None:
     with pytest.raises(InputError) as caught:
-        locate_columns(("1", "2", "3"), ("x",), named, file="log.txt")
+        locate_columns(NUMBERED, ("x",), named)
     assert str(caught.value).startswith(said)
