@@ -112,19 +112,19 @@ def apply_log(
     """
     require_way(log, output)
     options = ApplyOptions(
-        first_order,
-        uncertainty,
-        reading_noise,
-        mounting,
-        serial,
-        stability,
-        start,
-        magnetometer,
-        velocity,
-        declination,
-        magnetometer_noise,
-        average,
-        every,
+        first_order=first_order,
+        uncertainty=uncertainty,
+        reading_noise=reading_noise,
+        mounting=mounting,
+        serial=serial,
+        stability=stability,
+        start=start,
+        magnetometer=magnetometer,
+        velocity=velocity,
+        declination=declination,
+        magnetometer_noise=magnetometer_noise,
+        average=average,
+        every=every,
     )
     ready = prepare_any(calibration, options, say)
     with open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as reader:
