@@ -14,14 +14,14 @@ the arcsine, and where pitch or inclination comes from a length near zero, an er
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations_with_replacement
 from math import pi, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tiltcal.core.budget import NEGLIGIBLE, CoverageFactors
+from tiltcal.core.budget import NEGLIGIBLE, NORMAL_FACTOR, CoverageFactors
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE, Bytes
 from tiltcal.core.model import AXES, Array, Coefficients
@@ -41,6 +41,7 @@ ANYWHERE = pi / sqrt(3.0)
 """Standard uncertainty of an angle of which nothing is known, radians."""
 
 _EXACT = 1e-9  # part of a square below which its error changes nothing else
+_DEGREES = 180.0 / pi
 _ROWS = 8192  # of a step: they stay in the cache
 _ONE_THREAD = 1 << 18  # multiplications of a matrix product for which the linear algebra starts no threads
 _CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
@@ -173,11 +174,11 @@ class Propagation:
         self._models, self._vectors = coefficients.models, coefficients.vectors
         self._readings, self._temperature = inputs.readings, inputs.temperature
         self._alignment = inputs.alignment
-        self._coverage = CoverageFactors()
         self._chosen, parameters = self._parameters(inputs.names)
-        widening = inputs.factors / self._coverage.normal
+        widening = inputs.factors / NORMAL_FACTOR
         self._known = bool(np.allclose(widening, 1.0, rtol=NEGLIGIBLE))
         """Whether every coefficient has the normal factor, so that one variance says all."""
+        self._coverage = None if self._known else CoverageFactors()
         covariances = (
             [inputs.covariance]
             if self._known
@@ -188,27 +189,28 @@ class Propagation:
         self._whole = [covariance[np.ix_(whole, whole)] for covariance in covariances]
         self._raw = _pairs(len(parameters))
         self._rows = min(_ROWS, _ONE_THREAD // max(1, *(len(one) ** 2 for one in parameters)))
-        self._covariances = [
-            [covariance[np.ix_(parameters[a], parameters[b])] for covariance in covariances] for a, b in self._raw
-        ]
+        blocks = ([one[np.ix_(parameters[a], parameters[b])] for one in covariances] for a, b in self._raw)
+        self._covariances = [block if np.any(block) else [] for block in blocks]
         lift = self._lift(compensation)
         self._pair_lift = _pair_lift(lift)
         self._pairs = {pair: k for k, pair in enumerate(_pairs(len(lift)))}
 
     def __call__(self, chunk: KernelChunk) -> Array:
         """Return standard and expanded uncertainty of every angle, rounded up, shape (2, angles, n), degrees."""
-        room = self.exact(chunk)
-        round_up(room)
-        return room
+        return self._uncertainties(chunk, round_up)
 
     def exact(self, chunk: KernelChunk) -> Array:
         """Return standard and expanded uncertainty of every angle, shape (2, angles, n), degrees."""
+        return self._uncertainties(chunk, lambda room: None)
+
+    def _uncertainties(self, chunk: KernelChunk, finish: Callable[[Array], None]) -> Array:
         count = len(chunk.out.flag)
         room = np.empty((2, self._angles, count))
         for start in range(0, count, self._rows):
             rows = slice(start, start + self._rows)
             self._fill(_part(chunk, rows), room[:, :, rows])
-            np.degrees(room[:, :, rows], out=room[:, :, rows])
+            room[:, :, rows] *= _DEGREES
+            finish(room[:, :, rows])
         lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)
         if lost.any():
             room[:, :, lost] = np.nan
@@ -352,16 +354,18 @@ class Propagation:
 
     def _signals(self, chunk: KernelChunk) -> Signals:
         """Return the derivatives of each channel's signal: by its coefficients, by its reading, by u(temperature)."""
-        gravity = self._compensation.sensed(chunk)
-        dt = np.zeros(gravity.shape[1]) if chunk.dt is None else chunk.dt
+        places = [AXES.index(axis) for axis in self._models[0].axes]
+        sensed = chunk.own if self._models[0].axes == self._axes else self._compensation.sensed(chunk)[places]
+        dt = np.zeros(sensed.shape[1]) if chunk.dt is None else chunk.dt
         derivatives, slopes, by_temperature = [], [], []
         for model, theta, chosen in zip(self._models, self._vectors, self._chosen, strict=True):
-            reading = model.read(theta, gravity.T, dt)
-            slopes.append(1.0 / reading.by_signal)
-            table = reading.by_coefficient.T
+            found = model.derivatives(theta, sensed, dt)
+            slopes.append(1.0 / found.by_signal)
+            table = found.by_coefficient
             derivatives.append(table if len(chosen) == len(table) else table[chosen])
             derivatives[-1] *= -slopes[-1]
-            by_temperature.append(slopes[-1] * (self._temperature * reading.by_temperature))
+            warm = model.by_temperature(theta, found.signal, dt) if self._temperature else np.zeros_like(dt)
+            by_temperature.append(slopes[-1] * (self._temperature * warm))
         return derivatives, slopes, by_temperature
 
     def _lift(self, compensation: Compensation) -> Array:
@@ -404,8 +408,8 @@ class Propagation:
     def _half(self, parts: Array) -> tuple[Array, Array | float]:
         """Half width of the 95 % interval, and its coverage factor."""
         np.maximum(parts, 0.0, out=parts)
-        if self._known:
-            return self._coverage.normal * np.sqrt(parts[0]), self._coverage.normal
+        if self._coverage is None:
+            return NORMAL_FACTOR * np.sqrt(parts[0]), NORMAL_FACTOR
         factor = self._coverage.factor(*parts)
         return factor * np.sqrt(parts[0] + parts[2]), factor
 

@@ -235,6 +235,23 @@ class ModelReading:
 
 
 @frozen
+class ModelDerivatives:
+    """The derivatives of the reading that the model expects of a channel in n positions; see :class:`ModelReading`.
+
+    Attributes
+    ----------
+    by_coefficient : ndarray, shape (..., coefficients, n)
+    by_signal : ndarray, shape (..., n)
+    signal : ndarray, shape (..., n)
+        S g with its non-linearity, unit.
+    """
+
+    by_coefficient: Array
+    by_signal: Array
+    signal: Array
+
+
+@frozen
 class ChannelModel:
     """The coefficients of one channel, and its reading with the derivatives that the estimator needs.
 
@@ -283,16 +300,34 @@ class ChannelModel:
         dt : ndarray, shape (n,)
             Temperature from the reference, °C; shape (..., n) with several channels.
         """
-        sensitivity, drift, gain, shares = self.split(theta)
+        sensitivity, drift, gain, _ = self.split(theta)
         columns = [AXES.index(axis) for axis in self.axes]
-        along = np.swapaxes(gravity, -1, -2)[..., columns, :]
+        found = self.derivatives(theta, np.swapaxes(gravity, -1, -2)[..., columns, :], dt)
+        if theta.ndim > 1:
+            dt = dt[..., None, :]
+        value = theta[..., :1] + (1.0 + polynomial(gain, dt)) * found.signal
+        if self.drift or self.gain:
+            value += polynomial(drift, dt)
+        to_axes = np.zeros((*theta.shape[:-1], 3))
+        to_axes[..., columns] = sensitivity
+        return ModelReading(
+            value=value,
+            by_coefficient=np.swapaxes(found.by_coefficient, -1, -2),
+            by_signal=np.broadcast_to(found.by_signal, found.signal.shape),
+            by_temperature=self.by_temperature(theta, found.signal, dt),
+            sensitivity=to_axes,
+        )
+
+    def derivatives(self, theta: Array, along: Array, dt: Array) -> ModelDerivatives:
+        """Compute the derivatives alone; ``along`` is gravity along :attr:`axes`, shape (..., axes, n), g."""
+        sensitivity, _, gain, shares = self.split(theta)
         signal = sensitivity @ along
         if theta.ndim > 1:
             along, dt = along[..., None, :, :], dt[..., None, :]
         scale = 1.0 + polynomial(gain, dt)
         by_signal = scale
         table = np.empty((*theta.shape, dt.shape[-1]))
-        first = 1 + len(columns)
+        first = 1 + len(self.axes)
         table[..., 0, :] = 1.0
         table[..., 1:first, :] = along
         if self.nonlinearity:
@@ -306,8 +341,6 @@ class ChannelModel:
             table[1 + place] += a * (1.0 + polynomial(shares, a) - slope)
             table[-self.nonlinearity :] = own * scale
             _multiply_by_powers(table[-self.nonlinearity :], a, a)
-        value = theta[..., :1] + scale * signal
-        by_temperature = np.zeros_like(signal)
         if self.gain or self.nonlinearity:
             table[..., 1:first, :] *= scale[..., None, :]
         if self.drift or self.gain:
@@ -316,17 +349,14 @@ class ChannelModel:
             table[..., second : second + self.gain, :] = signal[..., None, :]
             _multiply_by_powers(table[..., first:second, :], dt)
             _multiply_by_powers(table[..., second : second + self.gain, :], dt)
-            value += polynomial(drift, dt)
-            by_temperature = polynomial_slope(drift, dt) + polynomial_slope(gain, dt) * signal
-        to_axes = np.zeros((*theta.shape[:-1], 3))
-        to_axes[..., columns] = sensitivity
-        return ModelReading(
-            value=value,
-            by_coefficient=np.swapaxes(table, -1, -2),
-            by_signal=np.broadcast_to(by_signal, signal.shape),
-            by_temperature=by_temperature,
-            sensitivity=to_axes,
-        )
+        return ModelDerivatives(table, by_signal, signal)
+
+    def by_temperature(self, theta: Array, signal: Array, dt: Array) -> Array:
+        """Compute the derivative by the temperature, unit/°C; ``signal`` is that of :meth:`derivatives`."""
+        if not (self.drift or self.gain):
+            return np.zeros_like(signal)
+        _, drift, gain, _ = self.split(theta)
+        return polynomial_slope(drift, dt) + polynomial_slope(gain, dt) * signal
 
 
 def _multiply_by_powers(table: Array, variable: Array, power: Array | float = 1.0) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
-_LOWEST = -60  # binary exponent of an angle too small for anyone
-_SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(_LOWEST, 10) - 1)), 0, 22)  # by binary exponent
+_SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(2048.0) - 1023.0)), 1, 22)  # by biased exponent
+_MANTISSA = np.uint64(52)  # bits behind the exponent of a double
 
 
 def uncertainty_columns(quantities: Sequence[str], *, averaged: bool = False) -> tuple[str, ...]:
@@ -38,8 +38,8 @@ def with_shares(total: Array, common: Array) -> Array:
 
 
 def round_up(room: Array) -> None:
-    """Round to four digits, or five, in place: an uncertainty has no more."""
-    scale = np.take(_SCALES, np.frexp(room)[1] - _LOWEST, mode="clip")
+    """Round numbers that are not negative to four digits, or five, in place: an uncertainty has no more."""
+    scale = np.take(_SCALES, (room.view(np.uint64) >> _MANTISSA).view(np.int64), mode="clip")
     room *= scale
     np.ceil(room, out=room)
     room /= scale
