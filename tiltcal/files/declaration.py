@@ -123,14 +123,7 @@ def entry(form: Format[T], text: str, *, formerly: str = "", key: str = "") -> T
 
 @overload
 def entry(
-    form: Format[T],
-    text: str,
-    *,
-    default: D,
-    formerly: str = "",
-    key: str = "",
-    usual: str = "",
-    kept: bool = False,
+    form: Format[T], text: str, *, default: D, formerly: str = "", key: str = "", usual: str = "", kept: bool = False
 ) -> T | D: ...
 
 

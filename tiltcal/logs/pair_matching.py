@@ -76,7 +76,7 @@ def demodulate_log(
         The column of the stage angle in degrees; None where there is no encoder and the spin is to be estimated, from
         the column ``time`` or, without one, from the number of the row.
     observers : sequence of callable
-        Shown every stretch as it is read, rows with missing values and all; stuck ones are among them.
+        Shown every block as it is read, rows with missing values and all; stuck ones are among them.
     say : callable
         Told which channel is stuck, and from which row on.
     live : bool
@@ -91,12 +91,12 @@ def demodulate_log(
     """
     stage, demodulator, tally = AngleTracker(), Demodulator(channels), _Tally(len(channels))
     angles = _Angles(phase)
-    rows = tally.counted(angles.with_angle(_stretches(log, channels, phase)))
-    for stretch in StuckValues(channels, say).cleaned(rows):
-        theta, readings, numbers = stretch.complete()
+    rows = tally.counted(angles.with_angle(_blocks(log, channels, phase)))
+    for block in StuckValues(channels, say).cleaned(rows):
+        theta, readings, numbers = block.complete()
         demodulator.add(stage.follow(theta), readings, numbers)
         for observe in observers:
-            observe(stretch)
+            observe(block)
     for name, present in zip((*channels, str(phase)), tally.present.tolist(), strict=True):
         if not present:
             raise InputError(f"column {name!r} has no value in any row: is {name} connected?", file=log.name)
@@ -115,16 +115,16 @@ class _Tally:
         self._begin: float | None = None
         self._end = 0.0
 
-    def counted(self, stretches: Iterator[PairBlock]) -> Iterator[PairBlock]:
-        """Yield the stretches, and count their rows."""
-        for stretch in stretches:
-            self.rows += len(stretch.theta)
-            self.present += [*np.isfinite(stretch.readings).sum(axis=0), np.isfinite(stretch.theta).sum()]
-            timed = np.empty(0) if stretch.time is None else stretch.time[np.isfinite(stretch.time)]
+    def counted(self, blocks: Iterator[PairBlock]) -> Iterator[PairBlock]:
+        """Yield the blocks, and count their rows."""
+        for block in blocks:
+            self.rows += len(block.theta)
+            self.present += [*np.isfinite(block.readings).sum(axis=0), np.isfinite(block.theta).sum()]
+            timed = np.empty(0) if block.time is None else block.time[np.isfinite(block.time)]
             if len(timed):
                 self._begin = float(timed[0]) if self._begin is None else self._begin
                 self._end = float(timed[-1])
-            yield stretch
+            yield block
 
     @property
     def seconds(self) -> float | None:
@@ -139,25 +139,25 @@ class _Angles:
         self._measured = phase is not None
         self.spin: Spin | None = None
 
-    def with_angle(self, stretches: Iterator[PairBlock]) -> Iterator[PairBlock]:
-        """Yield the stretches with their stage angle."""
+    def with_angle(self, blocks: Iterator[PairBlock]) -> Iterator[PairBlock]:
+        """Yield the blocks with their stage angle."""
         if self._measured:
-            yield from stretches
+            yield from blocks
             return
         held: list[PairBlock] = []
         rows = 0
-        for stretch in stretches:
-            held.append(stretch)
-            rows += len(stretch.theta)
+        for block in blocks:
+            held.append(block)
+            rows += len(block.theta)
             if rows >= ROWS_FOR_SPIN:
                 break
         self.spin = _spin_of(held)
-        for stretch in chain(held, stretches):
-            self.spin = _followed(self.spin, stretch)
-            yield PairBlock(self.spin.theta(_clock(stretch)), stretch.readings, stretch.time, stretch.first)
+        for block in chain(held, blocks):
+            self.spin = _followed(self.spin, block)
+            yield PairBlock(self.spin.theta(_clock(block)), block.readings, block.time, block.first)
 
 
-def _stretches(log: LogReader, channels: Sequence[str], phase: str | None) -> Iterator[PairBlock]:
+def _blocks(log: LogReader, channels: Sequence[str], phase: str | None) -> Iterator[PairBlock]:
     """Yield the log's rows."""
     where = locate_columns(log, channels, {}, option="--pair or --orthogonal ")
     if phase is not None:
@@ -172,14 +172,14 @@ def _stretches(log: LogReader, channels: Sequence[str], phase: str | None) -> It
         first += len(readings)
 
 
-def _clock(stretch: PairBlock) -> Array:
+def _clock(block: PairBlock) -> Array:
     """Seconds, or numbers of rows where there are none."""
-    return stretch.time if stretch.time is not None else stretch.first + np.arange(float(len(stretch.theta)))
+    return block.time if block.time is not None else block.first + np.arange(float(len(block.theta)))
 
 
 def _spin_of(held: Sequence[PairBlock]) -> Spin:
-    time = np.concatenate([_clock(stretch) for stretch in held])
-    readings = np.concatenate([stretch.readings for stretch in held])
+    time = np.concatenate([_clock(block) for block in held])
+    readings = np.concatenate([block.readings for block in held])
     good = np.isfinite(time) & np.isfinite(readings).all(axis=1)
     if not np.isfinite(time).any():
         raise EstimateError("no row has a time: write it in seconds, or in ISO 8601 such as 2026-05-01T12:00:00.5Z")
@@ -188,7 +188,7 @@ def _spin_of(held: Sequence[PairBlock]) -> Spin:
     return estimate_spin(time[good], readings[good])
 
 
-def _followed(spin: Spin, stretch: PairBlock) -> Spin:
-    time = _clock(stretch)
-    good = np.isfinite(time) & np.isfinite(stretch.readings).all(axis=1)
-    return followed_spin(spin, time[good], stretch.readings[good])
+def _followed(spin: Spin, block: PairBlock) -> Spin:
+    time = _clock(block)
+    good = np.isfinite(time) & np.isfinite(block.readings).all(axis=1)
+    return followed_spin(spin, time[good], block.readings[good])

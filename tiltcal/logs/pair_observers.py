@@ -29,7 +29,7 @@ class PairObserver:
     Parameters
     ----------
     channels : sequence of str
-        Of the log's stretches.
+        Of the log's blocks.
     say : callable
         Told where the estimators are held, and go on.
     """
@@ -38,9 +38,9 @@ class PairObserver:
         self._online = {pair: Online(pair, channels) for pair in pairs}
         self._say = say
 
-    def __call__(self, stretch: PairBlock) -> None:
-        """Push the rows of a stretch."""
-        notices = [online.push(stretch.theta, stretch.readings) for online in self._online.values()]
+    def __call__(self, block: PairBlock) -> None:
+        """Push the rows of a block."""
+        notices = [online.push(block.theta, block.readings) for online in self._online.values()]
         # What holds one pair holds the other: it is said once.
         for text in dict.fromkeys(str(notice) for of_pair in notices for notice in of_pair):
             self._say(text)
@@ -86,22 +86,22 @@ class SpectrumObserver:
     Parameters
     ----------
     channels : sequence of str
-        Of the log's stretches.
+        Of the log's blocks.
     """
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._channels = tuple(channels)
         self._spectra: Spectra | None = None
 
-    def __call__(self, stretch: PairBlock) -> None:
-        """Take the rows of a stretch; the first one settles how long a segment is."""
+    def __call__(self, block: PairBlock) -> None:
+        """Take the rows of a block; the first one settles how long a segment is."""
         if self._spectra is None:
             stage = AngleTracker()
-            theta = stretch.theta[np.isfinite(stretch.theta)]
+            theta = block.theta[np.isfinite(block.theta)]
             stage.follow(theta)
             rows = _TURNS_OF_SEGMENT * len(theta) / max(stage.turns, 1e-3)
             self._spectra = Spectra(self._channels, min(1 << ceil(log2(max(rows, 64))), _LONGEST_SEGMENT))
-        self._spectra.add(stretch.readings)
+        self._spectra.add(block.readings)
 
     def densities(self, pair: Pair, p: float, q: float, found: Demodulated) -> tuple[Array, dict[str, Array]]:
         """Frequencies, and the densities of the source's figure 6.

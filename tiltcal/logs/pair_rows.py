@@ -63,7 +63,7 @@ class PairBlock:
         return PairBlock(self.theta[where], self.readings[where], time, first)
 
     def followed_by(self, other: PairBlock) -> PairBlock:
-        """Return one stretch of this one and the next."""
+        """Return one block of this one and the next."""
         time = None if self.time is None or other.time is None else np.concatenate([self.time, other.time])
         return PairBlock(
             np.concatenate([self.theta, other.theta]),
@@ -82,7 +82,7 @@ class StuckValues:
     Parameters
     ----------
     channels : sequence of str
-        Of the stretches' readings.
+        Of the blocks' readings.
     say : callable
         Told which channel is stuck, and from which row on.
     """
@@ -97,26 +97,24 @@ class StuckValues:
         self._turned = np.zeros(len(self._channels))
         self._stuck = np.zeros(len(self._channels), dtype=bool)
 
-    def cleaned(self, stretches: Iterable[PairBlock]) -> Iterator[PairBlock]:
-        """Yield the stretches, with NaN where a value is stuck; rows may move to a later stretch, in order."""
-        for stretch in stretches:
-            if len(stretch.theta):
-                yield from self._judged(stretch if self._held is None else self._held.followed_by(stretch))
+    def cleaned(self, blocks: Iterable[PairBlock]) -> Iterator[PairBlock]:
+        """Yield the blocks, with NaN where a value is stuck; rows may move to a later block, in order."""
+        for block in blocks:
+            if len(block.theta):
+                yield from self._judged(block if self._held is None else self._held.followed_by(block))
         if self._held is not None:
             yield self._held
 
-    def _judged(self, stretch: PairBlock) -> Iterator[PairBlock]:
-        readings = stretch.readings
+    def _judged(self, block: PairBlock) -> Iterator[PairBlock]:
+        readings = block.readings
         same = repeated(readings, self._values)
         channels = np.flatnonzero(same.any(axis=0)).tolist()
-        turns = self._turns(stretch.theta) if channels else np.empty(0)
+        turns = self._turns(block.theta) if channels else np.empty(0)
         cleaned = readings.copy() if channels else readings
-        last = {
-            channel: self._left_out(channel, same[:, channel], turns, cleaned, stretch.first) for channel in channels
-        }
+        last = {channel: self._left_out(channel, same[:, channel], turns, cleaned, block.first) for channel in channels}
         ready = min([len(readings), *(run.first for run in last.values() if run.doubtful)])
         # What is held back is judged anew, as it was read.
-        self._held = stretch.rows(slice(ready, None)) if ready < len(readings) else None
+        self._held = block.rows(slice(ready, None)) if ready < len(readings) else None
         if not ready:
             return
         self._values = readings[ready - 1]
@@ -124,9 +122,9 @@ class StuckValues:
         for channel, run in last.items():
             if run.first < ready and not run.standing:
                 self._turned[channel], self._stuck[channel] = abs(turns[ready - 1] - run.begun), run.stuck
-        angles = stretch.theta[:ready][np.isfinite(stretch.theta[:ready])]
+        angles = block.theta[:ready][np.isfinite(block.theta[:ready])]
         self._theta = float(angles[-1]) if len(angles) else self._theta
-        yield replace(stretch.rows(slice(ready)), readings=cleaned[:ready])
+        yield replace(block.rows(slice(ready)), readings=cleaned[:ready])
 
     def _turns(self, theta: Array) -> Array:
         """Return the angle that the stage turned since the row before; where it is missing, the last one."""
