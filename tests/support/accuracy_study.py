@@ -20,7 +20,6 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from support.simulated_bench import BLOCK_DOF, FACES, POSITIONS, Part, Plan, design, fixture, measured, part, plan_of
-from tiltcal.calibration.joint_fit import with_hysteresis
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.covariance import stated_budgets
@@ -28,6 +27,7 @@ from tiltcal.core.estimation.design import Design, Observation
 from tiltcal.core.estimation.elimination import linearised
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.fixture_equations import system_of
+from tiltcal.core.estimation.hysteresis import with_hysteresis
 from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, pooled
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.statistics import SampleSummary, summarise
@@ -68,6 +68,8 @@ class Session:
         Whether the noise is normal and known to be ``NOISE`` or the plan's, so that there is a Cramér-Rao bound.
     plan : Plan or None
         None where no tilt is tried on the calibration.
+    lean : tuple of float
+        Of the table, radians: with none, a heading that is off does nothing.
     """
 
     observations: list[list[Observation]]
@@ -75,6 +77,7 @@ class Session:
     parts: list[Part]
     bounded: bool = True
     plan: Plan | None = None
+    lean: tuple[float, ...] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -199,7 +202,7 @@ def wrong_headings(rng: Generator) -> Session:
     seen = _seen(rng, lean, headings + HEADING * rng.standard_normal(12))
     mean = truth.reading(seen, np.zeros(12)) + NOISE * rng.standard_normal((12, 3))
     wanted = replace(design(plan_of(12, noise=NOISE, jig=JIG), jig=JIG), heading=HEADING)
-    return Session([_observed(rng, POSITIONS[12], mean, headings)], wanted, [truth])
+    return Session([_observed(rng, POSITIONS[12], mean, headings)], wanted, [truth], lean=tuple(lean))
 
 
 def coarse_converter(rng: Generator) -> Session:
@@ -291,8 +294,8 @@ def _summarised(plan: Plan, samples: Array, step: float) -> list[Observation]:
 def _calibrated(rng: Generator, session: Session, bound: Array | None, stated: bool) -> Sums:
     """Calibrate one session and compare with the truth."""
     wanted = session.design if stated else replace(session.design, jig=None)
-    found = estimate_jointly(fixture(session.observations, wanted))
-    found = tuple(with_hysteresis(*one, wanted) for one in zip(found, session.observations, strict=True))
+    sensors = fixture(session.observations, wanted)
+    found = [with_hysteresis(*one) for one in zip(estimate_jointly(sensors), sensors, strict=True)]
     values = np.array([_vector(one) for one in found])
     off = values - [one.truth for one in session.parts]
     inside = np.abs(off) <= [one.budget.factors * one.budget.u for one in found]
@@ -344,4 +347,5 @@ def _bound(session: Session) -> Array:
     system = system_of(fixture(known, session.design))
     z = np.zeros(system.unknowns)
     z[: system.coefficients] = np.concatenate([one.truth for one in session.parts])
+    z[system.lean] = session.lean[: system.lean.stop - system.lean.start]
     return np.array([np.diag(one.covariance) for one in stated_budgets(linearised(system, z))])

@@ -13,9 +13,8 @@ from tiltcal.calibration.channel_checks import judge_channels
 from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, uncertainty_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
-from tiltcal.core.estimation.equations import HYSTERESIS
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.estimation.hysteresis import largest_loops
+from tiltcal.core.estimation.hysteresis import with_hysteresis
 from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means
 from tiltcal.core.model import AXES, Limits
 from tiltcal.core.named_coefficients import values
@@ -25,9 +24,6 @@ from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.records import PositionSet, ProcedureRecord
-
-LOOP = 3.0
-"""Standard uncertainties above which the difference of two readings at one temperature is hysteresis."""
 
 OF_BASE = "of the base calibration"
 """What a sensitivity is that stands in from the sensor's own calibration."""
@@ -64,7 +60,7 @@ def fit_jointly(
     for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
         design = seen.design
         remarks = () if design.priors else judge_channels(sensor, estimated)
-        one = _with_remarks(with_hysteresis(estimated, seen.observations, design), sensor.measurements, design)
+        one = _with_remarks(with_hysteresis(estimated, seen), sensor.measurements, design)
         found = record_of(one, design, sensor, procedure, settings)
         calibrations.append(replace(found, fit=replace(found.fit, notes=(*found.fit.notes, *remarks))))
     return calibrations
@@ -96,22 +92,6 @@ def record_of(
         procedure=_procedure(procedure, sensor.measurements, settings or {}),
         positions=tuple(measurement.record(design.channels) for measurement in sensor.measurements),
     )
-
-
-def with_hysteresis(found: Estimate, observations: Sequence[Observation], design: Design) -> Estimate:
-    """Return the estimate with the loops between temperatures that were met twice in the uncertainty of the offsets.
-
-    The truth is anywhere between the two ways: half a loop to either side, with a rectangular distribution.
-    """
-    if found.coefficients.thermal is None:
-        return found
-    jig = found.estimated_jig if design.jig is None else design.jig
-    loops = largest_loops(found, observations, jig or 0.0)
-    added = np.zeros(len(found.names))
-    for channel, loop in loops.items():
-        if abs(loop.difference) > LOOP * loop.u:
-            added[found.names.index(f"offset.{channel}")] = loop.difference**2 / 12.0
-    return replace(found, budget=found.budget.with_known(added, HYSTERESIS)) if added.any() else found
 
 
 def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: Design) -> Estimate:

@@ -110,10 +110,10 @@ class Budget:
         return {source: variance / safe for source, variance in self.variance.items()}
 
     def with_known(self, added: Array, source: str) -> Budget:
-        """Return the budget with known variances added from another source, shape (k,)."""
-        total = np.diag(self.covariance)
-        grown = np.where(total > 0.0, (total + added) / np.where(total > 0.0, total, 1.0), np.inf)
-        return Budget(self.covariance + np.diag(added), {**self.variance, source: added}, self.dof * grown**2)
+        """Return the budget with a known covariance added from another source, shape (k, k)."""
+        total, more = np.diag(self.covariance), np.diag(added)
+        grown = np.where(total > 0.0, (total + more) / np.where(total > 0.0, total, 1.0), np.inf)
+        return Budget(self.covariance + added, {**self.variance, source: more}, self.dof * grown**2)
 
     def part(self, chosen: Sequence[int]) -> Budget:
         """Return the budget of some of the quantities."""

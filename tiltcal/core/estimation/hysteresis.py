@@ -1,20 +1,29 @@
-"""Hysteresis: the difference between two visits to one position at one temperature."""
+"""Hysteresis: two readings in one position at one temperature, which was reached from two sides.
+
+The truth is anywhere between the two ways, half a loop to either side, with a rectangular distribution (GUM 4.3.7). It
+may be off by the same for all positions on the stand that shows the loop, and for each of them that was met only once
+by itself. The coefficients follow as the estimator does, when the readings there are moved by the loop.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import hypot, radians, sqrt
 
 import numpy as np
 
-from tiltcal.core.estimation.design import Observation
-from tiltcal.core.estimation.estimate import Estimate
-from tiltcal.core.model import AXES
+from tiltcal.core.estimation.design import Observation, SensorObservations
+from tiltcal.core.estimation.equations import HYSTERESIS
+from tiltcal.core.estimation.estimate import Estimate, estimate
+from tiltcal.core.model import AXES, Array
 
 ALIKE = 1.5
 """Temperatures that are no further apart are one temperature met twice, °C."""
+
+SIGNIFICANT = 3.0
+"""Standard uncertainties above which the difference of two readings at one temperature is hysteresis."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +42,11 @@ class Loop:
     u: float
     between: tuple[str, str]
 
+    @property
+    def significant(self) -> bool:
+        """Whether it is more than noise and jig explain."""
+        return abs(self.difference) > SIGNIFICANT * self.u
+
 
 def largest_loops(found: Estimate, observations: Sequence[Observation], jig: float) -> dict[str, Loop]:
     """Return the largest hysteresis loop of each channel; empty where no temperature was met twice.
@@ -45,16 +59,7 @@ def largest_loops(found: Estimate, observations: Sequence[Observation], jig: flo
     jig : float
         Standard uncertainty of a set angle, degrees: two attitudes that were set apart differ by as much.
     """
-    stands = np.cumsum([not one.held for one in observations])
-    pairs = [
-        (i, j)
-        for (i, one), (j, other) in combinations(enumerate(observations), 2)
-        if np.array_equal(one.gravity, other.gravity)
-        and one.heading == other.heading
-        and one.temperature is not None
-        and other.temperature is not None
-        and abs(one.temperature - other.temperature) <= ALIKE
-    ]
+    stands, pairs = _stands(observations), _met_twice(observations)
     loops: dict[str, Loop] = {}
     axes = [AXES.index(axis) for axis in found.coefficients.axes]
     for column, channel in enumerate(found.coefficients.channels if pairs else ()):
@@ -67,3 +72,67 @@ def largest_loops(found: Estimate, observations: Sequence[Observation], jig: flo
             measured.append(Loop(difference, u, (observations[i].position, observations[j].position)))
         loops[channel] = max(measured, key=lambda one: abs(one.difference) / one.u)
     return loops
+
+
+def with_hysteresis(found: Estimate, sensor: SensorObservations) -> Estimate:
+    """Return the estimate with the loops between temperatures that were met twice in its uncertainty.
+
+    Parameters
+    ----------
+    found : Estimate
+    sensor : SensorObservations
+        What was estimated from.
+    """
+    if found.coefficients.thermal is None:
+        return found
+    stated = found.estimated_jig if sensor.design.jig is None else sensor.design.jig
+    jig = stated or 0.0
+    loops = largest_loops(found, sensor.observations, jig)
+    added = np.zeros_like(found.covariance)
+    for column, channel in enumerate(found.coefficients.channels):
+        if channel not in loops or not loops[channel].significant:
+            continue
+        for rows in _moved_together(sensor.observations):
+            by = _follow(replace(sensor, design=replace(sensor.design, jig=jig)), rows, column, loops[channel])
+            added += np.outer(by, by) / 12.0
+    return replace(found, budget=found.budget.with_known(added, HYSTERESIS)) if added.any() else found
+
+
+def _follow(sensor: SensorObservations, rows: Sequence[int], column: int, loop: Loop) -> Array:
+    """Compute by how much the coefficients change when one channel's readings in some positions move by a loop."""
+    vectors = []
+    for way in (-0.5, 0.5):
+        moved = list(sensor.observations)
+        for row in rows:
+            mean = moved[row].mean.copy()
+            mean[column] += way * loop.difference
+            moved[row] = replace(moved[row], mean=mean)
+        vectors.append(estimate(moved, sensor.design).coefficients.vectors.ravel())
+    return np.asarray(vectors[1] - vectors[0])
+
+
+def _moved_together(observations: Sequence[Observation]) -> Iterator[list[int]]:
+    """Yield the positions on each stand that shows a loop, and each of them that was met once."""
+    stands, twice = _stands(observations), {one for pair in _met_twice(observations) for one in pair}
+    for stand in dict.fromkeys(stands[one] for one in sorted(twice)):
+        rows = [row for row, its in enumerate(stands) if its == stand]
+        yield rows
+        yield from ([row] for row in rows if row not in twice)
+
+
+def _stands(observations: Sequence[Observation]) -> list[int]:
+    """Number how often the fixture had been set before each position."""
+    return [int(count) for count in np.cumsum([not one.held for one in observations])]
+
+
+def _met_twice(observations: Sequence[Observation]) -> list[tuple[int, int]]:
+    """Return the pairs of positions with one attitude and one temperature."""
+    return [
+        (i, j)
+        for (i, one), (j, other) in combinations(enumerate(observations), 2)
+        if np.array_equal(one.gravity, other.gravity)
+        and one.heading == other.heading
+        and one.temperature is not None
+        and other.temperature is not None
+        and abs(one.temperature - other.temperature) <= ALIKE
+    ]

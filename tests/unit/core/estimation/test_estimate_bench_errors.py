@@ -15,9 +15,9 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from tiltcal.core.budget import coverage_factor
-from tiltcal.core.estimation.design import Design, Observation, Prior
+from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import LEANS, Estimate, estimate
-from tiltcal.core.estimation.hysteresis import largest_loops
+from tiltcal.core.estimation.hysteresis import largest_loops, with_hysteresis
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predicted_covariance
 from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, noise_under_rounding
 from tiltcal.core.gravity_direction import gravity_from_tilt
@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 PLANE = tuple({axis: sign * 30.0} for axis in "xy" for sign in (1, -1))
 NOISE = 1e-4
+LEVEL = np.array([0.0, 0.0, 1.0])
 
 
 def plane(
@@ -186,6 +187,25 @@ def test_the_largest_loop_of_a_sweep() -> None:
     assert largest_loops(found, observations, 1.0)["x"].u == pytest.approx(sqrt(2) * np.hypot(0.03, radians(1.0)))
     untouched = [replace(one, held=k > 0) for k, one in enumerate(observations)]
     assert largest_loops(found, untouched, 1.0)["x"].u == pytest.approx(0.03 * sqrt(2))
+
+
+def test_a_loop_is_in_offset_and_drift() -> None:
+    """A straight line through five temperatures, of which the middle one is met once: by numpy's pseudo-inverse."""
+    temperatures, later = (0.0, 20.0, 40.0, 20.5, 0.5), (0, 0, 0, 1, 1)
+    observations = [
+        Observation(
+            f"p{k}", np.array([0.0, 0.0, 1.0]), np.array([0.01 * t + 0.4 * way]), np.array([0.03]), t, held=k > 0
+        )
+        for k, (t, way) in enumerate(zip(temperatures, later, strict=True))
+    ]
+    design = Design(("x",), ("x",), drift=1, jig=0.0, priors={"sensitivity.x.x": Prior(1.0)})
+    found = with_hysteresis(estimate(observations, design), SensorObservations(design, observations))
+    drift, offset = np.linalg.pinv(np.vander(temperatures, 2))
+    loop = max(abs(find.difference) for find in largest_loops(found, observations, 0.0).values())
+    expected = [loop**2 / 12.0 * (np.sum(by) ** 2 + by[2] ** 2) for by in (offset, drift)]
+    assert loop == pytest.approx(0.4, abs=0.01)
+    added = dict(zip(found.names, found.budget.variance["hysteresis"], strict=True))
+    assert [added["offset.x"], added["temperature.offset.x.1"]] == pytest.approx(expected, rel=1e-6)
 
 
 class TestGimbalLock:
