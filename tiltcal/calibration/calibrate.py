@@ -23,6 +23,7 @@ from tiltcal.core.rounding import round_to
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.records import ProcedureRecord
 
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
@@ -68,19 +69,29 @@ def calibrate(
     for sensor in sensors:
         require_own_readings(sensor)
     if procedure.determines.mounting:
-        found = [mount(_base(one), one.measurements, jig=bench.jig, settings=settings) for one in sensors]
+        found = [mount(_base(one), one.measurements, jig=bench.jig) for one in sensors]
     elif procedure.determines.level:
         bench = _with_thermometer(bench, sensors)
-        found = [level(_base(one), one.measurements, procedure, bench, settings=settings) for one in sensors]
+        found = [level(_base(one), one.measurements, procedure, bench) for one in sensors]
     elif procedure.ramp is not None:
-        found = [calibrate_ramp(one, procedure, bench, settings=settings) for one in sensors]
+        found = [calibrate_ramp(one, procedure, bench) for one in sensors]
     else:
-        found = _fitted(sensors, procedure, _with_thermometer(bench, sensors), settings)
+        found = _fitted(sensors, procedure, _with_thermometer(bench, sensors))
         if typical_temperature:
             found = [with_typical_temperature(one, its) for one, its in zip(found, sensors, strict=True)]
         if table:
             found = [_of_table(one, its.measurements) for one, its in zip(found, sensors, strict=True)]
+    found = [replace(one, procedure=_as_run(one.procedure, procedure, settings or {})) for one in found]
     return found if gravity is None else [_of_local_gravity(one, gravity) for one in found]
+
+
+def _as_run(record: ProcedureRecord, procedure: Procedure, settings: Mapping[str, Any]) -> ProcedureRecord:
+    """Return the record of a procedure with how it was run; one that completes a calibration has its own part of it."""
+    if procedure.determines.mounting and record.mounting is not None:
+        return replace(record, mounting=replace(record.mounting, **settings))
+    if procedure.determines.level and record.level is not None:
+        return replace(record, level=replace(record.level, **settings))
+    return replace(record, **settings)
 
 
 def _base(sensor: MeasuredSensor) -> CalibrationRecord:
@@ -100,17 +111,16 @@ def _fitted(
     sensors: Sequence[MeasuredSensor],
     procedure: Procedure,
     bench: BenchUncertainty,
-    settings: Mapping[str, Any] | None,
 ) -> list[CalibrationRecord]:
     """Return the joint estimate, in free positions or set ones, with an order of the drift that the data warrant."""
     if procedure.determines.free:
         sensors = directed(sensors)
-        found = fit_jointly(sensors, procedure, bench, settings=settings)
+        found = fit_jointly(sensors, procedure, bench)
         return [with_verdict(one, its.measurements) for one, its in zip(found, sensors, strict=True)]
     if not procedure.determines.cross_validated:
-        return fit_jointly(sensors, procedure, bench, settings=settings)
+        return fit_jointly(sensors, procedure, bench)
     choice = choose_order(sensors, procedure, bench)
-    found = fit_jointly(sensors, with_order(procedure, choice.order), bench, settings=settings)
+    found = fit_jointly(sensors, with_order(procedure, choice.order), bench)
     return [swept(one, its.measurements, choice) for one, its in zip(found, sensors, strict=True)]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.core.budget import NORMAL_FACTOR
+from tiltcal.core.budget import NORMAL_FACTOR, Budget
 from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
@@ -161,7 +161,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         jig_degrees=None if design.free else design.jig,
         jig_estimated_degrees=None if found.estimated_jig is None else significant(found.estimated_jig, SHARE_DIGITS),
         thermometer_celsius=design.thermometer or None,
-        budget=_budget(found),
+        budget=budget_record(found.budget, found.names),
         notes=tuple(found.notes),
     )
     if found.chi_square is None or found.p is None or not found.stated:
@@ -220,15 +220,19 @@ def _printed(quantities: Mapping[str, IntrinsicQuantity]) -> tuple[dict[str, flo
     )
 
 
-def _budget(found: Estimate) -> dict[str, dict[str, float]]:
-    """Return which share of each variance comes from what, without the shares that round to nothing."""
-    shares = found.budget.shares
+def budget_record(budget: Budget, names: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return which share of the variance of each of the first quantities of a budget comes from what.
+
+    Shares that round to nothing are left out, and so is what is certain.
+    """
     return {
         name: {
-            source: share for source, column in shares.items() if (share := round(float(column[k]), SHARE_DIGITS) + 0.0)
+            source: share
+            for source, column in budget.shares.items()
+            if (share := round(float(column[k]), SHARE_DIGITS) + 0.0)
         }
-        for k, name in enumerate(found.names)
-        if found.budget.u[k] > 0.0
+        for k, name in enumerate(names)
+        if budget.u[k] > 0.0
     }
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import asin, degrees, fsum, inf, radians, sqrt
-from typing import Any
 
 import numpy as np
 
@@ -35,15 +34,11 @@ def fit_jointly(
     sensors: Sequence[MeasuredSensor],
     procedure: Procedure,
     bench: BenchUncertainty,
-    *,
-    settings: Mapping[str, Any] | None = None,
 ) -> list[CalibrationRecord]:
     """Calibrate all sensors of a fixture together, by the positions of a procedure with its order of the drift.
 
     Parameters
     ----------
-    settings : mapping, optional
-        ``samples`` and ``settle_seconds`` of the procedure as run.
 
     Returns
     -------
@@ -61,7 +56,7 @@ def fit_jointly(
         design = seen.design
         remarks = () if design.priors else judge_channels(sensor, estimated)
         one = _with_remarks(with_hysteresis(estimated, seen), sensor.measurements, design)
-        found = record_of(one, design, sensor, procedure, settings)
+        found = record_of(one, design, sensor, procedure)
         calibrations.append(replace(found, fit=replace(found.fit, notes=(*found.fit.notes, *remarks))))
     return calibrations
 
@@ -71,7 +66,6 @@ def record_of(
     design: Design,
     sensor: MeasuredSensor,
     procedure: Procedure,
-    settings: Mapping[str, Any] | None = None,
 ) -> CalibrationRecord:
     """Return the calibration file of an estimate, without its provenance, its numbers rounded to their uncertainty.
 
@@ -79,8 +73,6 @@ def record_of(
     ----------
     sensor : MeasuredSensor
         Its measurements are those of the estimate.
-    settings : mapping, optional
-        How the procedure was run.
     """
     return CalibrationRecord(
         sensor=replace(sensor.sensor, channels=design.channels),
@@ -89,7 +81,7 @@ def record_of(
         limits=_limits(design, sensor, found.coefficients.thermal is not None),
         derived=derived_record(found, design, "nominal of the model" if sensor.base is None else OF_BASE),
         fit=fit_record(found, design, _largest_noise(sensor.measurements, design.channels)),
-        procedure=_procedure(procedure, sensor.measurements, settings or {}),
+        procedure=_procedure(procedure, sensor.measurements),
         positions=tuple(measurement.record(design.channels) for measurement in sensor.measurements),
     )
 
@@ -267,14 +259,11 @@ def _limits(design: Design, sensor: MeasuredSensor, thermal: bool) -> Limits:
     )
 
 
-def _procedure(
-    procedure: Procedure, measurements: Sequence[Measurement], settings: Mapping[str, Any]
-) -> ProcedureRecord:
+def _procedure(procedure: Procedure, measurements: Sequence[Measurement]) -> ProcedureRecord:
     return ProcedureRecord(
         name=procedure.name,
         title=procedure.title,
         source=procedure.source or None,
-        **settings,
         set={measurement.position: _set(measurement) for measurement in measurements},
     )
 

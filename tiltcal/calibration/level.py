@@ -13,14 +13,13 @@ sine of the tilt where θ is about the vertical, which no level shows. The file 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import asin, cos, degrees, inf, radians, sin, sqrt
-from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.estimate_record import DIGITS, SHARE_DIGITS, intrinsic_record, rounded_covariance
+from tiltcal.calibration.estimate_record import DIGITS, budget_record, intrinsic_record, rounded_covariance
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement
 from tiltcal.calibration.verdict import judge
@@ -59,8 +58,6 @@ def level(
     measurements: Sequence[Measurement],
     procedure: Procedure,
     bench: BenchUncertainty,
-    *,
-    settings: Mapping[str, Any] | None = None,
 ) -> CalibrationRecord:
     """Return a calibration with the offset that a level position shows; all else is the base's.
 
@@ -72,8 +69,6 @@ def level(
         One, or several at different headings, where the application is level.
     procedure : Procedure
         Its ``alignment`` is the most that the sensor may sit askew since the base was measured.
-    settings : mapping, optional
-        How the procedure was run, for the file.
 
     Raises
     ------
@@ -97,13 +92,13 @@ def level(
         fit=replace(
             base.fit,
             uncertainty_from=base.fit.uncertainty_from if stated else NOISE_ALONE,
-            budget={**base.fit.budget, **found.shares()},
+            budget={**base.fit.budget, **budget_record(found.budget, found.names[: len(found.offset)])},
             notes=tuple(notes if stated else [*notes, NO_LEVEL]),
             level=found.record(bench),
         ),
         procedure=replace(
             base.procedure,
-            level=CompletingRun(**(settings or {}), positions=tuple(one.position for one in measurements)),
+            level=CompletingRun(positions=tuple(one.position for one in measurements)),
         ),
         positions=base.positions_with(level=[one.record(base.coefficients.channels) for one in measurements]),
     )
@@ -217,18 +212,6 @@ class _Renewal:
             covariance=rounded_covariance(order, with_turns_scaled(order, joint.covariance, degrees(1.0))),
             alignment=max(significant(alignment / sqrt(3.0), DIGITS), before.alignment),
         )
-
-    def shares(self) -> dict[str, dict[str, float]]:
-        """Return the share of each source in the variance of each offset."""
-        return {
-            name: {
-                source: share
-                for source, column in self.budget.shares.items()
-                if (share := round(float(column[k]), SHARE_DIGITS))
-            }
-            for k, name in enumerate(self.names[: len(self.offset)])
-            if self.budget.u[k] > 0.0
-        }
 
     def record(self, bench: BenchUncertainty) -> LevelFit:
         """Return by how much the offsets have changed, for the file."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import degrees, radians
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,6 @@ def mount(
     measurements: Sequence[Measurement],
     *,
     jig: float | None = None,
-    settings: Mapping[str, Any] | None = None,
 ) -> CalibrationRecord:
     """Return a calibration with the mounting that the positions show; all else is the base's.
 
@@ -42,8 +40,6 @@ def mount(
         In positions whose gravity is given in the application's frame.
     jig : float, optional
         Standard uncertainty of a set angle, degrees.
-    settings : mapping, optional
-        Records for the file.
 
     Raises
     ------
@@ -64,7 +60,7 @@ def mount(
         fit=replace(base.fit, mounting=_record(found, measurements, jig)),
         procedure=replace(
             base.procedure,
-            mounting=CompletingRun(**(settings or {}), positions=tuple(m.position for m in measurements)),
+            mounting=CompletingRun(positions=tuple(m.position for m in measurements)),
         ),
         positions=base.positions_with(mounting=[replace(m.record(list(m.summaries)), u=None) for m in measurements]),
     )

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import hypot, inf, radians, sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +37,6 @@ def calibrate_ramp(
     sensor: MeasuredSensor,
     procedure: Procedure,
     bench: BenchUncertainty,
-    *,
-    settings: Mapping[str, Any] | None = None,
 ) -> CalibrationRecord:
     """Calibrate the drift of a sensor from its ramp.
 
@@ -49,8 +46,6 @@ def calibrate_ramp(
         With a ``ramp``; its first measurement states the attitude.
     bench : BenchUncertainty
         A stated thermometer is an error that all temperatures share; a step of its reading averages.
-    settings : mapping, optional
-        How the procedure was run, for the file.
 
     Raises
     ------
@@ -74,7 +69,7 @@ def calibrate_ramp(
         step *= 1.0 + 1.0 / SMOOTHING
     pace = max(leg.leg.pace for leg in fit.held_out) / 60.0
     uncertain = hypot(step, fit.u_lag * pace if fit.uses_lag else 0.0)
-    made = record_of(found, design, replace(sensor, measurements=groups), procedure, settings)
+    made = record_of(found, design, replace(sensor, measurements=groups), procedure)
     _require_attitude(made, sensor)
     u = made.uncertainty
     if fit.uses_lag:
