@@ -21,7 +21,7 @@ _SMALL = 1e-6
 
 
 def tangent_basis(gravity: Array) -> Array:
-    """The two directions in which each unit vector can move.
+    """Return the two directions in which each unit vector can move.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def tangent_basis(gravity: Array) -> Array:
 
 
 def turned(gravity: Array, basis: Array, angles: Array) -> tuple[Array, Array]:
-    """Gravity after the arc ``angles``, and its derivative by them.
+    """Turn gravity along the arc ``angles``, and differentiate it by them.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def heading_rotations(heading: Array) -> Array:
 
 
 def rotation_vectors(gravity: Array, basis: Array, angles: Array) -> Array:
-    """The arcs as turns about the fixture's axes.
+    """Return the arcs as rotation vectors in the fixture's frame.
 
     Parameters
     ----------

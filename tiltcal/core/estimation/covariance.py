@@ -71,14 +71,14 @@ def estimated_jig_budgets(near: LinearSolution, components: VarianceComponents, 
     budgets = []
     d2 = near.spectrum[1] ** 2
     # Columns: what the error of each combination of the angles does to the coefficients.
-    by_angle = near.response[:, near.shared - near.angles :] * near.shown
+    by_angle = near.response[:, near.shared - near.angles :] * near.unobserved
     for own, covariance, variance in _by_sensor(near, shares.variance, bias):
         if not components.detectable:
             budgets.append(Budget(covariance, variance, np.full(len(covariance), components.noise_dof)))
             continue
         per_angle = by_angle[own]
         angles = np.sum(per_angle**2, axis=1)
-        by_weights = 2.0 / components.information * (per_angle * (d2 * near.shown)) @ per_angle.T
+        by_weights = 2.0 / components.information * (per_angle * (d2 * near.unobserved)) @ per_angle.T
         fewer = min(components.jig, 0.0)
         covariance = covariance + KENWARD_ROGER * by_weights + fewer * per_angle @ per_angle.T
         noise = variance[NOISE]
@@ -91,7 +91,7 @@ def estimated_jig_budgets(near: LinearSolution, components: VarianceComponents, 
         if isfinite(components.noise_dof):
             parts.append((noise, components.noise_dof))
         else:
-            kept = 1.0 - components.trade * angles / np.where(noise > 0.0, noise, 1.0)
+            kept = 1.0 - components.by_noise * angles / np.where(noise > 0.0, noise, 1.0)
             parts.append((shares.estimated[own] * kept, 1.0))
         budgets.append(Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), parts)))
     return budgets
@@ -99,7 +99,7 @@ def estimated_jig_budgets(near: LinearSolution, components: VarianceComponents, 
 
 @dataclass(frozen=True)
 class _Shares:
-    """The sources of all coefficients' variances.
+    """Variances of all coefficients by source.
 
     Attributes
     ----------
@@ -116,26 +116,26 @@ class _Shares:
 def _by_sensor(
     near: LinearSolution, variance: dict[str, Array], bias: Array | None
 ) -> Iterator[tuple[slice, Array, dict[str, Array]]]:
-    """Each sensor's coefficients, their covariance, and its sources."""
+    """Yield each sensor's coefficients, their covariance, and its sources."""
     for number, block in enumerate(near.system.blocks):
         for columns, own in zip(block.columns, near.own_covariances(number), strict=True):
-            mine = slice(int(columns[0, 0]), int(columns[-1, -1]) + 1)
-            response = near.response[mine]
+            rows_of_sensor = slice(int(columns[0, 0]), int(columns[-1, -1]) + 1)
+            response = near.response[rows_of_sensor]
             covariance = own + (response * near.variances) @ response.T
-            sources = {source: part[mine] for source, part in variance.items()}
+            sources = {source: part[rows_of_sensor] for source, part in variance.items()}
             if bias is not None:
                 # The scatter of the squares is in the covariance, which was taken where the errors have led, but not
                 # that they all go one way: the correction counts as uncertain by its own size.
-                covariance = covariance + np.outer(bias[mine], bias[mine])
-                sources[JIG] = sources[JIG] + bias[mine] ** 2
-            yield mine, covariance, sources
+                covariance = covariance + np.outer(bias[rows_of_sensor], bias[rows_of_sensor])
+                sources[JIG] = sources[JIG] + bias[rows_of_sensor] ** 2
+            yield rows_of_sensor, covariance, sources
 
 
 def _shares(near: LinearSolution) -> _Shares:
     """Separate the variances by their sources."""
     system, count = near.system, near.system.coefficients
     spread = near.response * near.variances
-    noise, adc, prior, warm, estimated = (np.zeros(count) for _ in range(5))
+    noise, adc, prior, thermometer, estimated = (np.zeros(count) for _ in range(5))
     for block, equations, factor in zip(system.blocks, near.equations.blocks, near.elimination.factors, strict=True):
         sets, rows, _ = factor.basis.shape
         left = shared_table(equations, near.shared)[..., : near.shared] - factor.basis @ factor.follows
@@ -151,7 +151,7 @@ def _shares(near: LinearSolution) -> _Shares:
         noise += readings @ (1.0 - share)
         known = found[..., equations.readings :].sum(axis=1)
         prior += known[:, own].sum(axis=1)
-        warm += known[:, ~own].sum(axis=1)
+        thermometer += known[:, ~own].sum(axis=1)
         estimated += _estimated(readings * (1.0 - share), block)
     variance = {NOISE: noise, ADC: adc}
     if system.assumed.any():
@@ -160,7 +160,7 @@ def _shares(near: LinearSolution) -> _Shares:
     by_shared = spread @ near.directions.T
     for source in (JIG, TABLE, THERMOMETER, HEADING):
         if source == THERMOMETER and system.local > count:
-            variance[source] = warm
+            variance[source] = thermometer
         if source not in known or (source == JIG and near.jig == 0.0):
             continue
         columns, u = known[source]

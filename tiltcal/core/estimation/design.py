@@ -47,7 +47,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a coefficient before anything is measured.
+    """Value and uncertainty of a coefficient before anything is measured.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Design:
         return tuple(name for model in self.models for name in model.coefficients)
 
     def parameters(self, channel: str) -> list[str]:
-        """Dotted names of one channel's coefficients, in the order of the parameter vector."""
+        """Return the dotted names of one channel's coefficients, in the order of the parameter vector."""
         return list(self.models[self.channels.index(channel)].coefficients)
 
 
@@ -130,7 +130,7 @@ STRAIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 @dataclass(frozen=True)
 class SensorObservations:
-    """One sensor of a fixture.
+    """Observations of one sensor of a fixture.
 
     Attributes
     ----------

@@ -37,7 +37,7 @@ UNSEEN = 1e-6
 
 @dataclass(frozen=True)
 class LocalFactor:
-    """The elimination of one block's local unknowns.
+    """Orthogonal factors of one block, with which its local unknowns are eliminated.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class LocalFactor:
         R⁻¹; zero for unknowns that are held.
     follows : ndarray, shape (B, local, shared)
         Qᵀ A.
-    right : ndarray, shape (B, local)
+    rhs : ndarray, shape (B, local)
         Qᵀ r.
     """
 
@@ -56,41 +56,41 @@ class LocalFactor:
     basis: Array
     inverse: Array
     follows: Array
-    right: Array
+    rhs: Array
 
 
 @dataclass(frozen=True)
 class Elimination:
-    """What is left of the equations without the local unknowns.
+    """The equations of the shared unknowns, after the local ones are eliminated.
 
     Attributes
     ----------
     triangle : ndarray, shape (shared, shared)
         The remaining equations for the shared unknowns.
-    right : ndarray, shape (shared,)
-        Their right side.
-    rest : float
+    rhs : ndarray, shape (shared,)
+        Their right-hand side.
+    residual_squares : float
         The sum of squares that no unknown can take away.
     """
 
     factors: tuple[LocalFactor, ...]
     triangle: Array
-    right: Array
-    rest: float
+    rhs: Array
+    residual_squares: float
 
     @property
-    def fall(self) -> float:
-        """By how much the solution lowers the sum of squares, were the equations linear."""
-        own = sum(float(np.vdot(factor.right, factor.right)) for factor in self.factors)
-        return own + float(self.right @ self.right)
+    def decrease(self) -> float:
+        """Decrease of the sum of squares by the solution, if the equations were linear."""
+        own = sum(float(np.vdot(factor.rhs, factor.rhs)) for factor in self.factors)
+        return own + float(self.rhs @ self.rhs)
 
     def step(self, system: System) -> Array:
         """Return the solution, shape (unknowns,)."""
         step = np.empty(system.unknowns)
         shared = step[system.local :]
-        shared[:] = solve(self.triangle, self.right)
+        shared[:] = solve(self.triangle, self.rhs)
         for factor in self.factors:
-            right = factor.right - factor.follows @ shared
+            right = factor.rhs - factor.follows @ shared
             step[factor.unknowns] = (factor.inverse @ right[..., None])[..., 0]
         return step
 
@@ -147,7 +147,7 @@ def shared_table(block: LocalEquations, shared: int) -> Array:
 
 
 def _eliminated(block: LocalEquations, shared: int, damping: float) -> tuple[LocalFactor, Array]:
-    """Eliminate the local unknowns of one block, and return what is left for the others."""
+    """Eliminate the local unknowns of one block; return its factors and the equations of the shared unknowns."""
     jacobian, table = block.jacobian, shared_table(block, shared)
     size = np.sqrt(np.einsum("bij,bij->bj", jacobian, jacobian))
     if damping > 0.0:
@@ -207,12 +207,12 @@ class LinearSolution:
 
     @property
     def angles(self) -> int:
-        """How many attitude angles there are."""
+        """Number of attitude angles."""
         return int(self.system.attitudes.stop - self.system.attitudes.start)
 
     @property
     def shared(self) -> int:
-        """How many unknowns are shared."""
+        """Number of shared unknowns."""
         return self.system.unknowns - self.system.local
 
     @cached_property
@@ -223,8 +223,8 @@ class LinearSolution:
         return u, d, w.T
 
     @cached_property
-    def shown(self) -> Array:
-        """1 / (1 + jig² d²) of each combination of angles: the part of it that no reading shows."""
+    def unobserved(self) -> Array:
+        """Share of each combination of angles that no reading shows, 1 / (1 + jig² d²)."""
         d = self.spectrum[1]
         if np.isinf(self.jig):
             return np.zeros_like(d)
@@ -252,7 +252,7 @@ class LinearSolution:
             seen = d > DEGENERATE * np.max(d, initial=0.0)
             variances[self.shared - self.angles :] = np.where(seen, 1.0 / np.where(seen, d, 1.0) ** 2, 0.0)
         else:
-            variances[self.shared - self.angles :] = self.jig**2 * self.shown
+            variances[self.shared - self.angles :] = self.jig**2 * self.unobserved
         return variances
 
     @cached_property
@@ -262,7 +262,7 @@ class LinearSolution:
 
     @cached_property
     def response(self) -> Array:
-        """By how much each coefficient falls with each of :attr:`directions`, shape (coefficients, shared)."""
+        """Decrease of each coefficient with each of :attr:`directions`, shape (coefficients, shared)."""
         response = np.zeros((self.system.local, self.shared))
         for factor in self.elimination.factors:
             response[factor.unknowns] = factor.inverse @ (factor.follows @ self.directions)
@@ -281,8 +281,8 @@ class LinearSolution:
         return found.reshape(sensors, channels * k, channels * k)
 
     @cached_property
-    def unseen_leans(self) -> int:
-        """How many directions of the table's lean show in no reading."""
+    def unobservable_leans(self) -> int:
+        """Number of directions of the table's lean that no reading shows."""
         if self.system.lean_rotations is None:
             return 0
         start = self.system.lean.start - self.system.local

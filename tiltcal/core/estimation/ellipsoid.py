@@ -37,7 +37,7 @@ UNKNOWNS = 3 + len(_UPPER)
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """An ellipsoid through readings.
+    """Ellipsoid through the readings of free positions.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Ellipsoid:
 
     @property
     def distinct(self) -> int:
-        """How many attitudes there are that differ from each other by at least :data:`APART`."""
+        """Number of attitudes that differ from each other by at least :data:`APART`."""
         return count_distinct(self.attitudes)
 
     @property
@@ -74,9 +74,9 @@ class Ellipsoid:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of a misfit, g: from what is left over, and never less than the noise.
+        """Standard deviation of a misfit, g: from the residuals, and never less than the noise.
 
-        Misfits below the noise are luck, or too few positions.
+        Misfits below the noise are due to chance, or to too few positions.
         """
         dof = len(self.misfit) - UNKNOWNS
         return max(self.noise, sqrt(float(np.sum(self.misfit**2)) / dof)) if dof > 0 else inf
@@ -94,7 +94,7 @@ class Ellipsoid:
 
 
 def count_distinct(attitudes: Array) -> int:
-    """How many attitudes differ by at least :data:`APART` from each one that was counted before.
+    """Count the attitudes that differ by at least :data:`APART` from each one that was counted before.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def count_distinct(attitudes: Array) -> int:
 
 
 def misfits(mean: Array, offset: Array, sensitivity: Array) -> Array:
-    """By how much the length of gravity that readings show differs from 1, g.
+    """Compute the differences of the measured lengths of gravity from 1 g, in g.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def misfits(mean: Array, offset: Array, sensitivity: Array) -> Array:
 
 
 def fit_ellipsoid(mean: Array, u: Array) -> Ellipsoid:
-    """The ellipsoid nearest to mean readings, all of them counting the same.
+    """Fit an ellipsoid to mean readings, all with the same weight.
 
     Parameters
     ----------
@@ -144,8 +144,8 @@ def fit_ellipsoid(mean: Array, u: Array) -> Ellipsoid:
     """
     offset, sensitivity = _start(mean)
     for _ in range(STEPS):
-        gravity, length, lever = _seen(mean, offset, sensitivity)
-        jacobian = _jacobian(gravity, lever)
+        gravity, length, by_reading = _seen(mean, offset, sensitivity)
+        jacobian = _jacobian(gravity, by_reading)
         # All unknowns are counted in units of the first sensitivity, so that they are of one size.
         size = sensitivity[0, 0]
         change = np.linalg.lstsq(jacobian * size, 1.0 - length, rcond=None)[0] * size
@@ -157,34 +157,36 @@ def fit_ellipsoid(mean: Array, u: Array) -> Ellipsoid:
             raise EstimateError("the readings lie on no ellipsoid: hold the sensor in attitudes that point every way")
         if np.max(np.abs(change)) <= 1e-12 * size:
             break
-    gravity, length, lever = _seen(mean, offset, sensitivity)
-    inverse = np.linalg.pinv(_jacobian(gravity, lever) * float(np.mean(np.diag(sensitivity))))
+    gravity, length, by_reading = _seen(mean, offset, sensitivity)
+    inverse = np.linalg.pinv(_jacobian(gravity, by_reading) * float(np.mean(np.diag(sensitivity))))
     return Ellipsoid(
         offset=offset,
         sensitivity=sensitivity,
         attitudes=gravity / length[:, None],
         misfit=length - 1.0,
-        noise=float(np.sqrt(np.mean(np.sum((lever * u) ** 2, axis=1)))),
+        noise=float(np.sqrt(np.mean(np.sum((by_reading * u) ** 2, axis=1)))),
         spread=float(np.sqrt(np.mean(np.sum(inverse**2, axis=1)))),
     )
 
 
 def _start(mean: Array) -> tuple[Array, Array]:
-    """Offset and sensitivity by linear least squares against the algebraic fit's directions."""
+    """Return offset and sensitivity by linear least squares against the algebraic fit's directions."""
     directions = directions_from_readings(mean)
     table = np.linalg.lstsq(np.hstack([np.ones((len(mean), 1)), directions]), mean, rcond=None)[0]
     return table[0], np.triu(table[1:].T)
 
 
 def _seen(mean: Array, offset: Array, sensitivity: Array) -> tuple[Array, Array, Array]:
-    """Gravity as the ellipsoid sees it, its length, and how the length answers to each channel's reading."""
+    """Return gravity after the ellipsoid's compensation, its length, and the derivative of that by each reading."""
     inverse = np.linalg.inv(sensitivity)
     gravity: Array = (mean - offset) @ inverse.T
     length: Array = np.linalg.norm(gravity, axis=1)
-    lever: Array = (gravity / length[:, None]) @ inverse
-    return gravity, length, lever
+    by_reading: Array = (gravity / length[:, None]) @ inverse
+    return gravity, length, by_reading
 
 
-def _jacobian(gravity: Array, lever: Array) -> Array:
-    """Derivatives of the lengths by offset and S."""
-    return np.hstack([-lever, np.stack([-lever[:, row] * gravity[:, column] for row, column in _UPPER], axis=1)])
+def _jacobian(gravity: Array, by_reading: Array) -> Array:
+    """Return the derivatives of the lengths by offset and S."""
+    return np.hstack(
+        [-by_reading, np.stack([-by_reading[:, row] * gravity[:, column] for row, column in _UPPER], axis=1)]
+    )

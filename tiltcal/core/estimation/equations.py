@@ -40,7 +40,7 @@ _PER_LEAN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 @dataclass(frozen=True)
 class EquationBlock:
-    """The readings of some sensors that are alike: S sensors with C channels of k coefficients in n positions.
+    """Readings of some sensors that are alike: S sensors with C channels of k coefficients in n positions.
 
     Attributes
     ----------
@@ -79,8 +79,8 @@ class EquationBlock:
         if not self.models[0].nonlinearity:
             return self.models[0].read(theta, gravity, dt)
         found = [
-            [model.read(one, up, warm) for model, one in zip(self.models, sensor, strict=True)]
-            for sensor, up, warm in zip(theta, gravity, dt, strict=True)
+            [model.read(one, up, temperature) for model, one in zip(self.models, sensor, strict=True)]
+            for sensor, up, temperature in zip(theta, gravity, dt, strict=True)
         ]
         fields = ("value", "by_coefficient", "by_signal", "by_temperature", "sensitivity")
         return ModelReading(
@@ -90,7 +90,7 @@ class EquationBlock:
 
 @dataclass(frozen=True)
 class LocalEquations:
-    """The equations of one block at one point, each divided by its standard uncertainty, B independent sets of them.
+    """Equations of one block at one point, each divided by its standard uncertainty, in B independent sets.
 
     A set is a channel, or a sensor that has a thermometer of its own. In every set the readings come first, then an
     equation for each local unknown: what is known of it, that it is held, or nothing.
@@ -117,13 +117,13 @@ class LocalEquations:
 
     @property
     def readings(self) -> int:
-        """How many equations of a set are readings."""
+        """Number of equations of a set that are readings."""
         return int(self.shared.shape[1])
 
 
 @dataclass(frozen=True)
 class Equations:
-    """The equations at one point.
+    """Equations of all sensors, linearised at one point.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ class System:
 
     @property
     def coefficients(self) -> int:
-        """How many coefficients there are."""
+        """Number of coefficients."""
         return len(self.names)
 
     @cached_property
@@ -212,7 +212,7 @@ class System:
 
     @cached_property
     def local(self) -> int:
-        """How many unknowns belong to one sensor; the others are shared."""
+        """Number of unknowns that belong to one sensor; the others are shared."""
         return self.coefficients + (self.own_temperatures if self.thermometer > 0 else 0)
 
     @cached_property
@@ -235,12 +235,12 @@ class System:
 
     @cached_property
     def unknowns(self) -> int:
-        """How many unknowns there are."""
+        """Number of unknowns."""
         return int(self.attitudes.stop)
 
     @cached_property
     def readings(self) -> int:
-        """How many equations are readings; the others are priors."""
+        """Number of equations that are readings; the others are priors."""
         return sum(block.mean.size for block in self.blocks)
 
     @cached_property
@@ -260,15 +260,15 @@ class System:
 
     @cached_property
     def assumed(self) -> NDArray[np.bool_]:
-        """Of which coefficients something uncertain is known, shape (coefficients,)."""
+        """Which coefficients have a prior with an uncertainty, shape (coefficients,)."""
         return np.asarray((self.prior_u > 0.0) & np.isfinite(self.prior_u))
 
     @cached_property
     def shared_priors(self) -> tuple[tuple[str, slice, float], ...]:
         """Source, unknowns and standard uncertainty of what is known of the shared unknowns, the attitudes last."""
-        warm = slice(self.local, self.temperature_errors.stop)
+        temperature = slice(self.local, self.temperature_errors.stop)
         known = (
-            (THERMOMETER, warm, self.thermometer),
+            (THERMOMETER, temperature, self.thermometer),
             (TABLE, self.lean, self.table),
             (HEADING, self.heading_errors, self.heading),
             (JIG, self.attitudes, self.jig),
@@ -277,24 +277,24 @@ class System:
 
     @property
     def priors(self) -> int:
-        """How many equations are no readings."""
+        """Number of equations that are no readings."""
         own = self.local - self.coefficients
         return int(self.assumed.sum() + own + sum(one.stop - one.start for _, one, _ in self.shared_priors))
 
     def start(self) -> Array:
-        """Every unknown at what is known of it, shape (unknowns,)."""
+        """Return every unknown at its prior value, shape (unknowns,)."""
         z = np.zeros(self.unknowns)
         z[: self.coefficients] = self.prior_value
         return z
 
     def directions(self, z: Array) -> tuple[Array, Array]:
-        """Gravity in every place in the fixture's frame, and its derivative by the place's two angles."""
+        """Return gravity in every place in the fixture's frame, and its derivative by the place's two angles."""
         if not self.jig and self.lean_rotations is None:
             return self.gravity, self.basis
         return turned(self.gravity, self.basis, self.angles(z))
 
     def angles(self, z: Array) -> Array:
-        """Attitude error of every place, the table's lean included, shape (places, 2), radians."""
+        """Return the attitude error of every place, the table's lean included, shape (places, 2), radians."""
         angles = np.zeros((len(self.gravity), 2))
         if self.jig > 0:
             angles += z[self.attitudes].reshape(-1, 2)[self.stands]
@@ -303,41 +303,41 @@ class System:
         return angles
 
     def _lean(self, z: Array) -> tuple[Array, Array]:
-        """Matrices from the lean to each place's angles, and their derivatives by its heading, shape (places, 2, 2)."""
+        """Return the matrices from lean to angles in each place, and derivatives by heading, shape (places, 2, 2)."""
         rotations = np.zeros((0, 2, 2)) if self.lean_rotations is None else self.lean_rotations
         if self.heading_errors.stop > self.heading_errors.start:
             rotations = heading_rotations(z[self.heading_errors][self.stands]) @ rotations
         return rotations, _PER_LEAN @ rotations
 
     def at(self, z: Array) -> Equations:
-        """The equations at a point."""
+        """Linearise the equations at a point."""
         direction, derivative = self.directions(z)
         blocks = tuple(self._block(number, z, direction, derivative) for number in range(len(self.blocks)))
         columns, weight = self._shared_known
         return Equations(blocks, columns - self.local, weight, -z[columns] * weight)
 
     def unexplained(self, z: Array) -> Array:
-        """Measured minus modelled, shape (readings,), in the sensors' units."""
+        """Return measured minus modelled readings, shape (readings,), in the sensors' units."""
         direction, _ = self.directions(z)
         return np.concatenate([(block.mean - self.reading(block, z, direction).value).ravel() for block in self.blocks])
 
     def reading(self, block: EquationBlock, z: Array, direction: Array) -> ModelReading:
-        """What a block's sensors read when gravity has these directions in the fixture's frame, shape (places, 3)."""
+        """Return what a block's sensors read for directions of gravity in the fixture's frame, shape (places, 3)."""
         dt = block.dt + z[self.temperature_errors][block.temperatures] if self.thermometer > 0 else block.dt
         return block.read(z, self.seen(block, direction), dt)
 
     def seen(self, block: EquationBlock, direction: Array) -> Array:
-        """Directions in the frames of a block's sensors, shape (S, n, 3)."""
+        """Return directions in the frames of a block's sensors, shape (S, n, 3)."""
         return np.asarray(direction[block.places] @ np.swapaxes(self.orientations[block.sensors], 1, 2))
 
     def as_set(self, z: Array) -> Array:
-        """The same coefficients with a perfect jig, table and thermometer."""
+        """Return the same coefficients with a perfect jig, table and thermometer."""
         perfect = np.zeros(self.unknowns)
         perfect[: self.coefficients] = z[: self.coefficients]
         return perfect
 
     def channels(self) -> Iterator[tuple[EquationBlock, int, int]]:
-        """Each channel: its block, the sensor there, and the channel of that sensor."""
+        """Yield each channel: its block, the sensor there, and the channel of that sensor."""
         for block in self.blocks:
             for sensor in range(len(block.sensors)):
                 for channel in range(len(block.models)):
@@ -345,14 +345,14 @@ class System:
 
     @cached_property
     def _shared_known(self) -> tuple[Indices, Array]:
-        """The shared unknown of each equation that is no reading, and its weight."""
+        """Shared unknown of each equation that is no reading, and its weight."""
         columns = [np.arange(one.start, one.stop) for _, one, _ in self.shared_priors]
         weight = [np.full(one.stop - one.start, 1.0 / u) for _, one, u in self.shared_priors]
         return np.concatenate([np.zeros(0, dtype=np.intp), *columns]), np.concatenate([np.zeros(0), *weight])
 
     @cached_property
     def _shared_columns(self) -> tuple[Indices, ...]:
-        """The shared unknowns of each reading of each block, shape (S, C, n, few)."""
+        """Shared unknowns of each reading of each block, shape (S, C, n, few)."""
         found = []
         for block in self.blocks:
             shape = (*block.places.shape, 1)
@@ -373,13 +373,17 @@ class System:
 
     @cached_property
     def _local_known(self) -> tuple[tuple[Indices, Array, Array, NDArray[np.bool_]], ...]:
-        """For each set of each block: the local unknowns, what is known of them, its weight, and which are held."""
+        """Local unknowns of each set of each block: numbers, prior values, weights, and which are held."""
         found = []
         for block in self.blocks:
-            sets = len(block.sensors) if self._warms(block) else block.columns.shape[0] * block.columns.shape[1]
+            sets = (
+                len(block.sensors)
+                if self._has_temperature_errors(block)
+                else block.columns.shape[0] * block.columns.shape[1]
+            )
             unknowns = block.columns.reshape(sets, -1)
             value, u = self.prior_value[unknowns], self.prior_u[unknowns]
-            if self._warms(block):
+            if self._has_temperature_errors(block):
                 errors = self.temperature_errors.start + block.temperatures
                 unknowns = np.concatenate([unknowns, errors], axis=1)
                 value = np.concatenate([value, np.zeros(errors.shape)], axis=1)
@@ -389,12 +393,12 @@ class System:
             found.append((unknowns, value, weight, held))
         return tuple(found)
 
-    def _warms(self, block: EquationBlock) -> bool:
-        """Whether temperature errors are among the local unknowns of a block."""
+    def _has_temperature_errors(self, block: EquationBlock) -> bool:
+        """Return whether temperature errors are among the local unknowns of a block."""
         return self.thermometer > 0 and block.own_thermometer
 
     def _block(self, number: int, z: Array, direction: Array, derivative: Array) -> LocalEquations:
-        """The equations of one block."""
+        """Linearise the equations of one block."""
         block = self.blocks[number]
         reading = self.reading(block, z, direction)
         parts = []
@@ -421,7 +425,7 @@ class System:
         residual[:, readings:] = np.where(held, 0.0, (value - z[unknowns]) * weight)
         jacobian = np.zeros((sets, readings + local, local))
         by_coefficient = reading.by_coefficient / block.u[..., None]
-        if self._warms(block):
+        if self._has_temperature_errors(block):
             channels, n, k = by_coefficient.shape[1:]
             for channel in range(channels):
                 rows, columns = slice(channel * n, channel * n + n), slice(channel * k, channel * k + k)
@@ -438,29 +442,29 @@ class System:
         return LocalEquations(unknowns, residual, jacobian, shared, self._shared_columns[number].reshape(shape), held)
 
     def degrees_of_freedom(self, undetermined: int) -> int:
-        """How many equations are left over when each unknown has one; below zero where some have none.
+        """Return the number of equations minus that of unknowns.
 
         Parameters
         ----------
         undetermined : int
-            How many directions of the table's lean no reading tells.
+            Number of directions of the table's lean that no reading shows.
         """
         left = self.readings + self.priors - (self.unknowns - int(self.fixed.sum()))
         if self.lean_rotations is None or self.table_stated:
             return left
-        # The bound that keeps the lean finite judges nothing: it counts where no reading tells the lean.
+        # The bound that keeps the lean finite judges nothing: it counts where no reading shows the lean.
         return left - 2 + undetermined
 
     def holding(self, held: NDArray[np.bool_]) -> System:
-        """The same equations with some coefficients held where they are."""
+        """Return the same equations with some coefficients held where they are."""
         return replace(self, prior_u=np.where(held, 0.0, self.prior_u))
 
     def as_if_perfect(self) -> System:
-        """The same equations with a perfect jig and thermometer."""
+        """Return the same equations with a perfect jig and thermometer."""
         return replace(self, jig=0.0, thermometer=0.0, heading=0.0)
 
     def unweighted(self) -> System:
-        """The same equations with a perfect jig and thermometer, in which all positions count the same.
+        """Return the same equations with a perfect jig and thermometer, and one weight for all positions.
 
         What is known of a coefficient cannot be weighed against readings whose uncertainty is not: it is held.
         """

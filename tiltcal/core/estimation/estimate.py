@@ -42,24 +42,24 @@ CLOSE = 1e-4
 """A relative change of the jig below which it is found."""
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
-LUCKY = "the residuals are smaller than the noise of the readings, which is luck: the noise counts"
+BELOW_NOISE = "the residuals are smaller than the noise of the readings, by chance: the noise counts"
 GAUGE = (
     "unit gravity alone says nothing of the mounting: the frame's z axis is the direction that the z channel senses, "
     "and its y axis lies in the plane of those of y and z"
 )
-LEANS = (
+LEAN_NOT_SHOWN = (
     "all positions have one heading, where a lean of the table goes into the offsets unseen: state it (--table-lean), "
     "or measure a position again with the fixture turned by 180°"
 )
-HELD = (
+JIG_NOT_SHOWN = (
     "the jig is not stated, and no position shows the angle in which the sensor was held: it is not in the uncertainty"
 )
-EXCEEDS = "the residuals are larger than noise and attitudes explain: is the sensor linear, and was it still?"
+ABOVE_NOISE = "the residuals are larger than noise and attitudes explain: is the sensor linear, and was it still?"
 
 
 @dataclass(frozen=True)
 class AttitudeError:
-    """How far a position was off, as the readings show it.
+    """Attitude error of a position, as the readings show it.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class AttitudeError:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the positions say of one sensor.
+    """Coefficients of one sensor, with their uncertainty and the residuals.
 
     Attributes
     ----------
@@ -123,19 +123,19 @@ class Estimate:
 
     @property
     def covariance(self) -> Array:
-        """Of the parameters, shape (parameters, parameters)."""
+        """Covariance of the parameters, shape (parameters, parameters)."""
         return self.budget.covariance
 
     def uncertainty(self) -> dict[str, float]:
-        """Standard uncertainty of each parameter by its dotted name."""
+        """Return the standard uncertainty of each parameter by its dotted name."""
         return dict(zip(self.names, self.budget.u.tolist(), strict=True))
 
     def coverage_factors(self) -> dict[str, float]:
-        """What each standard uncertainty is multiplied with for an interval of 95 %."""
+        """Return the coverage factor of each parameter's 95 % interval by its dotted name."""
         return dict(zip(self.names, self.budget.factors.tolist(), strict=True))
 
     def suspects(self, significance: float = 0.01) -> list[AttitudeError]:
-        """Positions that were further off than the stated jig allows, the worst first.
+        """Return the positions that were further off than the stated jig allows, the worst first.
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ def estimate(observations: Sequence[Observation], design: Design) -> Estimate:
 
 
 def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, ...]:
-    """Determine the coefficients of all sensors of a fixture: what one feels of its attitude the others know.
+    """Determine the coefficients of all sensors of a fixture, whose attitude errors are common to them.
 
     Parameters
     ----------
@@ -183,16 +183,16 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     found = _unstated(sensors, system) if design.jig is None else _stated(sensors, system)
     if design.table is not None or system.lean_rotations is not None:
         return found
-    return tuple(replace(one, notes=(*one.notes, LEANS)) for one in found)
+    return tuple(replace(one, notes=(*one.notes, LEAN_NOT_SHOWN)) for one in found)
 
 
 def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
-    """All errors of the bench are unknowns, with what was stated of them."""
-    z = _settled(system, _first(system))
+    """Estimate with all errors of the bench as unknowns, whose uncertainty is stated."""
+    z = _minimum(system, _start(system))
     near = linearised(system, z)
     bias = second_order_bias(near, z) if system.jig > 0 else None
     budgets = stated_budgets(near, bias)
-    dof = system.degrees_of_freedom(near.unseen_leans)
+    dof = system.degrees_of_freedom(near.unobservable_leans)
     chi_square = near.equations.cost if dof else None
     if bias is not None:
         z = z.copy()
@@ -205,29 +205,29 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
 def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """Estimate the jig from the residuals, and solve the equations with it as if it was stated."""
     known = replace(system, jig=0.0)
-    z = _settled(known, _first(system.unweighted()))
-    near = _tilted(known, z)
-    dof = known.degrees_of_freedom(near.unseen_leans)
+    z = _minimum(known, _start(system.unweighted()))
+    near = _with_attitudes(known, z)
+    dof = known.degrees_of_freedom(near.unobservable_leans)
     if dof <= 0:
         return _estimates(sensors, system, _Found(z, stated_budgets(near), 0, None, True, notes=(NO_FREEDOM,)))
     # The mere bound of a lean that the readings show is no evidence of it.
-    table = system.table if system.table_stated or near.unseen_leans else inf
+    table = system.table if system.table_stated or near.unobservable_leans else inf
     components = _components(replace(known, table=table), z, dof)
     for _ in range(ROUNDS):
         before, last = known.jig, known
         known = _with_noise(replace(system, jig=components.angle), components.noise)
-        z = _settled(known, z, last)
+        z = _minimum(known, z, last)
         if components.angle == before or abs(known.jig - before) <= CLOSE * before:
             break
         components = _components(replace(system, jig=components.angle, table=table), z, dof)
-    near = _tilted(known, z)
+    near = _with_attitudes(known, z)
     bias = second_order_bias(near, z) if known.jig > 0 else None
     budgets = estimated_jig_budgets(near, components, bias)
     notes = []
     if components.exceeds:
-        notes.append(EXCEEDS)
+        notes.append(ABOVE_NOISE)
     if not components.detectable and np.any(near.response[:, near.shared - near.angles :] != 0.0):
-        notes.append(HELD)
+        notes.append(JIG_NOT_SHOWN)
     if bias is not None:
         z = z.copy()
         z[: known.coefficients] -= bias
@@ -243,10 +243,10 @@ def _with_noise(system: System, factor: float) -> System:
     return replace(system, blocks=tuple(replace(block, u=block.u * factor**0.5) for block in system.blocks))
 
 
-def _tilted(system: System, z: Array) -> LinearSolution:
+def _with_attitudes(system: System, z: Array) -> LinearSolution:
     """Linearise a system near its minimum, with attitude angles even where their variance is zero."""
     tilted = system if system.jig > 0 else replace(system, jig=1.0)
-    return linearised(tilted, z if tilted is system else _carried(z, system, tilted), system.jig)
+    return linearised(tilted, z if tilted is system else _transferred(z, system, tilted), system.jig)
 
 
 def _components(system: System, z: Array, dof: int) -> VarianceComponents:
@@ -254,17 +254,19 @@ def _components(system: System, z: Array, dof: int) -> VarianceComponents:
 
     The angles that were taken off there are put back into the residuals.
     """
-    near = _tilted(system, z)
-    left, shown, _ = near.spectrum
+    near = _with_attitudes(system, z)
+    left, singular, _ = near.spectrum
     first = near.shared - near.angles
-    right = near.elimination.right[first:]
+    right = near.elimination.rhs[first:]
     if system.jig > 0:
         right = right + near.elimination.triangle[first:, first:] @ z[near.system.attitudes]
-    return variance_components(shown, left.T @ right, near.elimination.rest, dof, _strongest(near))
+    return variance_components(
+        singular, left.T @ right, near.elimination.residual_squares, dof, _largest_sensitivity(near)
+    )
 
 
-def _strongest(near: LinearSolution) -> float:
-    """The largest effect that a combination of the attitude angles has on all readings together, over their noise."""
+def _largest_sensitivity(near: LinearSolution) -> float:
+    """Return the largest singular value of the readings' derivatives by the attitude angles, over their noise."""
     squares = np.zeros((near.angles // 2, 2, 2))
     for block, equations in zip(near.system.blocks, near.equations.blocks, strict=True):
         by_angle = equations.shared[..., -2:].reshape(*block.u.shape, 2)
@@ -273,34 +275,34 @@ def _strongest(near: LinearSolution) -> float:
 
 
 def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
-    """Directions that are only a first guess, gravity a unit vector, the gauge by an upper-triangular matrix."""
-    even = replace(system.unweighted(), jig=system.jig, thermometer=system.thermometer)
-    even, z = triangular_gauge(even, _first(even.as_if_perfect()))
-    require_enough(even)
-    z = minimise(even, z)
-    near = linearised(even, z)
+    """Estimate from unit gravity alone, in the gauge of an upper-triangular sensitivity matrix."""
+    equal = replace(system.unweighted(), jig=system.jig, thermometer=system.thermometer)
+    equal, z = triangular_gauge(equal, _start(equal.as_if_perfect()))
+    require_enough(equal)
+    z = minimise(equal, z)
+    near = linearised(equal, z)
     require_spread(near)
-    dof = even.degrees_of_freedom(0)
+    dof = equal.degrees_of_freedom(0)
     squares = near.equations.cost
-    stated = even.unexplained(z) / system.sigma
+    stated = equal.unexplained(z) / system.sigma
     chi_square = float(stated @ stated)
-    lucky = 0.0 < chi_square < dof
-    if lucky:  # the estimate stands on the noise, and on its degrees of freedom
+    below_noise = 0.0 < chi_square < dof
+    if below_noise:  # the estimate stands on the noise, and on its degrees of freedom
         budgets = scaled_budgets(near, squares / chi_square, _noise_dof(sensors))
     else:
         budgets = scaled_budgets(near, squares / dof, dof) if dof else stated_budgets(near)
-    notes = (GAUGE, *((LUCKY,) if lucky else ()), *(() if dof else (NO_FREEDOM,)))
-    return _estimates(sensors, even, _Found(z, budgets, dof, chi_square if dof else None, not dof, notes=notes))
+    notes = (GAUGE, *((BELOW_NOISE,) if below_noise else ()), *(() if dof else (NO_FREEDOM,)))
+    return _estimates(sensors, equal, _Found(z, budgets, dof, chi_square if dof else None, not dof, notes=notes))
 
 
 def _noise_dof(sensors: Sequence[SensorObservations]) -> float:
-    """Degrees of freedom of the noise, over all readings."""
+    """Return the degrees of freedom of the noise, over all readings."""
     return sum(inf if one.dof is None else float(np.sum(one.dof)) for sensor in sensors for one in sensor.observations)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """A minimum and what is known of it, over all sensors."""
+    """Minimum of the sum of squares, with uncertainty and tests, over all sensors."""
 
     z: Array
     budgets: Sequence[Budget]
@@ -311,8 +313,8 @@ class _Found:
     notes: tuple[str, ...] = ()
 
 
-def _first(system: System) -> Array:
-    """The coefficients with the attitudes as set: the answer for a perfect jig, the start for any other."""
+def _start(system: System) -> Array:
+    """Return the coefficients with the attitudes as set: the result for a perfect jig, the start for any other."""
     set_right = system.as_if_perfect()
     free = set_right.holding(set_right.assumed)
     z = set_right.start()
@@ -325,15 +327,15 @@ def _first(system: System) -> Array:
     return minimise(free, z)
 
 
-def _settled(system: System, z: Array, known: System | None = None) -> Array:
+def _minimum(system: System, z: Array, known: System | None = None) -> Array:
     """Return the minimum with all unknowns, from one with other errors of the bench (as set where none is given)."""
-    return minimise(system, _carried(z, system.as_if_perfect() if known is None else known, system))
+    return minimise(system, _transferred(z, system.as_if_perfect() if known is None else known, system))
 
 
-def _carried(z: Array, before: System, after: System) -> Array:
+def _transferred(z: Array, before: System, after: System) -> Array:
     """Return the unknowns of one system as those of another, zero where the first has none."""
-    carried = np.zeros(after.unknowns)
-    carried[: after.coefficients] = z[: before.coefficients]
+    unknowns = np.zeros(after.unknowns)
+    unknowns[: after.coefficients] = z[: before.coefficients]
     for old, new in (
         (before.attitudes, after.attitudes),
         (before.lean, after.lean),
@@ -341,14 +343,14 @@ def _carried(z: Array, before: System, after: System) -> Array:
         (before.heading_errors, after.heading_errors),
     ):
         if old.stop > old.start and new.stop > new.start:
-            carried[new] = z[old]
-    return carried
+            unknowns[new] = z[old]
+    return unknowns
 
 
 def _attitudes(
     sensors: Sequence[SensorObservations], system: System, z: Array, near: LinearSolution
 ) -> tuple[AttitudeError, ...]:
-    """Each position's turn, judged against the variance that its estimate has under the stated jig."""
+    """Test each position's attitude error against the variance that its estimate has under the stated jig."""
     from scipy.special import chdtrc
 
     angles = system.angles(z)
@@ -373,7 +375,7 @@ def _attitudes(
 def _estimates(
     sensors: Sequence[SensorObservations], system: System, found: _Found, attitudes: Sequence[AttitudeError] = ()
 ) -> tuple[Estimate, ...]:
-    """The result of each sensor."""
+    """Return the result of each sensor."""
     from scipy.special import chdtrc
 
     p = None if found.chi_square is None else float(chdtrc(found.dof, found.chi_square))
@@ -383,14 +385,14 @@ def _estimates(
     estimates = []
     row = 0
     for number, sensor in enumerate(sensors):
-        mine = np.flatnonzero(system.sensors == number)
+        own = np.flatnonzero(system.sensors == number)
         shape = (len(sensor.design.channels), len(sensor.observations))
         rows = slice(row, row + shape[0] * shape[1])
         row = rows.stop
         here = {observation.position for observation in sensor.observations}
         estimates.append(
             Estimate(
-                coefficients=_coefficients(sensor, found.z[mine]),
+                coefficients=_coefficients(sensor, found.z[own]),
                 names=sensor.design.names,
                 budget=found.budgets[number],
                 positions=tuple(observation.position for observation in sensor.observations),
@@ -415,8 +417,10 @@ def _coefficients(sensor: SensorObservations, theta: Array) -> Coefficients:
     sensitivity, drift, gain, bend = (np.array(part) for part in zip(*split, strict=True))
     thermal = None
     if design.thermal:
-        told = [observation.temperature for observation in sensor.observations if observation.temperature is not None]
-        thermal = Thermal(design.reference, (float(min(told)), float(max(told))), drift, gain)
+        temperatures = [
+            observation.temperature for observation in sensor.observations if observation.temperature is not None
+        ]
+        thermal = Thermal(design.reference, (float(min(temperatures)), float(max(temperatures))), drift, gain)
     return Coefficients(
         channels=design.channels,
         axes=design.axes,

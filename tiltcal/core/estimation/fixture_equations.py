@@ -24,7 +24,7 @@ TOGETHER = 8
 
 
 def system_of(sensors: Sequence[SensorObservations]) -> System:
-    """The equations of the sensors of one fixture.
+    """Return the equations of the sensors of one fixture.
 
     Parameters
     ----------
@@ -40,14 +40,14 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
     places, gravity, headings, stands = _places(sensors)
     names = [sensor.design.names for sensor in sensors]
     priors = [sensor.design.priors.get(name) for sensor, own in zip(sensors, names, strict=True) for name in own]
-    leans = design.table > 0 if design.table is not None else len({heading % 360.0 for heading in headings}) > 1
+    lean_unknown = design.table > 0 if design.table is not None else len({heading % 360.0 for heading in headings}) > 1
     temperatures, own, shared = _temperatures(sensors, places)
     return System(
         blocks=tuple(_blocks(sensors, places, temperatures, own)),
         orientations=np.array([sensor.orientation for sensor in sensors], dtype=float),
         gravity=gravity,
         stands=stands,
-        lean_rotations=heading_rotations(np.radians(headings)) if leans and not design.free else None,
+        lean_rotations=heading_rotations(np.radians(headings)) if lean_unknown and not design.free else None,
         names=tuple(name for one in names for name in one),
         sensors=np.repeat(np.arange(len(sensors)), [len(one) for one in names]),
         prior_value=np.array([prior.value if prior else 0.0 for prior in priors]),
@@ -63,7 +63,7 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
 
 
 def _places(sensors: Sequence[SensorObservations]) -> tuple[dict[str, int], Array, list[float], Indices]:
-    """The positions of all sensors by name, their directions in the fixture's frame, headings and stands."""
+    """Return the positions of all sensors by name, their directions in the fixture's frame, headings and stands."""
     numbers: dict[str, int] = {}
     gravity: list[Array] = []
     headings: list[float] = []
@@ -90,7 +90,7 @@ def _places(sensors: Sequence[SensorObservations]) -> tuple[dict[str, int], Arra
 
 
 def _temperatures(sensors: Sequence[SensorObservations], places: dict[str, int]) -> tuple[list[Indices], int, int]:
-    """The number of the temperature error of each reading, how many belong to one sensor, and how many to several.
+    """Number the temperature errors of all readings; count those of one sensor and those of several.
 
     Sensors that have the same temperature in all their common positions have one thermometer. The errors of a
     thermometer that one sensor alone has come first.
@@ -99,16 +99,16 @@ def _temperatures(sensors: Sequence[SensorObservations], places: dict[str, int])
     users: list[list[int]] = []
     read: list[Indices] = []
     for number, sensor in enumerate(sensors):
-        told = {places[one.position]: one.temperature or 0.0 for one in sensor.observations}
-        read.append(np.array(list(told), dtype=np.intp))
+        read_there = {places[one.position]: one.temperature or 0.0 for one in sensor.observations}
+        read.append(np.array(list(read_there), dtype=np.intp))
         for known, using in zip(thermometers, users, strict=True):
-            common = known.keys() & told.keys()
-            if common and all(known[place] == told[place] for place in common):
-                known.update(told)
+            common = known.keys() & read_there.keys()
+            if common and all(known[place] == read_there[place] for place in common):
+                known.update(read_there)
                 using.append(number)
                 break
         else:
-            thermometers.append(dict(told))
+            thermometers.append(dict(read_there))
             users.append([number])
     order = sorted(range(len(users)), key=lambda one: len(users[one]) > 1)
     numbers: dict[int, Indices] = {}
@@ -123,11 +123,11 @@ def _temperatures(sensors: Sequence[SensorObservations], places: dict[str, int])
 def _blocks(
     sensors: Sequence[SensorObservations], places: dict[str, int], temperatures: Sequence[Indices], own: int
 ) -> Iterator[EquationBlock]:
-    """The sensors in their order, as many at a time as are alike."""
+    """Yield the sensors in their order, as many at a time as are alike."""
     starts = np.cumsum([0, *(len(sensor.design.names) for sensor in sensors)])
     kinds = [
-        (one.design.models, one.design.thermal, one.design.reference, len(one.observations), int(warm[0]) < own)
-        for one, warm in zip(sensors, temperatures, strict=True)
+        (one.design.models, one.design.thermal, one.design.reference, len(one.observations), int(errors[0]) < own)
+        for one, errors in zip(sensors, temperatures, strict=True)
     ]
     first = 0
     for last in range(1, len(sensors) + 1):
@@ -137,7 +137,7 @@ def _blocks(
         numbers = np.arange(first, last)
         group = sensors[first:last]
         size = len(models[0].coefficients)
-        told = np.array([[one.temperature or 0.0 for one in sensor.observations] for sensor in group])
+        read_there = np.array([[one.temperature or 0.0 for one in sensor.observations] for sensor in group])
         mean = _table(group, lambda one: one.mean)
         u = _table(group, lambda one: one.u)
         adc = _table(group, lambda one: np.zeros(len(one.mean)) if one.adc is None else one.adc)
@@ -151,7 +151,7 @@ def _blocks(
             u=_floored(u, mean),
             adc=adc,
             dof=dof,
-            dt=told - reference if thermal else np.zeros((len(group), n)),
+            dt=read_there - reference if thermal else np.zeros((len(group), n)),
             temperatures=np.array(temperatures[first:last]),
             own_thermometer=alone,
         )
@@ -165,6 +165,6 @@ def _table(group: Sequence[SensorObservations], value: Callable[[Observation], A
 
 
 def _floored(u: Array, mean: Array) -> Array:
-    """Uncertainties of readings that were given without any: far below the rest, and above rounding."""
+    """Return uncertainties that are never zero: far below the others, and above rounding."""
     size = np.maximum(np.ptp(mean, axis=2), 1e-6 * np.max(np.abs(mean), axis=2))
     return np.asarray(np.maximum(u, 1e-9 * np.maximum(size, 1e-300)[..., None]))

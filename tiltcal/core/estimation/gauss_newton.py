@@ -55,7 +55,7 @@ def minimise(system: System, start: Array) -> Array:
     fall, last = 1.0, inf
     for _ in range(STEPS):
         linear = eliminate(here, shared)
-        promised = linear.fall
+        promised = linear.decrease
         if promised <= max(NEAR * (1.0 + here.cost), (SETTLED * (1.0 + system.reach)) ** 2):
             return z + linear.step(system)
         if promised <= LEVEL * (1.0 + here.cost):

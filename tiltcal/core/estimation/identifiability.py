@@ -70,7 +70,7 @@ def require_determined(system: System, z: Array) -> None:
 
 
 def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
-    """Coefficients that the rows of a Jacobian leave free: one that no row sees, or a combination.
+    """Return the coefficients that the rows of a Jacobian leave free: single ones, or a combination.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def undetermined_unknowns(near: LinearSolution) -> list[str]:
 def positions_to_add(
     model: ChannelModel, theta: Array, gravity: Array, dt: Array, rows: Array, most: int = 3
 ) -> list[str]:
-    """Which positions would determine all coefficients of a channel, the most telling first.
+    """Return positions that would determine all coefficients of a channel, the most informative first.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def _advice(
 
 
 def _candidates(model: ChannelModel, theta: Array, gravity: Array, dt: Array) -> Iterator[tuple[str, Array]]:
-    """Row of the Jacobian for each position that may be proposed."""
+    """Yield the row of the Jacobian for each position that may be proposed."""
     usual = float(dt[0]) if len(dt) else 0.0
     # A gain has no effect before the sensitivity is known; any value will do to see whether a position shows it.
     theta = theta.copy()
@@ -177,15 +177,15 @@ def _candidates(model: ChannelModel, theta: Array, gravity: Array, dt: Array) ->
         return
     spread = [float(dt.max()) + WARMER, float(dt.min()) - WARMER, float(dt.min() + dt.max()) / 2 + 1.0]
     there = {tuple(row) for row in gravity.tolist()}
-    for number, warm in enumerate(spread):
+    for number, temperature in enumerate(spread):
         words = ("at another, higher temperature", "at another, lower temperature", "at a third temperature between")
         for row in there:
             known = next((name for name, g in CANDIDATES.items() if np.allclose(g, row)), f"{_direction(row)}")
-            yield f"{known} {words[number]}", model.read(theta, np.array([row]), np.array([warm])).by_coefficient
+            yield f"{known} {words[number]}", model.read(theta, np.array([row]), np.array([temperature])).by_coefficient
 
 
 def _strength(rows: Array) -> tuple[int, float]:
-    """Rank, then the smallest singular value that counts."""
+    """Return the rank, and the smallest singular value that counts."""
     size = np.linalg.norm(rows, axis=0)
     values = svd(rows / np.where(size > 0, size, 1.0), compute_uv=False)
     counted = values[values > UNDETERMINED * values[0]]
@@ -193,7 +193,7 @@ def _strength(rows: Array) -> tuple[int, float]:
 
 
 def _with_priors(jacobian: Array, u: Array) -> Array:
-    """The rows of a channel's readings and of what is known of its coefficients, on a common scale."""
+    """Return the rows of a channel's readings and of its coefficients' priors, on a common scale."""
     size = np.linalg.norm(jacobian, axis=0)
     return np.vstack([jacobian, np.diag(np.where(size > 0, size, 1.0))[np.isfinite(u)]])
 

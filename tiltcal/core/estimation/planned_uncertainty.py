@@ -35,7 +35,7 @@ UNSTATED = 0.0
 
 @dataclass(frozen=True)
 class PlannedPosition:
-    """A position of a plan.
+    """Position of a planned session.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class PlannedPosition:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a plan will determine.
+    """Uncertainty that a planned session will reach.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Prediction:
     worth_adding: tuple[tuple[str, str, float], ...]
 
     def uncertainty(self) -> dict[str, float]:
-        """Predicted standard uncertainty of each coefficient."""
+        """Return the predicted standard uncertainty of each coefficient."""
         return dict(zip(self.names, self.budget.u.tolist(), strict=True))
 
 
@@ -94,7 +94,7 @@ def predicted_covariance(
     adc: float = 0.0,
     sensors: int = 1,
 ) -> Prediction:
-    """The uncertainty that a plan leaves, at nominal coefficients.
+    """Compute the uncertainty that a planned session will reach, at nominal coefficients.
 
     Parameters
     ----------
@@ -131,14 +131,14 @@ def predicted_covariance(
     return Prediction(
         names=names,
         budget=own,
-        dof=system.degrees_of_freedom(near.unseen_leans),
+        dof=system.degrees_of_freedom(near.unobservable_leans),
         correlations=strong_correlations(names, own.covariance),
         worth_adding=_worth_adding(design, positions, noise, sensitivity, adc, sensors, own.u),
     )
 
 
 def strong_correlations(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
-    """Pairs of coefficients that are correlated strongly, the strongest first.
+    """Return pairs of coefficients that are correlated strongly, the strongest first.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def _system(
     adc: float,
     sensors: int,
 ) -> tuple[System, Array]:
-    """The equations of a plan, with readings of nothing, and all unknowns as a part of the datasheet has them."""
+    """Return the equations of a plan, without readings, and all unknowns as in the data sheet."""
     stated = replace(design, jig=UNSTATED if design.jig is None else design.jig)
     u = np.hypot(np.broadcast_to(np.asarray(noise, dtype=float), len(design.channels)), adc)
     zero = np.zeros(len(design.channels))
@@ -186,7 +186,7 @@ def _system(
 
 
 def _nominal(design: Design, system: System, sensitivity: float) -> Array:
-    """Coefficients of a part as the datasheet has it: its own axis and nothing else."""
+    """Return the coefficients of the data sheet: each channel senses its own axis alone."""
     nominal: Mapping[str, float] = {f"sensitivity.{channel}.{channel}": sensitivity for channel in design.channels}
     z = system.start()
     for column, name in enumerate(system.names):
@@ -204,7 +204,7 @@ def _worth_adding(
     sensors: int,
     before: Array,
 ) -> tuple[tuple[str, str, float], ...]:
-    """Positions that would make some coefficient much better known."""
+    """Return positions that would make some coefficient much better known."""
     found = []
     assumed = np.array([name in design.priors for name in design.names])
     usual = next((one.temperature for one in positions if one.temperature is not None), None)
@@ -231,15 +231,15 @@ def _worth_adding(
 def _candidates(
     design: Design, positions: Sequence[PlannedPosition], usual: float | None
 ) -> list[tuple[str, Vector, float | None]]:
-    """Positions that may be proposed: directions that the sensor can be set to, and other temperatures."""
+    """Return positions that may be proposed: directions that the sensor can be set to, and other temperatures."""
     found: list[tuple[str, Vector, float | None]] = [
         (name, gravity, usual)
         for name, gravity in CANDIDATES.items()
         if any(abs(gravity[AXES.index(axis)]) > 0.0 for axis in design.axes) or not design.axes
     ]
     if design.thermal and usual is not None:
-        told = [one.temperature for one in positions if one.temperature is not None]
+        temperatures = [one.temperature for one in positions if one.temperature is not None]
         level = CANDIDATES["level (+z up)"]
-        found.append((f"level at {max(told) + WARMER:g} °C", level, max(told) + WARMER))
-        found.append((f"level at {min(told) - WARMER:g} °C", level, min(told) - WARMER))
+        found.append((f"level at {max(temperatures) + WARMER:g} °C", level, max(temperatures) + WARMER))
+        found.append((f"level at {min(temperatures) - WARMER:g} °C", level, min(temperatures) - WARMER))
     return found

@@ -82,7 +82,7 @@ class CorrelatedNoise:
 
     @property
     def note(self) -> str:
-        """The finding, and what to do."""
+        """Remark on the correlation, and what to do."""
         return (
             "the noise is correlated for longer than a tenth of a position: the uncertainty of each mean is multiplied "
             f"by {self.factor:.2g}; sample each position at least {self.longer:.2g} times as long"
@@ -90,7 +90,7 @@ class CorrelatedNoise:
 
 
 def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | None:
-    """Judge the block means of all positions and channels together; None where no correlation shows.
+    """Estimate the correlation of block means over all positions and channels; None where none shows.
 
     Notes
     -----
@@ -113,7 +113,7 @@ def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | No
 
 
 def _of_correlation_time(time: float) -> tuple[float, float]:
-    """Correlation that block means show about their mean, and the true uncertainty of it over the apparent one."""
+    """Return the expected correlation of block means, and the true over the apparent uncertainty of their mean."""
     lag = np.arange(1, BLOCKS)
     inner = 2.0 * time**2 * (1.0 / time - 1.0 + np.exp(-1.0 / time))
     outer = time**2 * np.exp(-(lag - 1.0) / time) * (1.0 - np.exp(-1.0 / time)) ** 2
@@ -199,13 +199,13 @@ def noise_under_rounding(scatter: float, step: float) -> float:
 
 
 def _rounding_variance(noise: float, step: float) -> float:
-    """Mean square of the rounding error in the mean of many readings, unit²."""
+    """Compute the mean square of the rounding error in the mean of many readings, unit²."""
     power = np.exp(-((2.0 * np.pi * HARMONICS * noise / step) ** 2)) / HARMONICS**2
     return float(step**2 / (2.0 * np.pi**2) * power.sum())
 
 
 def pooled(variance: Array, dof: Array) -> tuple[Array, Array]:
-    """Better estimates of the variances of several positions.
+    """Improve the estimates of the variances of several positions by pooling.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def pooled(variance: Array, dof: Array) -> tuple[Array, Array]:
 
 
 def _common(variance: Array, dof: Array) -> tuple[float, float]:
-    """The variance that all are drawn to, and how many degrees of freedom it counts for."""
+    """Return the common variance, and the degrees of freedom that it counts for."""
     from scipy.special import chdtrc, digamma, polygamma
 
     usual = float(np.median(variance)) or float(np.max(variance))
@@ -247,7 +247,7 @@ def _common(variance: Array, dof: Array) -> tuple[float, float]:
 
 
 def _inverse_trigamma(value: float) -> float:
-    """Where the trigamma function has a value; Newton's steps on its reciprocal, which is all but straight."""
+    """Invert the trigamma function, by Newton's steps on its reciprocal, which is nearly linear."""
     from scipy.special import polygamma
 
     y = 0.5 + 1.0 / value

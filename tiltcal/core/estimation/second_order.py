@@ -23,7 +23,7 @@ from tiltcal.core.model import AXES, Array
 
 
 def second_order_bias(near: LinearSolution, z: Array) -> Array:
-    """By how much the coefficients are estimated too large on average, where attitudes are among the unknowns.
+    """Compute the second-order bias of the coefficients, where attitudes are among the unknowns.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def second_order_bias(near: LinearSolution, z: Array) -> Array:
 
 
 def _by_sensitivity_and_angle(system: System, block: EquationBlock, z: Array, derivative: Array) -> Array:
-    """Second derivatives of a block's readings by a sensitivity and an attitude angle, shape (S, C, n, axes, 2)."""
+    """Return second derivatives of a block's readings by sensitivity and attitude angle, shape (S, C, n, axes, 2)."""
     axes = [AXES.index(axis) for axis in block.models[0].axes]
     turn = (system.orientations[block.sensors][:, None] @ derivative[block.places])[:, None, :, axes]
     _, _, gain, _ = block.models[0].split(z[block.columns])

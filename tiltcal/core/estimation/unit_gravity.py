@@ -20,7 +20,7 @@ from tiltcal.errors import EstimateError
 
 
 def directions_from_readings(mean: Array) -> Array:
-    """A first guess at where gravity pointed, from the readings alone.
+    """Return a first guess at the directions of gravity, from the readings alone.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def require_spread(near: LinearSolution) -> None:
 
 
 def _three_axes(system: System) -> tuple[int, Indices]:
-    """The first sensor with three channels and three axes, and its sensitivities among the unknowns, shape (3, 3)."""
+    """Return the first sensor with three channels and axes, and its sensitivities among the unknowns, shape (3, 3)."""
     for block in system.blocks:
         if len(block.models) == 3 and len(block.models[0].axes) == 3:
             return int(block.sensors[0]), block.columns[0, :, 1:4]

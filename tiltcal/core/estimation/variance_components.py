@@ -40,7 +40,7 @@ INSENSITIVE = 1e-9
 
 @dataclass(frozen=True)
 class VarianceComponents:
-    """The causes of residuals.
+    """Variances of jig and noise, as the residuals show them.
 
     Attributes
     ----------
@@ -49,9 +49,8 @@ class VarianceComponents:
     information : float
         Half of it is the Fisher information of ``jig``: a variance x ``jig`` has ``(x jig)² information / x²`` degrees
         of freedom. Infinite where the residuals hold nothing of it.
-    trade : float
-        By how much, per the noise's variance, q falls where the noise is greater than was measured: the residuals show
-        their sum.
+    by_noise : float
+        Derivative of minus q by the noise's variance: the residuals show their sum.
     noise : float
         Factor of the noise's variance.
     noise_dof : float
@@ -64,7 +63,7 @@ class VarianceComponents:
 
     jig: float
     information: float
-    trade: float
+    by_noise: float
     noise: float
     noise_dof: float
     detectable: bool = True
@@ -76,28 +75,30 @@ class VarianceComponents:
         return sqrt(max(self.jig, 0.0))
 
 
-def variance_components(shown: Array, right: Array, rest: float, dof: int, strongest: float) -> VarianceComponents:
+def variance_components(
+    singular: Array, projected: Array, residual_squares: float, dof: int, largest: float
+) -> VarianceComponents:
     """Find the variance of the attitude angles from residuals.
 
     Parameters
     ----------
-    shown : ndarray, shape (angles,)
+    singular : ndarray, shape (angles,)
         d, the singular values of A in the space that M leaves, whitened by N.
-    right : ndarray, shape (angles,)
+    projected : ndarray, shape (angles,)
         The residuals along their left singular vectors.
-    rest : float
+    residual_squares : float
         The sum of squares of the residuals, whitened, beside these.
     dof : int
         The dimension of that space, above 0.
-    strongest : float
+    largest : float
         The largest singular value of A, whitened by the noise alone.
     """
-    sensitive = shown > INSENSITIVE * max(strongest, 1e-300)
-    d2, z2 = shown[sensitive] ** 2, right[sensitive] ** 2
-    left, more = rest + float(np.sum(right[~sensitive] ** 2)), dof - len(d2)
+    sensitive = singular > INSENSITIVE * max(largest, 1e-300)
+    d2, z2 = singular[sensitive] ** 2, projected[sensitive] ** 2
+    left, more = residual_squares + float(np.sum(projected[~sensitive] ** 2)), dof - len(d2)
     if not len(d2):
         return VarianceComponents(0.0, inf, 0.0, left / dof, float(dof), detectable=False)
-    q = _restricted_likelihood(d2, z2, lowest=-POSITIVE / strongest**2)
+    q = _restricted_likelihood(d2, z2, lowest=-POSITIVE / largest**2)
     exceeds = more > 0 and _upper_tail(left, more) < IMPROBABLE
     noise = left / more if exceeds else 1.0
     shares = 1.0 / (noise + q * d2)

@@ -221,7 +221,7 @@ def test_the_solution_is_that_of_the_whole_system(case) -> None:
     np.testing.assert_allclose(ours / u**2, jig / u**2, atol=1e-9)
     residual = whole.residual(expected + 0j).real
     assert near.equations.cost == pytest.approx(residual @ residual, rel=1e-9)
-    assert system.degrees_of_freedom(near.unseen_leans) == len(residual) - len(expected)
+    assert system.degrees_of_freedom(near.unobservable_leans) == len(residual) - len(expected)
 
 
 @pytest.mark.parametrize("case", [weights_and_priors])

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from tiltcal.core.budget import coverage_factor
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
-from tiltcal.core.estimation.estimate import LEANS, Estimate, estimate
+from tiltcal.core.estimation.estimate import LEAN_NOT_SHOWN, Estimate, estimate
 from tiltcal.core.estimation.hysteresis import largest_loops, with_hysteresis
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predicted_covariance
 from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, noise_under_rounding
@@ -74,13 +74,13 @@ class TestLean:
 
     def test_a_lean_that_headings_cannot_show_is_remarked(self) -> None:
         found = estimate(plane(np.random.default_rng(2), (0.0, 0.0)), Design(("x", "y"), ("x", "y"), jig=0.0))
-        assert LEANS in found.notes
+        assert LEAN_NOT_SHOWN in found.notes
 
     def test_two_headings_show_it(self) -> None:
         lean = (radians(0.5), radians(-0.3))
         observations = plane(np.random.default_rng(3), lean, (0.0, 0.0, 180.0, 180.0))
         found = estimate(observations, Design(("x", "y"), ("x", "y"), jig=0.0))
-        assert LEANS not in found.notes
+        assert LEAN_NOT_SHOWN not in found.notes
         assert np.all(np.abs(found.coefficients.offset) < 6 * NOISE)
 
     def test_plan_counts_it_and_says_what_a_heading_brings(self) -> None:
