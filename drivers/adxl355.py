@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
 
-IDENTITY, STATUS, TEMPERATURE, DATA = 0x00, 0x04, 0x06, 0x08
+WHO, STATUS, TEMPERATURE, DATA = 0x00, 0x04, 0x06, 0x08
 FILTER, RANGE, POWER, RESET, SHADOW = 0x28, 0x2C, 0x2D, 0x2F, 0x50
 
-WHO = bytes.fromhex("AD1DED")
+IDENTITY = bytes.fromhex("AD1DED")
 DATA_READY = 0x01
 AFTER_RESET, MEASURE, RESET_CODE = 0x80, 0x00, 0x52
 """Bit 7 of RANGE after a reset; POWER during measurement; the reset code of RESET."""
@@ -103,13 +103,15 @@ class Adxl355Settings:
 class Adxl355(PolledSensor):
     """The driver of an ADXL355, on either bus."""
 
+    NAME, PART_ID, NEW_SAMPLE = "ADXL355", (WHO, IDENTITY), (STATUS, DATA_READY)
+
     def __init__(self, link: Link, clock: Clock, settings: Adxl355Settings) -> None:
         port = RegisterPort(link, lambda register: register << 1 | 1, lambda register: register << 1)
-        super().__init__(port, clock, "ADXL355", settings.rate, (STATUS, DATA_READY))
+        super().__init__(port, clock, settings.rate)
         self._chosen = settings
 
     def _identity(self) -> Mapping[str, str]:
-        (revision,) = self._port.read(IDENTITY + 3, 1)
+        (revision,) = self._port.read(WHO + 3, 1)
         chosen = self._chosen
         return {
             "revision": str(revision),
@@ -117,13 +119,6 @@ class Adxl355(PolledSensor):
         }
 
     def _set_up(self) -> None:
-        who = self._port.read(IDENTITY, 3)
-        check_data_line(who)
-        if who != WHO:
-            raise DeviceFault(
-                f"the part says that it is {who.hex(' ').upper()}, where an ADXL355 says {WHO.hex(' ').upper()}: is "
-                "another device on this chip select or address?"
-            )
         self._reset()
         *stopped, (_, measure) = self._settings()
         self._write(stopped)

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers import sca100t
 from tiltcal.drivers.device import Model, Reading, from_twin, in_words
 from tiltcal.drivers.lines import CHUNK
+from tiltcal.drivers.registers import in_counts
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -100,8 +101,7 @@ class DfrobotSca100t:
             A word below 102.
         """
         reading = self.read()
-        said = {channel: f"{value:.0f} count" for channel, value in zip("xy", reading.values, strict=True)}
-        return said | {
+        return in_counts(reading.values) | {
             "temperature": f"{reading.temperature:.1f} °C (not trimmed)",
             "link": in_words(self.link_statistics()),
         }

@@ -86,9 +86,11 @@ class Iis2iclxSettings:
 class Iis2iclx(PolledSensor):
     """The driver of an IIS2ICLX, on either bus."""
 
+    NAME, PART_ID, NEW_SAMPLE = "IIS2ICLX", (WHO_AM_I, bytes([IDENTITY])), (STATUS, DATA_READY)
+
     def __init__(self, link: Link, clock: Clock, settings: Iis2iclxSettings) -> None:
         port = RegisterPort(link, lambda register: register | READING, int)
-        super().__init__(port, clock, "IIS2ICLX", settings.rate, (STATUS, DATA_READY))
+        super().__init__(port, clock, settings.rate)
         self._chosen = settings
 
     def _identity(self) -> Mapping[str, str]:
@@ -100,13 +102,6 @@ class Iis2iclx(PolledSensor):
         }
 
     def _set_up(self) -> None:
-        who = self._port.read(WHO_AM_I, 1)
-        check_data_line(who)
-        if who[0] != IDENTITY:
-            raise DeviceFault(
-                f"WHO_AM_I reads 0x{who[0]:02X}, and an IIS2ICLX answers 0x{IDENTITY:02X}: is another device on this "
-                "chip select or address?"
-            )
         self._port.write(CTRL3, SOFTWARE_RESET)
         self._clock.sleep(RESET_SECONDS)
         self._write(self._settings())

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from tiltcal.drivers.registers import RegisterPort
+from tiltcal.drivers.registers import RegisterPort, check_data_line, in_counts
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -28,20 +28,20 @@ class PolledSensor(ABC):
 
     Parameters
     ----------
-    name : str
-        Of the part, for messages.
     rate : float
         Samples a second.
-    ready : tuple of int
-        Status register, and the bit that stands while a new sample is there.
     """
 
-    def __init__(self, port: RegisterPort, clock: Clock, name: str, rate: float, ready: tuple[int, int]) -> None:
+    NAME: ClassVar[str]
+    PART_ID: ClassVar[tuple[int, bytes]]
+    """The first register of the part's identity, and the content from there on."""
+    NEW_SAMPLE: ClassVar[tuple[int, int]]
+    """The status register, and the bit that stands while a new sample is there."""
+
+    def __init__(self, port: RegisterPort, clock: Clock, rate: float) -> None:
         self._port = port
         self._clock = clock
-        self._name = name
         self._period = 1.0 / rate
-        self._status, self._bit = ready
         self._ready = False
 
     def probe(self) -> Mapping[str, str]:
@@ -61,8 +61,8 @@ class PolledSensor(ABC):
         """
         self._ready = False
         reading = self.read()
-        words = {channel: f"{value:.0f} count" for channel, value in zip("xyz", reading.values, strict=False)}
-        return {**self._identity(), **words, "temperature": f"{reading.temperature:.1f} °C (not trimmed)"}
+        temperature = f"{reading.temperature:.1f} °C (not trimmed)"
+        return {**self._identity(), **in_counts(reading.values), "temperature": temperature}
 
     def read(self) -> Reading:
         """Wait for the next sample and take it: counts, and the temperature in °C.
@@ -76,6 +76,7 @@ class PolledSensor(ABC):
         """
         ready, self._ready = self._ready, False
         if not ready:
+            self._require_identity()
             self._set_up()
         if not self._sample_comes():
             raise DeviceFault(self._why_no_sample(ready))
@@ -102,11 +103,22 @@ class PolledSensor(ABC):
     def _sample(self) -> Reading:
         """Take the present sample."""
 
+    def _require_identity(self) -> None:
+        register, expected = self.PART_ID
+        found = self._port.read(register, len(expected))
+        check_data_line(found)
+        if found != expected:
+            raise DeviceFault(
+                f"the part says that it is {found.hex(' ').upper()}, where an {self.NAME} says "
+                f"{expected.hex(' ').upper()}: is another device on this chip select or address?"
+            )
+
     def _sample_comes(self) -> bool:
+        register, bit = self.NEW_SAMPLE
         for _ in range(4 * PERIODS):
-            (status,) = self._port.read(self._status, 1)
+            (status,) = self._port.read(register, 1)
             # A line that is stuck high has this bit as well; the data show it.
-            if status & self._bit:
+            if status & bit:
                 return True
             self._clock.sleep(self._period / 4)
         return False
@@ -118,7 +130,7 @@ class PolledSensor(ABC):
         wrong = self._unlike(settings)
         if wrong:
             raise BusError(
-                f"the {self._name} does not keep what is written to it ({wrong}): check MOSI or SDA, the clock and the "
+                f"the {self.NAME} does not keep what is written to it ({wrong}): check MOSI or SDA, the clock and the "
                 "supply"
             )
 
@@ -136,7 +148,7 @@ class PolledSensor(ABC):
         wrong = self._unlike(self._settings()) if was_ready else ""
         if wrong:
             return (
-                f"the {self._name} was reset or its supply failed since it was set up ({wrong}): check the supply and "
+                f"the {self.NAME} was reset or its supply failed since it was set up ({wrong}): check the supply and "
                 "its wires; it is set up anew"
             )
-        return f"{waited}: the {self._name} does not measure; switch its supply off and on"
+        return f"{waited}: the {self.NAME} does not measure; switch its supply off and on"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING, TypeVar
@@ -86,6 +86,11 @@ def check_data_line(answers: bytes) -> None:
             "the data line is stuck low (every bit of the sample is 0): check the data line (MISO or SDA), "
             "ground and the sensor's supply"
         )
+
+
+def in_counts(values: Iterable[float]) -> dict[str, str]:
+    """Return the readings of x, y and z, as far as there are any, as text."""
+    return {channel: f"{value:.0f} count" for channel, value in zip("xyz", values, strict=False)}
 
 
 def choose(address: Address, name: str, meanings: Mapping[str, R], default: R) -> R:

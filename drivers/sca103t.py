@@ -13,9 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from math import radians, sin, sqrt
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from tiltcal.drivers import sca100t
 from tiltcal.drivers.device import Model, Population, from_twin
@@ -33,12 +32,6 @@ from tiltcal.drivers.sca100t import (
     population,
 )
 from tiltcal.errors import DeviceFault, UsageError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 HIGHEST_SANE_WORD = 1945
 """Largest reading of an SCA103T; a larger one is a broken connection or a tilt out of range."""
@@ -155,16 +148,6 @@ def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> On
     )
 
 
-def _driver(part: OneAxisPart, link: Link, clock: Clock) -> Inclinometer:
-    return Sca103t(link, clock) if part.differential else Sca61t(link, clock)
-
-
-def _twin(part: OneAxisPart, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.sca103t import Sca61tTwin, Sca103tTwin
-
-    return (Sca103tTwin if part.differential else Sca61tTwin)(truth, fixture, clock)
-
-
 def _model(name: str, part: OneAxisPart) -> Model:
     # All that is not of the part is the SCA100T's: bus, waits, bandwidth, thermometer.
     return replace(
@@ -178,8 +161,8 @@ def _model(name: str, part: OneAxisPart) -> Model:
         sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
         rails=part.rails,
         population=part.population,
-        driver=partial(_driver, part),
-        twin=partial(_twin, part),
+        driver=Sca103t if part.differential else Sca61t,
+        twin=from_twin("sca103t", "Sca103tTwin" if part.differential else "Sca61tTwin"),
         default_truth=from_twin("sca103t", "draw_truth", part),
     )
 

@@ -26,7 +26,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.device import Model, Reading, SpiPort, from_twin
-from tiltcal.drivers.registers import RegisterPort, check_data_line, choose, slowest_clock
+from tiltcal.drivers.registers import RegisterPort, check_data_line, choose, in_counts, slowest_clock
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class Sca3000:
             "registers": "unlocked" if status & UNLOCKED else "locked",
             "mode": _mode_in_words(mode),
         }
-        said.update((channel, f"{value:.0f} count") for channel, value in zip("xyz", reading.values, strict=True))
+        said |= in_counts(reading.values)
         if reading.temperature is not None:
             said["temperature"] = f"{reading.temperature:.1f} °C"
         return said

@@ -20,7 +20,7 @@ from math import sqrt
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.device import Model, Reading, SpiPort, from_twin, in_words
-from tiltcal.drivers.registers import check_data_line, choose_range
+from tiltcal.drivers.registers import check_data_line, choose_range, in_counts
 from tiltcal.drivers.scl3300_frames import (
     BANK_0,
     BANK_1,
@@ -161,9 +161,8 @@ class Scl3300:
             "serial": f"{(high.data << 16 | low.data)}B33",
             "range": str(self._range),
         }
-        said.update((channel, f"{value:.0f} count") for channel, value in zip("xyz", reading.values, strict=True))
-        said["temperature"] = f"{reading.temperature:.1f} °C"
-        return said | {"link": in_words(self.link_statistics())}
+        said |= in_counts(reading.values)
+        return said | {"temperature": f"{reading.temperature:.1f} °C", "link": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """Take one sample: x, y and z in counts, -32768 to 32767, and the temperature in °C.

@@ -10,7 +10,6 @@ from tiltcal.drivers.adxl355 import (
     CENTRE_CELSIUS,
     COUNTS_PER_G,
     DATA,
-    DATA_READY,
     DENSITY,
     FASTEST,
     FILTER,
@@ -45,7 +44,7 @@ TRIM = bytes.fromhex("2A 7C 05 91 3E")
 """Content of the shadow registers of this part."""
 
 HELD = {
-    **dict(enumerate((*WHO, REVISION), IDENTITY)),
+    **dict(enumerate((*IDENTITY, REVISION), WHO)),
     RANGE: AFTER_RESET | 1,
     POWER: STANDBY,
     **dict(enumerate(TRIM, SHADOW)),
@@ -64,17 +63,12 @@ class Adxl355Registers(CountingUp):
         What the driver is going to set; the truth is in counts of this range.
     """
 
+    FLAG = CLEARED_BY = STATUS
+
     def __init__(self, conversions: Conversions, clock: Clock, settings: Adxl355Settings) -> None:
         set_up = {FILTER: settings.step, RANGE: AFTER_RESET | settings.range, POWER: MEASURE}
         super().__init__(conversions, clock, HELD, set_up)
         self._truths = settings
-
-    def read(self, first: int, count: int) -> bytes:
-        """Return registers from ``first`` up; reading STATUS clears it."""
-        answer = super().read(first, count)
-        if first <= STATUS < first + count and not self._held[POWER] & STANDBY:
-            self._take_sample(self._rate)
-        return answer
 
     def write(self, register: int, value: int) -> None:
         """Set a register, or reset the part."""
@@ -85,18 +79,14 @@ class Adxl355Registers(CountingUp):
 
     @property
     def _rate(self) -> float:
-        return FASTEST * 0.5 ** self._held.get(FILTER, 0)
+        return 0.0 if self._held[POWER] & STANDBY else FASTEST * 0.5 ** self._held.get(FILTER, 0)
 
-    def _measured(self) -> dict[int, int]:
-        """Status, temperature and data; in standby none of them."""
-        if self._held[POWER] & STANDBY:
-            return {}
-        measured = {STATUS: DATA_READY if self._new_sample(self._rate) else 0}
+    def _measured(self, rate: float) -> dict[int, int]:
         raw = round(CENTRE + SLOPE * (self.conversions.temperature() - CENTRE_CELSIUS)) & 0xFFF
-        measured |= {TEMPERATURE: raw >> 8, TEMPERATURE + 1: raw & 0xFF}
+        measured = {TEMPERATURE: raw >> 8, TEMPERATURE + 1: raw & 0xFF}
         scale = COUNTS_PER_G[self._held[RANGE] & 0b11 or 1] / self._truths.counts_per_g
         for place, channel in enumerate("xyz"):
-            word = self.conversions.word(channel, self._rate, -RAIL, RAIL - 1, scale)
+            word = self.conversions.word(channel, rate, -RAIL, RAIL - 1, scale)
             measured |= dict(enumerate((word << 4 & 0xFFFFFF).to_bytes(3, "big"), DATA + 3 * place))
         return measured
 

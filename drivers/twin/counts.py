@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import cos, pi, sin
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 from tiltcal.drivers.twin.noise import normal, uniform
 from tiltcal.drivers.twin.truth import Truth
@@ -111,7 +112,7 @@ class Registers(Protocol):
         ...
 
 
-class CountingUp:
+class CountingUp(ABC):
     """Registers whose address counts up in a burst, with a flag for a new sample.
 
     Parameters
@@ -123,6 +124,11 @@ class CountingUp:
     set_up : mapping of int to int
         What the driver sets.
     """
+
+    FLAG: ClassVar[int]
+    """The register whose bit 0 is the flag."""
+    CLEARED_BY: ClassVar[int]
+    """The register whose reading clears the flag."""
 
     def __init__(
         self, conversions: Conversions, clock: Clock, after_reset: Mapping[int, int], set_up: Mapping[int, int]
@@ -136,8 +142,13 @@ class CountingUp:
 
     def read(self, first: int, count: int) -> bytes:
         """Return ``count`` registers from ``first`` up, all of one moment."""
-        measured = self._measured()
-        return bytes(measured.get(register, self._held.get(register, 0)) for register in range(first, first + count))
+        held = self._held
+        if rate := self._rate:
+            sample = int(self._clock.now_ns() / 1e9 * rate)
+            held = {**held, **self._measured(rate), self.FLAG: int(sample > self._taken)}
+            if first <= self.CLEARED_BY < first + count:
+                self._taken = sample
+        return bytes(held.get(register, 0) for register in range(first, first + count))
 
     def write(self, register: int, value: int) -> None:
         """Set a register; data and identity registers keep their content."""
@@ -150,16 +161,14 @@ class CountingUp:
     def _reset(self) -> None:
         self._held = dict(self._after_reset)
 
-    def _measured(self) -> dict[int, int]:
-        """Return the registers that the part itself writes."""
-        raise NotImplementedError
+    @property
+    @abstractmethod
+    def _rate(self) -> float:
+        """Samples a second; 0 where nothing is measured."""
 
-    def _new_sample(self, rate: float) -> bool:
-        """Return whether there is a new sample since the last read."""
-        return int(self._clock.now_ns() / 1e9 * rate) > self._taken
-
-    def _take_sample(self, rate: float) -> None:
-        self._taken = int(self._clock.now_ns() / 1e9 * rate)
+    @abstractmethod
+    def _measured(self, rate: float) -> dict[int, int]:
+        """Return the registers of temperature and data."""
 
 
 class SpiTwin:

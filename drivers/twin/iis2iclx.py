@@ -10,7 +10,6 @@ from tiltcal.drivers.iis2iclx import (
     CTRL3,
     CTRL9,
     DATA,
-    DATA_READY,
     DENSITY,
     IDENTITY,
     MILLI_G,
@@ -51,17 +50,12 @@ class Iis2iclxRegisters(CountingUp):
         What the driver is going to set; the truth is in counts of this range.
     """
 
+    FLAG, CLEARED_BY = STATUS, DATA
+
     def __init__(self, conversions: Conversions, clock: Clock, settings: Iis2iclxSettings) -> None:
         rate_and_range = RATES[settings.rate] << 4 | settings.range << 2
         super().__init__(conversions, clock, HELD, {CTRL9: CONFIGURED, CTRL3: WHOLE_SAMPLES, CTRL1: rate_and_range})
         self._truths = settings
-
-    def read(self, first: int, count: int) -> bytes:
-        """Return registers from ``first`` up; reading the data takes the sample."""
-        answer = super().read(first, count)
-        if first <= DATA < first + count and self._rate:
-            self._take_sample(self._rate)
-        return answer
 
     def write(self, register: int, value: int) -> None:
         """Set a register, or reset the part."""
@@ -72,20 +66,15 @@ class Iis2iclxRegisters(CountingUp):
 
     @property
     def _rate(self) -> float:
-        """Samples a second; 0 in power-down."""
         code = self._held.get(CTRL1, 0) >> 4
         return next((rate for rate, known in RATES.items() if known == code), 0.0)
 
-    def _measured(self) -> dict[int, int]:
-        """Status, temperature and data; in power-down none of them."""
-        if not self._rate:
-            return {}
-        measured = {STATUS: DATA_READY if self._new_sample(self._rate) else 0}
+    def _measured(self, rate: float) -> dict[int, int]:
         raw = round(256.0 * (self.conversions.temperature() - 25.0)) & 0xFFFF
-        measured |= dict(enumerate(raw.to_bytes(2, "little"), TEMPERATURE))
+        measured = dict(enumerate(raw.to_bytes(2, "little"), TEMPERATURE))
         scale = MILLI_G[self._truths.range] / MILLI_G[self._held[CTRL1] >> 2 & 0b11]
         for place, channel in enumerate("xy"):
-            word = self.conversions.word(channel, self._rate, -32768, 32767, scale)
+            word = self.conversions.word(channel, rate, -32768, 32767, scale)
             measured |= dict(enumerate((word & 0xFFFF).to_bytes(2, "little"), DATA + 2 * place))
         return measured
 

@@ -190,7 +190,7 @@ def test_a_reset_that_does_not_load_the_trim_is_repeated() -> None:
         (ADXL, "00", BusError, "stuck low"),
         (ADXL, "AD", DeviceFault, "says that it is AD AD AD, where an ADXL355 says AD 1D ED"),
         (ICLX, "FF", BusError, "stuck high"),
-        (ICLX, "6C", DeviceFault, "WHO_AM_I reads 0x6C"),
+        (ICLX, "6C", DeviceFault, "says that it is 6C, where an IIS2ICLX says 6B"),
     ],
 )
 def test_what_is_not_the_part_is_refused(model: Model, answer: str, error: type[Exception], why: str) -> None:
