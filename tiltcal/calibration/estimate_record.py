@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.core.budget import NORMAL_FACTOR, Budget
-from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
+from tiltcal.core.derived_quantities import cross_axis, derived_uncertainty, misalignment
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
-from tiltcal.core.intrinsic import IntrinsicQuantity, intrinsic
+from tiltcal.core.intrinsic_parameters import IntrinsicQuantity, intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.uncertainty_budget import NORMAL_FACTOR, Budget
 from tiltcal.files.records import (
     NOISE_ALONE,
     DerivedCoverage,

@@ -10,11 +10,11 @@ import numpy as np
 
 from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.core.budget import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
 from tiltcal.core.mounting import UNKNOWN_ANGLE, mounting_matrix
 from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.uncertainty_budget import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, with_turns_scaled
 from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, mounting_rotation, rotation_vector, solve_mounting
 from tiltcal.errors import EstimateError

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from tiltcal.calibration.joint_fit import design_of, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.budget import Budget, Part
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
 from tiltcal.core.estimation.estimate import Estimate
@@ -21,6 +20,7 @@ from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.core.thermal_lag import SMOOTHING, ThermalLag
+from tiltcal.core.uncertainty_budget import Budget, Part
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure

@@ -27,8 +27,8 @@ import numpy as np
 
 from tiltcal.core.angle_uncertainty import ANYWHERE, HALF_TURN, Propagation, UpGradient
 from tiltcal.core.compensation import KernelChunk
-from tiltcal.core.earth_frame import EarthFrame, cross
 from tiltcal.core.flags import MISSING, NO_TEMPERATURE
+from tiltcal.core.heading import EarthFrame, cross
 from tiltcal.core.model import Array
 from tiltcal.frozen import frozen
 

@@ -8,8 +8,8 @@ from math import inf, sqrt
 
 import numpy as np
 
-from tiltcal.core.budget import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR, propagated, welch_satterthwaite
 from tiltcal.core.model import Array, Coefficients, polynomial, vector_of, with_vector
+from tiltcal.core.uncertainty_budget import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR, propagated, welch_satterthwaite
 from tiltcal.frozen import frozen
 
 

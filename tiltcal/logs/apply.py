@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from tiltcal.logs.apply_summary import ApplySummary
 from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, locate_columns, named_columns, require_unit
+from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import create_log, open_log, require_way
-from tiltcal.logs.kernel import RoleValues
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare, prepare_file
 from tiltcal.logs.streams import log_sink
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration
     from tiltcal.calibration.calibration_library import CalibrationLibrary
     from tiltcal.calibration.pair_calibration import PairCalibration
-    from tiltcal.core.field_length import FieldLength
+    from tiltcal.core.magnetic_field_length import FieldLength
     from tiltcal.logs.averaging import Means
 
 
@@ -224,7 +224,7 @@ class CompensatedLog:
         """The unit of each earth velocity: that of the column of the first component."""
         if "velocity" not in self.vectors:
             return {}
-        from tiltcal.core.earth_frame import VELOCITY
+        from tiltcal.core.heading import VELOCITY
 
         return dict.fromkeys(VELOCITY, self.log.unit(self.vectors["velocity"][0]))
 
@@ -276,7 +276,7 @@ class CompensatedLog:
 
 
 def _field_length(there: bool) -> FieldLength | None:
-    from tiltcal.core.field_length import FieldLength
+    from tiltcal.core.magnetic_field_length import FieldLength
 
     return FieldLength() if there else None
 

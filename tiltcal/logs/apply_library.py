@@ -22,7 +22,7 @@ from tiltcal.core.named_coefficients import referred
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import moment
 from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
-from tiltcal.logs.kernel import ElementTemperature, Kernel, RoleValues
+from tiltcal.logs.compensation_kernel import ElementTemperature, Kernel, RoleValues
 from tiltcal.logs.log import LogReader, Table
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
 from tiltcal.logs.streams import sha256_of

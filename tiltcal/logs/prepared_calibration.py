@@ -13,7 +13,7 @@ from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import HEADING, TIME
-from tiltcal.logs.kernel import Kernel, PairKernel, TiltKernel
+from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
 from tiltcal.logs.streams import sha256_of
 
 if TYPE_CHECKING:

@@ -17,10 +17,10 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from tiltcal.core.angle_uncertainty import AngleUncertainty, CompensationWithUncertainty
-from tiltcal.core.budget import CoverageFactors
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
 from tiltcal.core.mounting import mounting_angles, mounting_matrix
+from tiltcal.core.uncertainty_budget import CoverageFactors
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.errors import EstimateError
 

@@ -124,7 +124,7 @@ def test_the_uncertainty_of_a_mean_holds(cal: Calibration, count: int) -> None:
     with_noise = reading + noise / np.sqrt(count)
     # A mean of `count` rows is told apart from a single one by its count alone.
     log = {"x": np.repeat(with_noise, 1), "y": 2.5 + 2.0 * g_y}
-    from tiltcal.logs.kernel import RoleValues
+    from tiltcal.logs.compensation_kernel import RoleValues
     from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
 
     kernel = prepare(cal, ApplyOptions(uncertainty=True, average=count)).kernel

@@ -19,7 +19,6 @@ from math import degrees, inf
 
 import numpy as np
 
-from tiltcal.core.budget import Budget
 from tiltcal.core.estimation.attitude import rotation_vectors
 from tiltcal.core.estimation.covariance import estimated_jig_budgets, scaled_budgets, stated_budgets
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations, require_sound
@@ -32,6 +31,7 @@ from tiltcal.core.estimation.second_order import second_order_bias
 from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
 from tiltcal.core.estimation.variance_components import VarianceComponents, variance_components
 from tiltcal.core.model import Array, Coefficients, Thermal
+from tiltcal.core.uncertainty_budget import Budget
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
 

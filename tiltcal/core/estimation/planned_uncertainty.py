@@ -12,7 +12,6 @@ from itertools import combinations
 
 import numpy as np
 
-from tiltcal.core.budget import Budget
 from tiltcal.core.estimation.covariance import stated_budgets
 from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.elimination import linearised
@@ -22,6 +21,7 @@ from tiltcal.core.estimation.identifiability import CANDIDATES, WARMER, require_
 from tiltcal.core.estimation.unit_gravity import require_spread, triangular_gauge
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
+from tiltcal.core.uncertainty_budget import Budget
 
 STRONG = 0.9
 """A correlation from here on is named."""

@@ -14,7 +14,7 @@ import numpy as np
 from tiltcal.core.estimation.elimination import LinearSolution
 from tiltcal.core.estimation.equations import Indices, System
 from tiltcal.core.estimation.identifiability import undetermined_unknowns
-from tiltcal.core.intrinsic import separated
+from tiltcal.core.intrinsic_parameters import separated
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 

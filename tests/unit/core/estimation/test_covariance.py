@@ -14,16 +14,16 @@ from scipy.spatial.transform import Rotation
 from support.accuracy_study import Regime, planned, simulate, sweep, two_temperatures
 from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of
 
-from tiltcal.core.budget import coverage_factor, propagated, welch_satterthwaite
-from tiltcal.core.derived import cross_axis, derived_uncertainty, misalignment
+from tiltcal.core.derived_quantities import cross_axis, derived_uncertainty, misalignment
 from tiltcal.core.estimation.design import Design, Observation
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predicted_covariance
 from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.gravity_direction import gravity_from_tilt
-from tiltcal.core.intrinsic import intrinsic, separated
+from tiltcal.core.intrinsic_parameters import intrinsic, separated
 from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.uncertainty_budget import coverage_factor, propagated, welch_satterthwaite
 from tiltcal.errors import EstimateError
 
 LEVEL = np.array([0.0, 0.0, 1.0])

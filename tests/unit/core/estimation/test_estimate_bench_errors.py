@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from tiltcal.core.budget import coverage_factor
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import LEAN_NOT_SHOWN, Estimate, estimate
 from tiltcal.core.estimation.hysteresis import largest_loops, with_hysteresis
@@ -24,6 +23,7 @@ from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import Mounting
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.statistics import SampleSummary, summarise
+from tiltcal.core.uncertainty_budget import coverage_factor
 from tiltcal.core.wahba import solve_mounting
 
 Array = NDArray[np.float64]

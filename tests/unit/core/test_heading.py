@@ -14,13 +14,13 @@ from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.earth_compensation import EarthFrameCompensation
 from tiltcal.core.earth_uncertainty import EarthUncertainty
-from tiltcal.core.field_length import FieldLength
 from tiltcal.core.flags import CLIPPED, FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, PASS, SUSPECT
+from tiltcal.core.magnetic_field_length import FieldLength
 from tiltcal.core.model import Array, Coefficients, Mounting
 from tiltcal.core.mounting import mounting_matrix
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
-from tiltcal.logs.kernel import RoleValues, TiltKernel
+from tiltcal.logs.compensation_kernel import RoleValues, TiltKernel
 
 DIP, DECLINATION, FIELD = radians(66.0), 10.0, 50.0
 SLANTED = Mounting(radians(20.0), radians(30.0), radians(130.0))

@@ -19,9 +19,9 @@ from math import degrees, radians
 
 import numpy as np
 
-from tiltcal.core.budget import propagated
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.mounting import UNKNOWN_ANGLE, is_locked, mounting_angles
+from tiltcal.core.uncertainty_budget import propagated
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
 

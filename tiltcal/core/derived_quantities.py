@@ -7,9 +7,9 @@ from math import atan2, degrees, hypot
 
 import numpy as np
 
-from tiltcal.core.budget import propagated
 from tiltcal.core.closed_forms import cross_axis_sensitivity
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
+from tiltcal.core.uncertainty_budget import propagated
 
 
 def cross_axis(coefficients: Coefficients) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiltcal.core.budget import welch_satterthwaite
+from tiltcal.core.uncertainty_budget import welch_satterthwaite
 
 
 def test_the_example_of_the_guide() -> None:
