@@ -6,8 +6,9 @@ covariance needs no readings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -120,7 +121,8 @@ def predicted_covariance(
     EstimateError
         The plan leaves coefficients undetermined; they are named, and a position that would determine them.
     """
-    system, z = _system(design, positions, noise, sensitivity, adc, sensors)
+    equations = partial(_system, design, noise=noise, sensitivity=sensitivity, adc=adc, sensors=sensors)
+    system, z = equations(positions)
     near = linearised(system, z)
     if design.free:
         require_spread(near)
@@ -133,7 +135,7 @@ def predicted_covariance(
         budget=own,
         dof=system.degrees_of_freedom(near.unobservable_leans),
         correlations=strong_correlations(names, own.covariance),
-        worth_adding=_worth_adding(design, positions, noise, sensitivity, adc, sensors, own.u),
+        worth_adding=_worth_adding(design, positions, equations, own.u),
     )
 
 
@@ -156,6 +158,7 @@ def strong_correlations(names: Sequence[str], covariance: Array) -> tuple[tuple[
 def _system(
     design: Design,
     positions: Sequence[PlannedPosition],
+    *,
     noise: float | Sequence[float],
     sensitivity: float,
     adc: float,
@@ -198,10 +201,7 @@ def _nominal(design: Design, system: System, sensitivity: float) -> Array:
 def _worth_adding(
     design: Design,
     positions: Sequence[PlannedPosition],
-    noise: float | Sequence[float],
-    sensitivity: float,
-    adc: float,
-    sensors: int,
+    equations: Callable[[Sequence[PlannedPosition]], tuple[System, Array]],
     before: Array,
 ) -> tuple[tuple[str, str, float], ...]:
     """Return positions that would make some coefficient much better known."""
@@ -217,9 +217,7 @@ def _worth_adding(
         turned = f"{first.name} with the fixture turned by 180°"
         candidates.append(replace(first, name=turned, heading=(first.heading or 0.0) + 180.0, held=False))
     for candidate in candidates:
-        longer = [*positions, candidate]
-        system, z = _system(design, longer, noise, sensitivity, adc, sensors)
-        after = stated_budgets(linearised(system, z))[0].u
+        after = stated_budgets(linearised(*equations([*positions, candidate])))[0].u
         share = after / np.where(before > 0.0, before, np.inf)
         share[(before == 0.0) | assumed] = 1.0
         most = int(np.argmin(np.round(share, 6)))
