@@ -8,7 +8,6 @@ from math import degrees, sqrt
 from typing import NamedTuple
 
 from tiltcal.calibration.labels import symbol, unit_of, words
-from tiltcal.core.model import Coefficients
 from tiltcal.core.named_coefficients import values
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
@@ -105,21 +104,12 @@ class CoefficientGroup:
     remark: str = ""
 
 
-def named(coefficients: Coefficients) -> dict[str, float]:
-    """Return every coefficient by its dotted name, including the nonlinearity."""
-    found = values(coefficients)
-    if coefficients.nonlinearity is not None:
-        for channel, row in zip(coefficients.channels, coefficients.nonlinearity, strict=True):
-            found |= {f"nonlinearity.{channel}.{power}": float(v) for power, v in enumerate(row, start=2)}
-    return found
-
-
 def coefficient_table(calibration: CalibrationRecord) -> list[CoefficientRow]:
     """Return every coefficient with its uncertainty and its 95 % interval."""
     u, unit = calibration.uncertainty, calibration.sensor.unit
     rows = [
         Row(name, words(name), symbol(name), value, u.get(name), unit_of(name, unit), u.coverage_factor.get(name))
-        for name, value in named(calibration.coefficients).items()
+        for name, value in values(calibration.coefficients).items()
     ]
     return _quantities(rows)
 
@@ -128,7 +118,7 @@ def budget(calibration: CalibrationRecord) -> list[Shares]:
     """Return the budget of each coefficient; empty if the file has none."""
     found = []
     stated_of = calibration.fit.budget
-    known = list(named(calibration.coefficients))
+    known = list(values(calibration.coefficients))
     for name in sorted(stated_of, key=lambda name: known.index(name) if name in known else len(known)):
         stated = stated_of[name]
         order = [*(source for source in SOURCES if source in stated), *(one for one in stated if one not in SOURCES)]
