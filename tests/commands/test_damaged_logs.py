@@ -39,8 +39,8 @@ def test_a_library_that_gives_up(name: str, tmp_path: Path) -> None:
     shutil.copy(DAMAGED / name, tmp_path)
     done = tiltcal_process("apply", CAL, name, "-o", "out.csv", cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith(f"tiltcal: {name}")
-    assert "Traceback" not in done.stderr
+    (line,) = done.stderr.splitlines()  # and no panic of the library above it
+    assert line.startswith(f"tiltcal: {name}")
     assert not (tmp_path / "out.csv").exists()
 
 

@@ -51,7 +51,7 @@ def run_guarded(run: Callable[[], int], args: Sequence[str]) -> int:
     child = os.fork()
     if not child:
         signal.signal(signal.SIGINT, before)
-        os.environ.setdefault("RUST_BACKTRACE", "0")
+        _silence_libraries()
         os._exit(run())
     interruption.child = child
     files = _guarded(args)
@@ -66,6 +66,14 @@ def run_guarded(run: Callable[[], int], args: Sequence[str]) -> int:
         return INTERRUPTED
     print(f"tiltcal: {' or '.join(files)} cannot be read: {_ending(-code)}; the file is damaged", file=sys.stderr)
     return InputError.exit_code
+
+
+def _silence_libraries() -> None:
+    """Drop what libraries print on standard error by themselves, such as a panic; what Python prints stays."""
+    if sys.stderr is None:
+        return
+    sys.stderr = open(os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors)  # noqa: SIM115
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
 def _guarded(args: Sequence[str]) -> list[str]:
