@@ -20,8 +20,7 @@ from tiltcal.calibration.estimate_record import (
     uncertainty_of,
 )
 from tiltcal.core.combination import ASSUMED, Combination
-from tiltcal.core.estimation.design import Design
-from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
+from tiltcal.core.estimation.estimate import NO_FREEDOM
 from tiltcal.core.model import Limits
 from tiltcal.core.rounding import significant
 from tiltcal.core.uncertainty_inputs import is_turn, with_turns_scaled
@@ -36,28 +35,14 @@ def combined_record(
     """Return the calibration that a combination gives, with remarks on what it left out."""
     records = [one.record for one in sessions]
     scaled = [one for one in sessions if not one.assumes("sensitivity")]
-    measured = bool(scaled)
     positions, renamed = _positions(sessions)
-    estimate = Estimate(
-        coefficients=found.coefficients,
-        names=found.names,
-        budget=found.budget,
-        positions=(),
-        residuals=np.zeros((0, 0)),
-        remainders=np.zeros((0, 0)),
-        dof=found.dof,
-        chi_square=found.chi_square if found.dof else None,
-        p=None,
-        stated=True,
-    )
     sensor = next((one.sensor for one in records if one.sensor.model != UNKNOWN_MODEL), records[0].sensor)
-    design = Design(found.coefficients.channels, found.coefficients.axes, jig=0.0)
-    derived = derived_record(estimate, design, "") if measured else records[0].derived
+    derived = derived_record(found, "", mounted=True) if scaled else records[0].derived
     kept = tuple(sessions[0].assumes(kind) or "" for kind in KINDS if all(one.assumes(kind) for one in sessions))
     return CalibrationRecord(
         sensor=sensor,
-        coefficients=replace(rounded(estimate), mounting=found.coefficients.mounting),
-        uncertainty=_uncertainty(sessions, estimate, found),
+        coefficients=replace(rounded(found), mounting=found.coefficients.mounting),
+        uncertainty=_uncertainty(sessions, found),
         limits=_limits(records, [one.record for one in scaled] or records),
         derived=replace(derived, assumed=tuple(kept)),
         fit=_fit(sessions, found, renamed, remarks),
@@ -132,13 +117,13 @@ def _positions(sessions: Sequence[CombinedSession]) -> tuple[tuple[PositionRecor
     return tuple(one for group in groups for one in group), renamed
 
 
-def _uncertainty(sessions: Sequence[CombinedSession], estimate: Estimate, found: Combination) -> Uncertainty:
+def _uncertainty(sessions: Sequence[CombinedSession], found: Combination) -> Uncertainty:
     """Return the uncertainty of all coefficients, and that of a mounting with its covariance."""
     single: dict[str, float] = {}
     for one in sessions:
         for name, u in one.record.uncertainty.single_reading.items():
             single[name] = max(u, single.get(name, 0.0))
-    both = uncertainty_of(estimate, single)
+    both = uncertainty_of(found, single)
     both = replace(both, alignment=max(one.record.uncertainty.alignment for one in sessions))
     for session in sessions:
         known = session.known
@@ -150,8 +135,8 @@ def _uncertainty(sessions: Sequence[CombinedSession], estimate: Estimate, found:
             if statement.label == session.label:
                 across = by @ known.covariance[np.ix_([known.names.index(name) for name in statement.names], turns)]
         own = known.chosen(turns)
-        every = (*estimate.names, *own.names)
-        joint = np.block([[estimate.covariance, across], [across.T, own.covariance]])
+        every = (*found.names, *own.names)
+        joint = np.block([[found.covariance, across], [across.T, own.covariance]])
         mounted = {name: u for name, u in session.record.uncertainty.items() if name.startswith("mounting.")}
         return replace(
             both,

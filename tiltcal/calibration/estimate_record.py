@@ -12,6 +12,7 @@ from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.intrinsic_parameters import IntrinsicQuantity, intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import NORMAL_FACTOR, Budget
 from tiltcal.files.records import (
@@ -39,7 +40,7 @@ TOO_GOOD = 0.02
 """A chi-square that is so small with no more than this probability shows that less was uncertain than stated."""
 
 
-def rounded(found: Estimate) -> Coefficients:
+def rounded(found: DeterminedCoefficients) -> Coefficients:
     """Return the coefficients with the digits that their uncertainties warrant."""
     coefficients, u = found.coefficients, found.uncertainty()
     thermal = coefficients.thermal
@@ -68,7 +69,7 @@ def rounded(found: Estimate) -> Coefficients:
     )
 
 
-def uncertainty_of(found: Estimate, reading: Mapping[str, float]) -> Uncertainty:
+def uncertainty_of(found: DeterminedCoefficients, reading: Mapping[str, float]) -> Uncertainty:
     """Return the standard uncertainties of an estimate with their covariance and coverage factors.
 
     Parameters
@@ -97,12 +98,12 @@ def rounded_covariance(names: Sequence[str], covariance: Array) -> Covariance:
     )
 
 
-def derived_record(found: Estimate, design: Design, assumed: str) -> DerivedRecord:
+def derived_record(found: DeterminedCoefficients, assumed: str, *, mounted: bool) -> DerivedRecord:
     """Return the cross-axis sensitivities, the misalignments, and what does not change with the mounting.
 
     Where the sensitivity was ``assumed`` (from what, in words), the record holds nothing but that.
     """
-    if design.priors:
+    if assumed:
         return DerivedRecord(assumed=(f"sensitivity: {assumed}",))
     coefficients = found.coefficients
     crossed, u_crossed, k_crossed = _derived(found, cross_axis)
@@ -116,14 +117,12 @@ def derived_record(found: Estimate, design: Design, assumed: str) -> DerivedReco
             misalignment_degrees=u_turned,
             coverage_factor=DerivedCoverage(cross_axis_percent=k_crossed, misalignment_degrees=k_turned),
         ),
-        intrinsic=intrinsic_record(coefficients, found.names, found.covariance, mounted=not design.free)
-        if whole
-        else None,
+        intrinsic=intrinsic_record(coefficients, found.names, found.covariance, mounted=mounted) if whole else None,
     )
 
 
 def _derived(
-    found: Estimate, quantity: Callable[[Coefficients], dict[str, float]]
+    found: DeterminedCoefficients, quantity: Callable[[Coefficients], dict[str, float]]
 ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
     """Return a derived quantity, its standard uncertainty, and its coverage factor by channel, rounded.
 

@@ -79,11 +79,18 @@ def record_of(
         coefficients=rounded(found),
         uncertainty=uncertainty_of(found, _reading(sensor.measurements, design)),
         limits=_limits(design, sensor, found.coefficients.thermal is not None),
-        derived=derived_record(found, design, "nominal of the model" if sensor.base is None else OF_BASE),
+        derived=derived_record(found, _assumed(design, sensor), mounted=not design.free),
         fit=fit_record(found, design, _largest_noise(sensor.measurements, design.channels)),
         procedure=_procedure(procedure, sensor.measurements),
         positions=tuple(measurement.record(design.channels) for measurement in sensor.measurements),
     )
+
+
+def _assumed(design: Design, sensor: MeasuredSensor) -> str:
+    """Return what the sensitivity is that stands in; empty where it is determined."""
+    if not design.priors:
+        return ""
+    return "nominal of the model" if sensor.base is None else OF_BASE
 
 
 def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: Design) -> Estimate:

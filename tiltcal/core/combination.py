@@ -15,7 +15,7 @@ difference between one statement and all others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 import numpy as np
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.derivatives import central_differences
 from tiltcal.core.model import Array, Coefficients, polynomial_slope, vector_of, with_vector
-from tiltcal.core.named_coefficients import CoefficientChange, referred
+from tiltcal.core.named_coefficients import CoefficientChange, DeterminedCoefficients, referred
 from tiltcal.core.uncertainty_budget import Budget, Part, coverage_factor, welch_satterthwaite
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
@@ -86,16 +86,12 @@ class Statement:
         return vector_of(at, self.names) + self.by_given @ (vector_of(at, self.given) - self.given_values)
 
 
-@frozen
-class Combination:
-    """What several sessions together state.
+@dataclass(frozen=True)
+class Combination(DeterminedCoefficients):
+    """What several sessions together state; the sources of its budget are the sessions.
 
     Attributes
     ----------
-    names : tuple of str
-        The coefficients that are uncertain.
-    budget : Budget
-        With the sessions as its sources.
     statements : tuple of Statement
         With the uncertainty of their temperature in them.
     parts : tuple of ndarray, shape (names, k)
@@ -105,9 +101,6 @@ class Combination:
         give (``before``); that of the largest ratio.
     """
 
-    coefficients: Coefficients
-    names: tuple[str, ...]
-    budget: Budget
     statements: tuple[Statement, ...]
     parts: tuple[Array, ...]
     differences: tuple[tuple[str, CoefficientChange], ...]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 import numpy as np
 
 from tiltcal.core.model import Array, Coefficients, polynomial, vector_of, with_vector
-from tiltcal.core.uncertainty_budget import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR, propagated, welch_satterthwaite
+from tiltcal.core.uncertainty_budget import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR, Budget, propagated, welch_satterthwaite
 from tiltcal.frozen import frozen
 
 
@@ -69,6 +69,36 @@ class CoefficientChange:
         from scipy.special import stdtrit
 
         return float(stdtrit(self.dof, upper))
+
+
+@dataclass(frozen=True)
+class DeterminedCoefficients:
+    """Coefficients that data determine, with their uncertainty.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Those that are uncertain, in the order of ``covariance``.
+    budget : Budget
+        Their covariance, its sources, and degrees of freedom of each.
+    """
+
+    coefficients: Coefficients
+    names: tuple[str, ...]
+    budget: Budget
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the uncertain coefficients, shape (k, k)."""
+        return self.budget.covariance
+
+    def uncertainty(self) -> dict[str, float]:
+        """Return the standard uncertainty of each by its dotted name."""
+        return dict(zip(self.names, self.budget.u.tolist(), strict=True))
+
+    def coverage_factors(self) -> dict[str, float]:
+        """Return the coverage factor of each one's 95 % interval by its dotted name."""
+        return dict(zip(self.names, self.budget.factors.tolist(), strict=True))
 
 
 def known(

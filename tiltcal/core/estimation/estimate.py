@@ -31,6 +31,7 @@ from tiltcal.core.estimation.second_order import second_order_bias
 from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
 from tiltcal.core.estimation.variance_components import VarianceComponents, variance_components
 from tiltcal.core.model import Array, Coefficients, Thermal
+from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.core.uncertainty_budget import Budget
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
@@ -78,15 +79,11 @@ class AttitudeError:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(DeterminedCoefficients):
     """Coefficients of one sensor, with their uncertainty and the residuals.
 
     Attributes
     ----------
-    names : tuple of str
-        The parameters, in the order of ``covariance``.
-    budget : Budget
-        Covariance of the parameters, its sources, and degrees of freedom of each.
     residuals : ndarray, shape (positions, channels)
         Measured minus modelled in the positions as they were set, in the sensor's unit.
     remainders : ndarray, shape (positions, channels)
@@ -107,9 +104,6 @@ class Estimate:
         What the reader of the numbers should know.
     """
 
-    coefficients: Coefficients
-    names: tuple[str, ...]
-    budget: Budget
     positions: tuple[str, ...]
     residuals: Array
     remainders: Array
@@ -120,19 +114,6 @@ class Estimate:
     attitudes: tuple[AttitudeError, ...] = ()
     estimated_jig: float | None = None
     notes: tuple[str, ...] = ()
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the parameters, shape (parameters, parameters)."""
-        return self.budget.covariance
-
-    def uncertainty(self) -> dict[str, float]:
-        """Return the standard uncertainty of each parameter by its dotted name."""
-        return dict(zip(self.names, self.budget.u.tolist(), strict=True))
-
-    def coverage_factors(self) -> dict[str, float]:
-        """Return the coverage factor of each parameter's 95 % interval by its dotted name."""
-        return dict(zip(self.names, self.budget.factors.tolist(), strict=True))
 
     def suspects(self, significance: float = 0.01) -> list[AttitudeError]:
         """Return the positions that were further off than the stated jig allows, the worst first.
