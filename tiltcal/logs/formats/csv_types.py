@@ -108,10 +108,10 @@ class ColumnTypes:
 
 
 def _moments(seconds: Array) -> pl.Series:
-    """Moments to the microsecond from seconds since 1970."""
+    """Convert seconds since 1970 to moments to the microsecond; what no calendar reaches is missing."""
     import polars as pl
 
-    micros = pl.Series(np.rint(seconds * 1e6)).fill_nan(None).cast(pl.Int64)
+    micros = pl.Series(np.rint(seconds * 1e6)).fill_nan(None).cast(pl.Int64, strict=False)
     return micros.cast(pl.Datetime("us", "UTC"))
 
 

@@ -298,3 +298,10 @@ def test_a_row_is_at_fault_where_its_fields_are_not_the_headers(rows: list[list[
 def test_no_number_of_a_bad_row_is_used() -> None:
     parsed = parse_rows(b"1,2,3\n1,oops,3\n", NAMES, [1, 2])
     assert isnan(parsed.values[2][1])
+
+
+def test_a_time_that_no_calendar_reaches_is_missing() -> None:
+    content = b"time,x\n2026-05-01T12:00:00Z,1\n1e300,2\n" + b"9" * 400 + b",3\n"
+    (block,) = log(content).rows([0, 1], time=0, frames=True)
+    assert block.frame is not None
+    assert block.frame["time"].is_null().to_list() == [False, True, True]
