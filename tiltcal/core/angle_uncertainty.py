@@ -25,7 +25,7 @@ from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE, Bytes
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.tilt_angles import DIRECTIONS
-from tiltcal.core.uncertainty_budget import NEGLIGIBLE, NORMAL_FACTOR, CoverageFactors
+from tiltcal.core.uncertainty_budget import NEGLIGIBLE, NORMAL_FACTOR, coverage_factors
 from tiltcal.core.uncertainty_columns import round_up, uncertainty_columns
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
@@ -178,7 +178,7 @@ class Propagation:
         widening = inputs.factors / NORMAL_FACTOR
         self._known = bool(np.allclose(widening, 1.0, rtol=NEGLIGIBLE))
         """Whether every coefficient has the normal factor, so that one variance says all."""
-        self._coverage = None if self._known else CoverageFactors()
+        self._coverage = None if self._known else coverage_factors()
         covariances = (
             [inputs.covariance]
             if self._known

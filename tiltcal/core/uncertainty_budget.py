@@ -6,6 +6,7 @@ Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2, 5.1 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -247,6 +248,12 @@ class CoverageFactors:
         if narrow.any():
             factor[narrow] = self.normal * np.sqrt((widened + known)[narrow] / total[narrow])
         return factor
+
+
+@cache
+def coverage_factors() -> CoverageFactors:
+    """Return the tables, which are made once."""
+    return CoverageFactors()
 
 
 def _looked_up(table: Array, argument: Array) -> Array:

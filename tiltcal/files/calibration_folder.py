@@ -139,9 +139,9 @@ def _scanned(path: str) -> CalibrationFile | None:
         sensor = _SENSOR.match(head)
         if sensor is None:
             return None
-        os.lseek(descriptor, -_TAIL, os.SEEK_END)
+        os.lseek(descriptor, max(os.fstat(descriptor).st_size - _TAIL, 0), os.SEEK_SET)
         dates = _DATES.search(os.read(descriptor, _TAIL))
-    except OSError:  # a file shorter than that, or a folder's
+    except OSError:  # it is a folder's
         return None
     finally:
         os.close(descriptor)

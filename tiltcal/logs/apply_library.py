@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,9 +19,10 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.calibration_library import calibration_at
 from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.model import Array, polynomial
-from tiltcal.core.named_coefficients import referred
+from tiltcal.core.named_coefficients import referred, values
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import moment
+from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
 from tiltcal.logs.compensation_kernel import ElementTemperature, Kernel, RoleValues
 from tiltcal.logs.log import LogReader, Table
@@ -31,13 +33,15 @@ if TYPE_CHECKING:
     from tiltcal.calibration.calibration_library import CalibrationLibrary
     from tiltcal.calibration.interpolation import Stability
     from tiltcal.calibration.sensor_history import SensorHistory
+    from tiltcal.files.calibration import CalibrationRecord
 
 STEPS = 64
-"""Of the time between two calibrations."""
+"""Of the time between two calibrations, where more than offset and drift lies on a line."""
 
 SERIAL_NOTES = ("serial", "serial_number", "sensor_serial_number", "instrument_serial_number")
 """The attributes or metadata of a log that may state its sensor."""
 
+_ON_LINE = ("offset", "temperature.offset")
 _FIRST_MOMENT = 1e8  # seconds since 1970: what counts fewer of them is no moment
 _LAST_MOMENT = 1e11
 _MOST_PIECES = 1000  # of a block, compensated one by one
@@ -154,7 +158,7 @@ def _prepare_sensor(
         "sha256": ", ".join(sha256_of(one.path) for one in calibrations),
     }
     template = prepare(Calibration(calibrations[-1].record), options, say, origin=origin)
-    kernel = LibraryKernel(sensor.history, stability, options, template.kernel.columns, start, log)
+    kernel = LibraryKernel(sensor.history, stability, options, template.kernel.columns, template.rails, start, log)
     return replace(template, kernel=kernel)
 
 
@@ -167,6 +171,8 @@ class LibraryKernel:
         None where no uncertainty is asked for.
     columns : tuple of str
         What each compensation gives.
+    rails : mapping of str to (float, float)
+        The lowest and the highest reading of each channel; empty where they are not known.
     start : float or None
         When the time of the log is 0, seconds since 1970; None where its time counts from 1970.
     log : str
@@ -179,12 +185,18 @@ class LibraryKernel:
         stability: Stability | None,
         options: ApplyOptions,
         columns: tuple[str, ...],
+        rails: Mapping[str, tuple[float, float]],
         start: float | None,
         log: str,
     ) -> None:
         self.columns = columns
+        if not options.uncertainty:
+            history = _without_uncertainty(history)
         self._history, self._stability, self._options = history, stability, options
+        self._parts = 1 if not options.uncertainty and _moves_offset_alone(history) else STEPS
         self._start, self._log = start, log
+        channels = history.calibrations[-1].record.coefficients.channels
+        self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in channels}
         self._dates = np.array([one.date.timestamp() for one in history.calibrations])
         self._kernels: dict[int, tuple[Kernel, float]] = {}
         self._last = float(self._dates[-1])
@@ -236,10 +248,10 @@ class LibraryKernel:
         dates = self._dates
         k = int(np.searchsorted(dates, low, "right")) - 1
         if 0 <= k < len(dates) - 1 and high < dates[k + 1]:  # the usual log
-            share = (time - dates[k]) * (STEPS / (dates[k + 1] - dates[k]))
-            return np.asarray(k * STEPS + share.astype(np.int64))
-        position = np.interp(time, dates, np.arange(len(dates)) * float(STEPS))
-        steps: NDArray[np.int64] = np.minimum(position.astype(np.int64), max(0, len(dates) - 1) * STEPS - 1)
+            share = (time - dates[k]) * (self._parts / (dates[k + 1] - dates[k]))
+            return np.asarray(k * self._parts + share.astype(np.int64))
+        position = np.interp(time, dates, np.arange(len(dates)) * float(self._parts))
+        steps: NDArray[np.int64] = np.minimum(position.astype(np.int64), max(0, len(dates) - 1) * self._parts - 1)
         early, late = time < dates[0], time > dates[-1]
         steps[early] = -1 - self._grown(dates[0] - time[early])
         steps[late] = _OUTSIDE + self._grown(time[late] - dates[-1])
@@ -256,18 +268,20 @@ class LibraryKernel:
     def _of_step(self, step: int, values: RoleValues, time: Array) -> Table:
         if step not in self._kernels:
             middle = self._middle(step)
-            calibration = _without_lag(calibration_at(self._history, middle, self._stability))
-            self._kernels[step] = prepare(calibration, self._options).kernel, middle
+            record = _without_lag(calibration_at(self._history, middle, self._stability).record)
+            # With them stated, nothing looks for the sensor's model in each step.
+            record = replace(record, limits=replace(record.limits, reading=self._rails))
+            self._kernels[step] = prepare(Calibration(record), self._options).kernel, middle
         kernel, middle = self._kernels[step]
         if 0 <= step < _OUTSIDE and len(self._dates) > 1:
-            values = replace(values, readings=self._on_line(step // STEPS, values, time - middle))
+            values = replace(values, readings=self._on_line(step // self._parts, values, time - middle))
         return kernel(values)
 
     def _middle(self, step: int) -> float:
         """Return the time for which the compensation of a step is made, seconds since 1970."""
         if 0 <= step < _OUTSIDE:
-            k, part = divmod(step, STEPS)
-            return float(self._dates[k] + (part + 0.5) / STEPS * (self._dates[k + 1] - self._dates[k]))
+            k, part = divmod(step, self._parts)
+            return float(self._dates[k] + (part + 0.5) / self._parts * (self._dates[k + 1] - self._dates[k]))
         grown = (step - _OUTSIDE) if step >= _OUTSIDE else -1 - step
         seconds = 3600.0 * (2.0 ** (grown / _GROWTH) - 1.0)
         return float(self._dates[-1] + seconds if step >= _OUTSIDE else self._dates[0] - seconds)
@@ -289,11 +303,10 @@ class LibraryKernel:
                     change = change + polynomial(drifts[0], dt) - polynomial(drifts[1], dt)
             np.multiply(share, change, out=shifted[:, i])
             np.subtract(reading, shifted[:, i], out=shifted[:, i])
-            if channel in after.limits.reading:  # what is at the rail stays there
-                low, high = after.limits.reading[channel]
-                stuck = (reading <= low) | (reading >= high)
-                if stuck.any():
-                    shifted[stuck, i] = reading[stuck]
+            low, high = self._rails[channel]
+            stuck = (reading <= low) | (reading >= high)  # what is at the rail stays there
+            if stuck.any():
+                shifted[stuck, i] = reading[stuck]
         return shifted
 
     def _flagged(self, table: Table, step: int) -> Table:
@@ -302,13 +315,36 @@ class LibraryKernel:
         return mark_columns(table, np.True_, SUSPECT, OUTSIDE_TIME)
 
 
-def _without_lag(calibration: Calibration) -> Calibration:
+def _without_uncertainty(history: SensorHistory) -> SensorHistory:
+    return replace(
+        history,
+        calibrations=tuple(
+            replace(one, record=replace(one.record, uncertainty=Uncertainty({}, {}))) for one in history.calibrations
+        ),
+    )
+
+
+def _moves_offset_alone(history: SensorHistory) -> bool:
+    """Return whether calibrations differ in offset and drift alone, as after ``level``: rows follow these."""
+    last = history.calibrations[-1].record.coefficients
+    reference = None if last.thermal is None else last.thermal.reference
+    kept = []
+    for one in history.calibrations:
+        coefficients = one.record.coefficients
+        if reference is not None and coefficients.thermal is not None:
+            coefficients = referred(coefficients, reference)
+        known = {name: value for name, value in values(coefficients).items() if not name.startswith(_ON_LINE)}
+        kept.append((known, coefficients.mounting, coefficients.axes))
+    return all(one == kept[-1] for one in kept)
+
+
+def _without_lag(record: CalibrationRecord) -> CalibrationRecord:
     """Return a calibration whose thermal lag is left to the temperatures, which go on from one step to the next."""
-    coefficients = calibration.coefficients
+    coefficients = record.coefficients
     if coefficients.thermal is None or not coefficients.thermal.lag:
-        return calibration
+        return record
     thermal = replace(coefficients.thermal, lag=0.0)
-    return Calibration(replace(calibration.record, coefficients=replace(coefficients, thermal=thermal)))
+    return replace(record, coefficients=replace(coefficients, thermal=thermal))
 
 
 @dataclass(frozen=True)

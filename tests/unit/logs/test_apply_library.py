@@ -63,6 +63,28 @@ def test_between_two_the_offset_lies_on_the_line_and_outside_the_nearest_holds(t
     assert found["reason"].tolist() == [64, 0, 0, 0, 0, 64]
 
 
+def test_a_reading_at_the_rail_of_the_model_stays_there(tmp_path: Path) -> None:
+    """Without rails in the file those of the SCA100T-D02 hold: 100 counts lower on the line it would seem inside."""
+    records = [calibrated(0, (1000, 1000)), calibrated(100, (1100, 1000))]
+    rail = Calibration(records[0]).limits.reading["x"][1]
+    records = [replace(one, limits=replace(one.limits, reading={})) for one in records]
+    library = tiltcal.open_calibrations(kept(tmp_path, *records))
+    found = library.apply({"time": seconds([90.0]), "x": np.array([rail]), "y": np.array([1000.0])})
+    assert (found["flag"].tolist(), found["reason"][0] & 4) == ([4], 4)
+
+
+def test_what_differs_beside_the_offset_is_interpolated_in_steps_of_a_64th(tmp_path: Path) -> None:
+    """Sensitivities of 800 and 864 differ by 1 count/g a step; the middle of the row's step is at 32.5."""
+    records = [calibrated(0, (1000, 1000)), calibrated(100, (1000, 1000))]
+    records = [
+        replace(one, coefficients=replace(one.coefficients, sensitivity=scale * np.eye(2)))
+        for one, scale in zip(records, (800.0, 864.0), strict=True)
+    ]
+    library = tiltcal.open_calibrations(kept(tmp_path, *records))
+    found = library.apply({"time": seconds([50.1]), "x": np.array([1100.0]), "y": np.array([1000.0])})
+    assert found["g_x"] == pytest.approx(100.0 / 832.5, abs=1e-9)
+
+
 def test_a_row_has_the_same_result_wherever_its_block_begins(tmp_path: Path) -> None:
     first, last = calibrated(0, (1000, 990)), calibrated(100, (1010, 1000))
     library = tiltcal.open_calibrations(kept(tmp_path, first, last))

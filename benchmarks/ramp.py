@@ -1,0 +1,176 @@
+"""Does the curve of ``fit ramp`` hold its 95 % interval, and is the lag right, whatever makes the loop.
+
+The record is made here: a chamber goes from 5 to 45 °C and back at a steady pace, the element follows it by exact
+filters, and two channels read a cubic of the element's temperature with noise of 0.5 units. The curve is compared at
+ten temperatures within what the element reached. Writes a line of JSON for each record and goes on where it ended:
+
+    python benchmarks/ramp.py --records 100 ramp.jsonl
+    python benchmarks/ramp.py --records 0 ramp.jsonl      # the table alone
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from tiltcal.core.ramp.fit import fit_ramp
+from tiltcal.core.ramp.record import RecordAverager
+from tiltcal.core.thermal_lag import ThermalLag
+from tiltcal.errors import EstimateError
+
+LOW, SPAN, REFERENCE = 5.0, 40.0, 24.0
+CURVES = np.array([[1000.0, 0.8, 0.010, -1e-4], [1000.0, -0.5, 0.004, 1e-4]])
+"""unit, unit/°C, unit/°C², unit/°C³."""
+
+ROWS = 2400
+DESIGNS = ((1.0, 4), (0.5, 2), (1.0, 3))
+"""Pace, °C/min, and legs."""
+
+KINDS = {
+    "lag": "one lag of 120 s",
+    "quiet": "the same with noise of 0.02",
+    "negative": "the thermometer 120 s behind the element",
+    "none": "no lag",
+    "parallel": "0.6 of 60 s beside 0.4 of 400 s",
+    "series": "150 s behind 60 s",
+    "play": "hysteresis: a play of 2 °C",
+    "lens": "hysteresis that grows from both turns",
+    "wander": "a random walk of 1 unit in all",
+    "slow": "noise of 0.7 units that lasts a fifth of the record",
+    "thermometer": "noise of 0.2 °C in the thermometer",
+    "both": "the same and a lag of 120 s",
+}
+
+
+def delayed(temperature: np.ndarray, lag: float) -> np.ndarray:
+    """Return a first-order lag of a temperature that is linear from second to second."""
+    decay = np.exp(-1.0 / lag)
+    mean = (1.0 - decay) * lag
+    first = temperature[0]
+    return first + lfilter([1.0 - mean, mean - decay], [1.0, -decay], temperature - first)
+
+
+def played(temperature: np.ndarray, half: float) -> np.ndarray:
+    """Return a temperature that follows by a play of twice ``half``."""
+    follows, place = np.empty_like(temperature), temperature[0]
+    for k, value in enumerate(temperature):
+        follows[k] = place = min(max(place, value - half), value + half)
+    return follows
+
+
+def record(kind: str, pace: float, legs: int, draw: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Return time, thermometer and readings."""
+    half = SPAN / pace * 60.0
+    time = np.arange(0.0, legs * half)
+    chamber = LOW + SPAN * np.abs((time / half + 1.0) % 2.0 - 1.0)
+    element = thermometer = chamber
+    if kind in ("lag", "quiet", "both"):
+        element = delayed(chamber, 120.0)
+    elif kind == "negative":
+        thermometer = delayed(chamber, 120.0)
+    elif kind == "parallel":
+        element = 0.6 * delayed(chamber, 60.0) + 0.4 * delayed(chamber, 400.0)
+    elif kind == "series":
+        element = delayed(delayed(chamber, 60.0), 150.0)
+    elif kind == "play":
+        element = played(chamber, 1.0)
+    readings = np.stack([np.polynomial.polynomial.polyval(element - REFERENCE, curve) for curve in CURVES], axis=1)
+    if kind == "lens":
+        share = (chamber - LOW) / SPAN
+        up = np.where((time // half) % 2 == 0, -1.0, 1.0)
+        readings += (0.8 * up * 4.0 * share * (1.0 - share))[:, None] * np.array([1.0, -0.7])
+    kept = slice(None, None, max(len(time) // ROWS, 1))
+    time, thermometer, readings = time[kept], thermometer[kept], readings[kept]
+    readings = readings + (0.02 if kind == "quiet" else 0.5) * draw.normal(size=readings.shape)
+    if kind == "wander":
+        readings += np.cumsum(draw.normal(size=readings.shape), axis=0) / np.sqrt(len(time))
+    if kind == "slow":
+        decay = np.exp(-5.0 / len(time))
+        steps = draw.normal(size=readings.shape) * np.sqrt(1.0 - decay**2)
+        steps[0] = draw.normal(size=2)
+        readings += 0.7 * lfilter([1.0], [1.0, -decay], steps, axis=0)
+    if kind in ("thermometer", "both"):
+        thermometer = thermometer + 0.2 * draw.normal(size=len(time))
+    return time, thermometer, readings
+
+
+def judged(kind: str, pace: float, legs: int, seed: int) -> dict[str, Any]:
+    """Fit one record, and compare its curve with the true one."""
+    draw = np.random.default_rng([seed, [*KINDS].index(kind), int(100 * pace), legs])
+    time, thermometer, readings = record(kind, pace, legs, draw)
+    averager = RecordAverager(2)
+    averager.add(time, thermometer, readings)
+    whole = averager.record()
+    try:
+        fit = fit_ramp(whole, reference=REFERENCE)
+    except EstimateError as refusal:
+        return {"refused": str(refusal)}
+    reached = ThermalLag(fit.lag)(whole.time, whole.temperature)
+    margin = 0.05 * np.ptp(reached)
+    at = np.linspace(reached.min() + margin, reached.max() - margin, 10) - REFERENCE
+    powers, true = np.vander(at, fit.order + 1, increasing=True), np.vander(at, 4, increasing=True) @ CURVES.T
+    error = powers @ fit.coefficients.T - true
+    variance = []
+    for c in range(2):
+        own = slice(c * (fit.order + 1), (c + 1) * (fit.order + 1))
+        variance.append(np.einsum("ij,jk,ik->i", powers, fit.covariance[own, own], powers) + fit.loop_variance[c])
+    alone = np.polynomial.polynomial.polyfit(thermometer - REFERENCE, readings, 3)
+    return {
+        "held": float(np.mean(np.abs(error) <= 1.96 * np.sqrt(np.array(variance)).T)),
+        "used": fit.uses_lag,
+        "lag": fit.found_lag,
+        "error": float(np.abs(error).max()),
+        "alone": float(np.abs(np.vander(at, 4, increasing=True) @ alone - true).max()),
+    }
+
+
+def table(lines: list[dict[str, Any]]) -> None:
+    """Print the share of intervals that hold the curve, the lag, and the error over that of a cubic alone."""
+    groups = defaultdict(list)
+    for one in lines:
+        groups[one["kind"], one["pace"], one["legs"]].append(one)
+    print(f"{'':52} °C/min legs    n  refused  holds %   lag used    lag s     error / alone")
+    for (kind, pace, legs), all_ in sorted(groups.items(), key=lambda group: [*KINDS].index(group[0][0])):
+        fits = [one for one in all_ if "held" in one]
+        held, lags = np.array([one["held"] for one in fits]), np.array([one["lag"] for one in fits])
+        ratio, used = (
+            np.median([one["error"] / one["alone"] for one in fits]),
+            100 * np.mean([one["used"] for one in fits]),
+        )
+        print(
+            f"{KINDS[kind]:52} {pace:5.2f} {legs:4} {len(all_):4} {len(all_) - len(fits):8}"
+            f"   {100 * held.mean():5.1f}±{100 * held.std() / len(held) ** 0.5:3.1f}"
+            f"   {used:4.0f} %  {lags.mean():7.1f}±{lags.std():4.1f}   {ratio:.3f}"
+        )
+
+
+def main() -> None:
+    """Make the records that are missing, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--records", type=int, default=100)
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--designs", default=",".join(f"{pace}x{legs}" for pace, legs in DESIGNS))
+    options = parser.parse_args()
+    lines = [json.loads(line) for line in options.file.read_text().splitlines()] if options.file.exists() else []
+    done = {(one["kind"], one["pace"], one["legs"], one["seed"]) for one in lines}
+    designs = [(float(pace), int(legs)) for pace, legs in (one.split("x") for one in options.designs.split(","))]
+    with options.file.open("a") as file:
+        for seed in range(options.records):
+            for kind in options.kinds.split(","):
+                for pace, legs in designs:
+                    if (kind, pace, legs, seed) not in done:
+                        named = {"kind": kind, "pace": pace, "legs": legs, "seed": seed}
+                        lines.append(named | judged(kind, pace, legs, seed))
+                        print(json.dumps(lines[-1]), file=file, flush=True)
+    table(lines)
+
+
+if __name__ == "__main__":
+    main()
