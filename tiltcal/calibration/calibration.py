@@ -195,7 +195,7 @@ class Calibration:
         InputError
             A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
         """
-        from tiltcal.logs.frames import apply_frame
+        from tiltcal.logs.apply import apply_frame
 
         return apply_frame(
             *(self, frame),

@@ -152,7 +152,7 @@ class CalibrationLibrary:
         UsageError, InputError
             As :meth:`Calibration.apply`, and where no calibration fits the frame.
         """
-        from tiltcal.logs.frames import apply_frame
+        from tiltcal.logs.apply import apply_frame
 
         return apply_frame(self, frame, serial=serial, stability=stability, start=start, **options)
 

@@ -72,7 +72,7 @@ class PairCalibration:
         InputError
             A column is not there or holds no numbers.
         """
-        from tiltcal.logs.frames import apply_frame
+        from tiltcal.logs.apply import apply_frame
 
         return apply_frame(self, frame)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tiltcal.logs.apply_summary import ApplySummary
 from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, locate_columns, named_columns, require_unit
@@ -136,6 +136,51 @@ def apply_log(
             writer = create_log(output, sink, reader, prepared.columns, prepared.origin, rows.units)
             writer.write(rows.blocks(frames=writer.frames))
     return rows.summary
+
+
+def apply_frame(
+    calibration: Calibration | PairCalibration | CalibrationLibrary,
+    frame: Any,
+    *,
+    columns: Mapping[str, str] | str = "",
+    unit: str | None = None,
+    **options: Any,
+) -> Any:
+    """Apply a calibration to a frame.
+
+    Parameters
+    ----------
+    frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
+        A column for each reading, and for the temperature in °C where there is one.
+    columns : mapping of str to str, or str
+        The column of each reading, such as ``{"x": "VoutX"}``; without it, the column of its name.
+    unit : str, optional
+        Of the readings; an xarray Dataset states it itself.
+    **options
+        Those of :class:`ApplyOptions`.
+
+    Returns
+    -------
+    frame
+        The same kind, with the columns that ``tiltcal apply`` adds to a log, and their values to the last bit.
+
+    Raises
+    ------
+    UsageError
+        The frame is of no known kind, or has a column of a name that the result needs.
+    InputError
+        A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
+    """
+    from tiltcal.logs.frames import FrameReader
+
+    reader = FrameReader(frame, unit=unit)
+    prepared = prepare_any(calibration, ApplyOptions(**options))(reader, columns)
+    log = CompensatedLog.of(reader, prepared, columns)
+    blocks = list(log.blocks())
+    if prepared.averaging is not None:
+        return reader.of_means(blocks, log.channels, log.units)
+    ((_block, table),) = blocks
+    return reader.with_columns(table, log.channels, log.units)
 
 
 def prepare_any(

@@ -14,62 +14,13 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.apply import CompensatedLog, prepare_any
 from tiltcal.logs.cf_attributes import describe, same_unit, seconds_since_1970
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
-from tiltcal.logs.prepared_calibration import ApplyOptions
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from tiltcal.calibration.calibration import Calibration
-    from tiltcal.calibration.calibration_library import CalibrationLibrary
-    from tiltcal.calibration.pair_calibration import PairCalibration
-
 Units = Mapping[str, str | None]
-
-
-def apply_frame(
-    calibration: Calibration | PairCalibration | CalibrationLibrary,
-    frame: Any,
-    *,
-    columns: Mapping[str, str] | str = "",
-    unit: str | None = None,
-    **options: Any,
-) -> Any:
-    """Apply a calibration to a frame.
-
-    Parameters
-    ----------
-    frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
-        A column for each reading, and for the temperature in °C where there is one.
-    columns : mapping of str to str, or str
-        The column of each reading, such as ``{"x": "VoutX"}``; without it, the column of its name.
-    unit : str, optional
-        Of the readings; an xarray Dataset states it itself.
-    **options
-        Those of :class:`ApplyOptions`.
-
-    Returns
-    -------
-    frame
-        The same kind, with the columns that ``tiltcal apply`` adds to a log, and their values to the last bit.
-
-    Raises
-    ------
-    UsageError
-        The frame is of no known kind, or has a column of a name that the result needs.
-    InputError
-        A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
-    """
-    reader = FrameReader(frame, unit=unit)
-    prepared = prepare_any(calibration, ApplyOptions(**options))(reader, columns)
-    log = CompensatedLog.of(reader, prepared, columns)
-    blocks = list(log.blocks())
-    if prepared.averaging is not None:
-        return reader.of_means(blocks, log.channels, log.units)
-    ((_block, table),) = blocks
-    return reader.with_columns(table, log.channels, log.units)
 
 
 class FrameReader(LogReader):

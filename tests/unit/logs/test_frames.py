@@ -17,10 +17,9 @@ from support import FIXTURES
 
 from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.apply import apply_log
+from tiltcal.logs.apply import apply_frame, apply_log
 from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import open_log
-from tiltcal.logs.frames import apply_frame
 from tiltcal.logs.log import LogBlock
 from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
 
