@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import inf, sqrt
 
 import numpy as np
@@ -41,8 +42,8 @@ CORRELATED = 4.0
 POSSIBLE = 1.5
 """The same from which it counts, without a remark: white noise shows as much in one session of fifteen."""
 
-UPPER, LIKELY = 2.0, 1.0
-"""Standard deviations of the correlation within which the longest correlation time counts, above both limits."""
+MARGIN = 0.5
+"""Standard deviations of the correlation by which the correlation time may be longer than the most probable one."""
 
 SPREAD = 0.27
 """Standard deviation of the correlation of ten block means of white noise."""
@@ -55,6 +56,9 @@ TIMES = np.geomspace(0.02, 30.0, 400)
 
 ENOUGH = 5.0
 """Correlation times that a block should have."""
+
+LOGARITHMS = np.linspace(-15.0, 25.0, 161)
+"""Of the variable of integration for the mean of a ratio: the integrand is smooth in it, and nothing is beyond."""
 
 HARMONICS = np.arange(1, 1001)
 
@@ -94,10 +98,10 @@ def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | No
 
     Notes
     -----
-    The noise is taken for one with an exponential memory. Where the correlation is no chance, the factor is that of the
-    longest correlation time within two standard deviations of what was found, because the record is too short to show
-    it better. A memory of a third of a block hardly shows in twelve positions and takes a fifth off the uncertainty:
-    where the correlation may be chance, the longest correlation time within one standard deviation counts.
+    The noise is taken for one with an exponential memory. The factor is that of a correlation time half a standard
+    deviation above the one whose mean correlation was found, because too short a time costs more than too long a one. A
+    memory of a third of a block hardly shows in twelve positions and takes a fifth off the uncertainty: it counts
+    before it is certain.
     """
     found = [summary.correlation for summary in summaries if summary.correlation is not None]
     if not found:
@@ -107,25 +111,40 @@ def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | No
     if above <= POSSIBLE:
         return None
     certain = above > CORRELATED
-    shown, factors = np.array([_of_correlation_time(time) for time in TIMES.tolist()]).T
-    place = min(int(np.searchsorted(shown, mean + (UPPER if certain else LIKELY) * error)), len(TIMES) - 1)
+    shown, factors = _by_correlation_time()
+    place = min(int(np.searchsorted(shown, mean + MARGIN * error)), len(TIMES) - 1)
     return CorrelatedNoise(float(factors[place]), max(ENOUGH * float(TIMES[place]), 1.0), certain)
 
 
-def _of_correlation_time(time: float) -> tuple[float, float]:
-    """Return the expected correlation of block means, and the true over the apparent uncertainty of their mean."""
+@cache
+def _by_correlation_time() -> tuple[Array, Array]:
+    """Return, for each of :data:`TIMES`, the mean correlation of block means, and true over apparent uncertainty.
+
+    Notes
+    -----
+    Both are of means about their own mean, so that the correlation is a ratio of two quadratic forms of normal numbers.
+    With the eigenvalues l of the means' covariance and the diagonal a of the numerator in its eigenvectors, times l,
+    its expectation is the integral of ``sum_i a_i / (1 + 2 t l_i) / prod_j sqrt(1 + 2 t l_j)`` over t from 0 up.
+
+    Source: J. R. Magnus, *The exact moments of a ratio of quadratic forms in normal variables*, Annales d'Économie et
+    de Statistique 4 (1986) 95, theorem 6.
+    """
+    time = TIMES[:, None]
     lag = np.arange(1, BLOCKS)
     inner = 2.0 * time**2 * (1.0 / time - 1.0 + np.exp(-1.0 / time))
     outer = time**2 * np.exp(-(lag - 1.0) / time) * (1.0 - np.exp(-1.0 / time)) ** 2
-    by_lag = np.concatenate([[inner], outer])
     k = np.arange(BLOCKS)
-    covariance = by_lag[np.abs(k[:, None] - k)]
+    covariance = np.hstack([inner, outer])[:, np.abs(k[:, None] - k)]
     centred = np.eye(BLOCKS) - 1.0 / BLOCKS
     about_mean = centred @ covariance @ centred
-    scatter = float(np.trace(about_mean))
-    return float(np.trace(about_mean, offset=1)) / scatter, sqrt(
-        float(covariance.mean()) * BLOCKS * (BLOCKS - 1) / scatter
-    )
+    scatter = np.trace(about_mean, axis1=1, axis2=2)
+    factors = np.sqrt(covariance.mean(axis=(1, 2)) * BLOCKS * (BLOCKS - 1) / scatter)
+    size, vectors = np.linalg.eigh(about_mean / scatter[:, None, None])
+    neighbours = np.sum(vectors[:, :-1] * vectors[:, 1:], axis=1) * size
+    t = np.exp(LOGARITHMS)
+    grown = 1.0 + 2.0 * size[:, :, None] * t
+    summed = np.sum(neighbours[:, :, None] / grown, axis=1) / np.sqrt(np.prod(grown, axis=1))
+    return np.asarray(summed @ t * (LOGARITHMS[1] - LOGARITHMS[0])), factors
 
 
 def noise_of_means(

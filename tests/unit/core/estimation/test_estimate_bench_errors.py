@@ -18,7 +18,13 @@ from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObs
 from tiltcal.core.estimation.estimate import LEAN_NOT_SHOWN, Estimate, estimate
 from tiltcal.core.estimation.hysteresis import largest_loops, with_hysteresis
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predicted_covariance
-from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, noise_under_rounding
+from tiltcal.core.estimation.pooling import (
+    TIMES,
+    _by_correlation_time,
+    correlated_noise,
+    noise_of_means,
+    noise_under_rounding,
+)
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import Mounting
 from tiltcal.core.mounting import mounting_matrix
@@ -128,6 +134,18 @@ class TestCorrelatedNoise:
             alarms.append(correlated is not None and correlated.certain and "at least" in correlated.note)
         assert np.mean(hits) >= 0.93 - 3 * np.std(hits) / sqrt(20)
         assert np.mean(alarms) > 0.8
+
+    def test_the_mean_of_what_is_expected_of_short_records(self) -> None:
+        """3,000 autoregressive records of 300 samples, 200 of them a correlation time: mean and true factor."""
+        noise = lfilter([1.0], [1.0, -0.995], np.random.default_rng(12).standard_normal((3000, 2600)), axis=1)[:, 2300:]
+        blocks = noise.reshape(3000, 10, 30).mean(axis=2)
+        off = blocks - blocks.mean(axis=1, keepdims=True)
+        squares = np.sum(off**2, axis=1)
+        expected, factors = _by_correlation_time()
+        place = np.searchsorted(TIMES, -1.0 / np.log(0.995) / 30)
+        mean = np.mean(np.sum(off[:, :-1] * off[:, 1:], axis=1) / squares)
+        assert expected[place] == pytest.approx(mean, abs=0.012)
+        assert factors[place] == pytest.approx(np.std(blocks.mean(axis=1)) / np.sqrt(np.mean(squares) / 90), rel=0.05)
 
     def test_white_noise_raises_no_alarm(self) -> None:
         rng = np.random.default_rng(6)
