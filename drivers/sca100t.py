@@ -277,6 +277,18 @@ class Sca100tVariant:
     range: float
     offset_limit: float
     nonlinearity: float
+    zero: float = float(ZERO)
+
+    @property
+    def population(self) -> Population:
+        """The mean temperature curves of the data sheet."""
+        return population(
+            self.counts_per_g,
+            POPULATION_DRIFT,
+            POPULATION_GAIN,
+            (DRIFT_SPREAD, GAIN_SPREAD),
+            "SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
+        )
 
 
 SENSITIVITY_LIMIT = 0.005
@@ -342,7 +354,7 @@ def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
         unit="count",
         schemes=("spi",),
         addresses=("spi:///dev/spidev0.0",),
-        offset=float(ZERO),
+        offset=variant.zero,
         sensitivity=variant.counts_per_g,
         offset_spread=sin(radians(variant.offset_limit)) / sqrt(3.0),
         sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
@@ -352,13 +364,7 @@ def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
         interval=0.010,
         thermometer=True,
         thermometer_step=1.0 / 1.083,
-        population=population(
-            variant.counts_per_g,
-            POPULATION_DRIFT,
-            POPULATION_GAIN,
-            (DRIFT_SPREAD, GAIN_SPREAD),
-            "SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
-        ),
+        population=variant.population,
         driver=Sca100t,
         twin=from_twin("sca100t", "Sca100tTwin"),
         not_modelled=NOT_MODELLED,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.adxl202 import SENSITIVITY_LIMIT, ZERO, Adxl202Variant
 from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges
 from tiltcal.drivers.nmea import checksum
-from tiltcal.drivers.twin.noise import normal, uniform
+from tiltcal.drivers.twin.noise import normal, tolerances, uniform
 from tiltcal.drivers.twin.streaming import StreamingTwin, answer_in_line
 from tiltcal.drivers.twin.truth import Truth
 
@@ -140,8 +140,7 @@ def draw_truth(variant: Adxl202Variant, seed: int) -> Truth:
     """
     channels = ("x", "y")
 
-    def within(limit: float, name: str) -> float:
-        return limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
+    within = tolerances(seed)
 
     def row(channel: str) -> dict[str, float]:
         own = variant.duty_per_g * (1.0 + within(SENSITIVITY_LIMIT, f"sensitivity {channel}"))

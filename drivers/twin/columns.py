@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.columns import TEMPERATURE, ColumnLayout
-from tiltcal.drivers.twin.noise import normal, uniform
+from tiltcal.drivers.twin.noise import normal, tolerances
 from tiltcal.drivers.twin.streaming import StreamingTwin
 from tiltcal.drivers.twin.truth import Truth
 
@@ -63,9 +63,7 @@ def draw_truth(channels: tuple[str, ...], offset: float, sensitivity: float, see
     seed : int
         The same seed is the same device.
     """
-
-    def within(limit: float, name: str) -> float:
-        return limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
+    within = tolerances(seed)
 
     def row(channel: str) -> dict[str, float]:
         return {

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import cos, pi, sin
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
-from tiltcal.drivers.twin.noise import normal, uniform
+from tiltcal.drivers.twin.noise import normal, tolerances, uniform
 from tiltcal.drivers.twin.truth import Truth
 from tiltcal.errors import BusError
 
@@ -327,9 +327,7 @@ def draw_truth(channels: tuple[str, ...], counts_per_g: float, spread: Spread, s
     seed : int
         The same seed is the same part.
     """
-
-    def within(limit: float, name: str) -> float:
-        return limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
+    within = tolerances(seed)
 
     def row(channel: str) -> dict[str, float]:
         own = counts_per_g * (1.0 + within(spread.sensitivity, f"sensitivity {channel}"))

@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from math import comb, cos, exp, log, pi, radians, sin
+from dataclasses import dataclass, replace
+from math import comb, exp, log, radians, sin
 from typing import TYPE_CHECKING, ClassVar
 
 from tiltcal.drivers.sca100t import (
     CROSS_AXIS_LIMIT,
-    DRIFT_SPREAD,
     FULL_SCALE,
-    GAIN_SPREAD,
     LOWEST_SANE_WORD,
     MEAS,
-    POPULATION_DRIFT,
-    POPULATION_GAIN,
     RDAX,
     RDAY,
     RWTR,
     SENSITIVITY_LIMIT,
     STX,
     STY,
-    ZERO,
     Sca100tVariant,
 )
-from tiltcal.drivers.twin.noise import normal, uniform
+from tiltcal.drivers.twin import counts
+from tiltcal.drivers.twin.counts import REFERENCE, Spread
+from tiltcal.drivers.twin.noise import normal, tolerances, uniform
 from tiltcal.drivers.twin.truth import Polynomial, Truth
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.sca103t import OneAxisPart
     from tiltcal.drivers.twin.fixture import HeldPose, Vector
     from tiltcal.drivers.twin.truth import Fault
 
@@ -208,10 +206,6 @@ class Push:
         return goal + (self.start - goal) * exp(-elapsed * log(20.0) / typical)
 
 
-REFERENCE = 25.0
-"""Temperature of the errors of a simulated part as delivered, °C."""
-
-
 def draw_truth(variant: Sca100tVariant, seed: int) -> Truth:
     """Return a plausible part, with errors uniformly distributed within the tolerances of the datasheet.
 
@@ -223,54 +217,53 @@ def draw_truth(variant: Sca100tVariant, seed: int) -> Truth:
     Returns
     -------
     Truth
-        With noise of 0.6 count (the datasheet's 0.0008 °/√Hz is far below the 11-bit step; a bench is not), a
-        thermometer within 2 °C (the datasheet calls it untrimmed and gives no limit), a jig of 0.01° and a chamber with
-        a time constant of 20 s, all three ours.
+        With noise of 0.6 count: the datasheet's 0.0008 °/√Hz is far below the 11-bit step; a bench is not.
     """
-    channels = ("x", "y")
+    within = tolerances(seed)
+    # Each term has half of the tolerance, so that their sum keeps it at the end of the range.
+    half = sin(radians(variant.nonlinearity)) / 2.0
+    return replace(
+        draw_inclinometer(variant, ("x", "y"), 0.6, seed),
+        nonlinearity={
+            channel: (
+                within(half, f"quadratic {channel}") / variant.range**2,
+                within(half, f"cubic {channel}") / variant.range**3,
+            )
+            for channel in "xy"
+        },
+    )
 
-    def within(limit: float, name: str) -> float:
-        return limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
 
-    def row(channel: str) -> dict[str, float]:
-        own = variant.counts_per_g * (1.0 + within(SENSITIVITY_LIMIT, f"sensitivity {channel}"))
-        cross, direction = within(CROSS_AXIS_LIMIT, f"cross {channel}"), within(pi, f"direction {channel}")
-        other = "y" if channel == "x" else "x"
-        return {channel: own, other: own * cross * cos(direction), "z": own * cross * sin(direction)}
+def draw_inclinometer(part: Sca100tVariant | OneAxisPart, channels: tuple[str, ...], noise: float, seed: int) -> Truth:
+    """Draw a part within its tolerances, whose drift and sensitivity follow the data sheet's mean curves.
 
-    def drift(channel: str) -> Polynomial:
-        linear, *higher = recentred(POPULATION_DRIFT, REFERENCE)[1:]
-        degrees = (linear + within(DRIFT_SPREAD, f"drift {channel}"), *higher)
-        return tuple(variant.counts_per_g * radians(k) for k in degrees)
+    The thermometer within 2 °C (the data sheets call it untrimmed and give no limit) and the fixture are ours.
 
-    def gain(channel: str) -> Polynomial:
-        mean, linear, *higher = recentred(POPULATION_GAIN, REFERENCE)
-        percent = (linear + within(GAIN_SPREAD, f"gain {channel}"), *higher)
-        return tuple(k / (100.0 + mean) for k in percent)
-
-    def bend(channel: str) -> Polynomial:
-        # Each term has half of the tolerance, so that their sum keeps it at the end of the range.
-        half = sin(radians(variant.nonlinearity)) / 2.0
-        return (
-            within(half, f"quadratic {channel}") / variant.range**2,
-            within(half, f"cubic {channel}") / variant.range**3,
-        )
-
-    offset_limit = variant.counts_per_g * sin(radians(variant.offset_limit))
-    return Truth(
-        channels=channels,
-        offset={channel: ZERO + within(offset_limit, f"offset {channel}") for channel in channels},
-        sensitivity={channel: row(channel) for channel in channels},
-        reference=REFERENCE,
-        drift={channel: drift(channel) for channel in channels},
-        gain={channel: gain(channel) for channel in channels},
-        nonlinearity={channel: bend(channel) for channel in channels},
-        noise=dict.fromkeys(channels, 0.6),
-        thermometer_error=within(2.0, "thermometer"),
-        seed=seed,
-        jig=0.01,
-        ambient=24.0,
-        time_constant=20.0,
+    Parameters
+    ----------
+    noise : float
+        Standard deviation of a reading, count.
+    """
+    spread = Spread(
+        offset=sin(radians(part.offset_limit)),
+        sensitivity=SENSITIVITY_LIMIT,
+        cross=CROSS_AXIS_LIMIT,
+        drift=part.population.drift_spread / part.counts_per_g,
+        gain=part.population.gain_spread,
+        noise=noise / part.counts_per_g,
+        thermometer=2.0,
+    )
+    truth = counts.draw_truth(channels, part.counts_per_g, spread, seed)
+    _, slope, *higher = recentred(part.population.drift, REFERENCE)
+    mean, steepness, *bends = recentred(part.population.gain, REFERENCE)
+    return replace(
+        truth,
+        offset={channel: part.zero + offset for channel, offset in truth.offset.items()},
+        drift={channel: (slope + drift, *higher) for channel, (drift,) in truth.drift.items()},
+        gain={
+            channel: tuple(k / (1.0 + mean) for k in (steepness + gain, *bends))
+            for channel, (gain,) in truth.gain.items()
+        },
     )
 
 

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from math import radians, sin, sqrt
+from math import sqrt
 from typing import TYPE_CHECKING, ClassVar
 
-from tiltcal.drivers.sca100t import CROSS_AXIS_LIMIT, FULL_SCALE, RDAX, SENSITIVITY_LIMIT, ZERO
-from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import REFERENCE, Spread
-from tiltcal.drivers.twin.sca100t import POINTS_DOWN, Instant, Sca100tTwin, recentred
-from tiltcal.drivers.twin.truth import Truth
+from tiltcal.drivers.sca100t import FULL_SCALE, RDAX, ZERO
+from tiltcal.drivers.twin.sca100t import POINTS_DOWN, Instant, Sca100tTwin, draw_inclinometer
 
 if TYPE_CHECKING:
     from tiltcal.drivers.sca103t import OneAxisPart
+    from tiltcal.drivers.twin.truth import Truth
 
 
 class Sca61tTwin(Sca100tTwin):
@@ -36,25 +33,5 @@ class Sca103tTwin(Sca100tTwin):
 
 
 def draw_truth(part: OneAxisPart, seed: int) -> Truth:
-    """Draw a part within its tolerance, whose drift and sensitivity follow the data sheet's mean curves.
-
-    The noise of 0.6 count (0.8 of a difference), the thermometer within 2 °C and the fixture are ours.
-    """
-    spread = Spread(
-        offset=sin(radians(part.offset_limit)),
-        sensitivity=SENSITIVITY_LIMIT,
-        cross=CROSS_AXIS_LIMIT,
-        drift=part.population.drift_spread / part.counts_per_g,
-        gain=part.population.gain_spread,
-        noise=(0.8 if part.differential else 0.6) / part.counts_per_g,
-        thermometer=2.0,
-    )
-    truth = counts.draw_truth(("x",), part.counts_per_g, spread, seed)
-    _, slope, *higher = recentred(part.population.drift, REFERENCE)
-    mean, steepness, *bends = recentred(part.population.gain, REFERENCE)
-    return replace(
-        truth,
-        offset={"x": part.zero + truth.offset["x"]},
-        drift={"x": (slope + truth.drift["x"][0], *higher)},
-        gain={"x": tuple(k / (1.0 + mean) for k in (steepness + truth.gain["x"][0], *bends))},
-    )
+    """Draw a part with our noise of 0.6 count, 0.8 of a difference."""
+    return draw_inclinometer(part, ("x",), 0.8 if part.differential else 0.6, seed)

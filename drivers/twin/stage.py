@@ -8,7 +8,7 @@ from math import radians
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.twin.gradiometer import CHANNELS, Accelerometer, Disk, Gradiometer
-from tiltcal.drivers.twin.noise import uniform
+from tiltcal.drivers.twin.noise import tolerances
 from tiltcal.drivers.twin.streaming import StreamingTwin
 from tiltcal.drivers.twin.truth import Truth
 
@@ -68,9 +68,7 @@ def draw_truth(seed: int) -> StageTruth:
     seed : int
         The same seed is the same disk.
     """
-
-    def within(limit: float, name: str) -> float:
-        return limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
+    within = tolerances(seed)
 
     parts = tuple(
         Accelerometer(
