@@ -443,7 +443,8 @@ def _refitted(row: Sequence[str], line: str, fields: int) -> str:
         return ",".join([_in_quotes(line), *[""] * (fields - 1)])
     if len(row) < fields:
         return line + "," * (fields - len(row))
-    return ",".join([*row[: fields - 1], _in_quotes(",".join(row[fields - 1 :]))])
+    kept = [_in_quotes(one) if "\r" in one else one for one in row[: fields - 1]]
+    return ",".join([*kept, _in_quotes(",".join(row[fields - 1 :]))])
 
 
 def _in_quotes(text: str) -> str:

@@ -305,3 +305,10 @@ def test_a_time_that_no_calendar_reaches_is_missing() -> None:
     (block,) = log(content).rows([0, 1], time=0, frames=True)
     assert block.frame is not None
     assert block.frame["time"].is_null().to_list() == [False, True, True]
+
+
+def test_a_bad_row_with_a_carriage_return_in_a_field_is_kept() -> None:
+    (block,) = log(b"name,x,y\na\rb,1,2,3\nc,4,5\n", skip=True).rows([1], frames=True)
+    assert block.frame is not None
+    assert block.frame["name"].to_list() == ["a\rb", "c"]
+    assert block.frame["y"].to_list() == [None, 5.0]
