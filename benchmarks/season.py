@@ -203,11 +203,42 @@ def folder_of_many(folder: Path) -> None:
         )
 
 
+def with_punpy(folder: Path) -> None:
+    """The mean of 10,000 rows, stated by tiltcal, and by punpy from the file of 1,000 means of ten rows."""
+    try:
+        import punpy
+    except ImportError:
+        print("punpy       is not installed: pip install punpy")
+        return
+    import xarray
+
+    draw, n = np.random.default_rng(5), 10_000
+    names = ["offset.x", "offset.y", "sensitivity.x.x", "sensitivity.y.y"]
+    stated = uncertain(names, np.diag([4.0, 4.0, 4.0, 4.0]), 20.0, ["x", "y"])
+    path = calibration(folder, "punpy", [1000.0, 1000.0], 820.0 * np.eye(2), stated)
+    readings = [1280.0, 1100.0] + 20.0 * draw.normal(size=(n, 2))
+    columns = {axis: ("time", readings[:, k], {"units": "count"}) for k, axis in enumerate("xy")}
+    xarray.Dataset(columns).to_netcdf(folder / "log.nc", engine="h5netcdf")
+    made = {}
+    for count in (10, n):
+        tiltcal.apply_log(path, folder / "log.nc", folder / f"{count}.nc", average=count, uncertainty=True)
+        made[count] = xarray.load_dataset(folder / f"{count}.nc", engine="h5netcdf")
+    tilt = made[10]["tilt_x"]
+    propagation = punpy.MCPropagation(40_000, parallel_cores=1)
+    ways = {"random": propagation.propagate_random, "systematic": propagation.propagate_systematic}
+    for name in tilt.attrs["unc_comps"]:
+        form = made[10][name].attrs["err_corr_1_form"]
+        found = ways[form](lambda x: np.array([np.mean(x)]), [tilt.values], [made[10][name].values])
+        own = float(made[n][name][0])
+        print(f"punpy       {form}: {found[0]:.5f}°, tiltcal {own:.5f}°, ratio {found[0] / own:.4f}")
+
+
 STUDIES: dict[str, Callable[[Path], None]] = {
     "heading": heading,
     "between": between,
     "means": means,
     "folder": folder_of_many,
+    "punpy": with_punpy,
 }
 
 

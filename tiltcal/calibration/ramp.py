@@ -272,7 +272,7 @@ def _ramp_record(fit: RampFit, channels: Sequence[str]) -> RampFitRecord:
 
 
 def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
-    lag = f"a thermal lag of {fit.found_lag:.3g} ± {2.0 * fit.u_lag:.2g} s"
+    lag = f"a thermal lag of {fit.found_lag:.3g} ± {fit.u_lag:.2g} s"
     explains = ", ".join(
         f"{channel} {100.0 * part:.0f} %" for channel, part in zip(design.channels, fit.explained.tolist(), strict=True)
     )
