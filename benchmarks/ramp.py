@@ -34,7 +34,7 @@ DESIGNS = ((1.0, 4), (0.5, 2), (1.0, 3))
 
 KINDS = {
     "lag": "one lag of 120 s",
-    "quiet": "the same with noise of 0.02",
+    "quiet": "one lag of 120 s, noise of 0.02 units",
     "negative": "the thermometer 120 s behind the element",
     "none": "no lag",
     "parallel": "0.6 of 60 s beside 0.4 of 400 s",
@@ -44,7 +44,7 @@ KINDS = {
     "wander": "a random walk of 1 unit in all",
     "slow": "noise of 0.7 units that lasts a fifth of the record",
     "thermometer": "noise of 0.2 °C in the thermometer",
-    "both": "the same and a lag of 120 s",
+    "both": "noise of 0.2 °C in the thermometer, and a lag of 120 s",
 }
 
 
@@ -135,7 +135,7 @@ def table(lines: list[dict[str, Any]]) -> None:
     groups = defaultdict(list)
     for one in lines:
         groups[one["kind"], one["pace"], one["legs"]].append(one)
-    print(f"{'':52} °C/min legs    n  refused  holds %   lag used    lag s     error / alone")
+    print(f"{'':58} °C/min legs    n  refused  holds %   lag used    lag s     error / alone")
     for (kind, pace, legs), all_ in sorted(groups.items(), key=lambda group: [*KINDS].index(group[0][0])):
         fits = [one for one in all_ if "held" in one]
         held, lags = np.array([one["held"] for one in fits]), np.array([one["lag"] for one in fits])
@@ -144,7 +144,7 @@ def table(lines: list[dict[str, Any]]) -> None:
             100 * np.mean([one["used"] for one in fits]),
         )
         print(
-            f"{KINDS[kind]:52} {pace:5.2f} {legs:4} {len(all_):4} {len(all_) - len(fits):8}"
+            f"{KINDS[kind]:58} {pace:5.2f} {legs:4} {len(all_):4} {len(all_) - len(fits):8}"
             f"   {100 * held.mean():5.1f}±{100 * held.std() / len(held) ** 0.5:3.1f}"
             f"   {used:4.0f} %  {lags.mean():7.1f}±{lags.std():4.1f}   {ratio:.3f}"
         )
