@@ -117,16 +117,16 @@ def test_coefficients_of_no_sensor_are_refused(
         calibrated(sphere(18), 1e-3, np.random.default_rng(5))
 
 
-def test_residuals_luckier_than_the_noise_are_not_believed() -> None:
+def test_residuals_smaller_than_the_noise_do_not_shrink_the_uncertainty() -> None:
     """By hand: with S near 1 each attitude gives one length, uncertain by the noise, for nine unknowns."""
     up = sphere(11)
     rows = [(a, b) for a in range(3) for b in range(a, 3)]
     design = np.hstack([up, np.stack([up[:, a] * up[:, b] for a, b in rows], axis=1)])
     noise = 1e-3 * np.linalg.norm(np.linalg.pinv(design)[2])
     found = [calibrated(up, 1e-3, np.random.default_rng(seed)) for seed in range(12)]
-    lucky = [one for one in found if any("luck" in note for note in one.fit.notes)]
-    assert 3 <= len(lucky) <= 11
-    for one in lucky:
+    small = [one for one in found if any("smaller than the noise" in note for note in one.fit.notes)]
+    assert 3 <= len(small) <= 11
+    for one in small:
         assert one.uncertainty["offset.z"] == pytest.approx(noise, rel=0.1)
         assert one.uncertainty.coverage_factor["offset.z"] == pytest.approx(1.96, abs=0.03)
     assert all(one.uncertainty["offset.z"] > 0.95 * noise for one in found)
