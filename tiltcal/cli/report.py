@@ -14,9 +14,9 @@ from tiltcal.errors import EstimateError, UsageError
 if TYPE_CHECKING:
     from tiltcal.files.calibration import CalibrationRecord
     from tiltcal.files.pair import PairRecord
+    from tiltcal.files.records import FileRecord
     from tiltcal.report.log_section import ReportedLog
     from tiltcal.report.pair_page import Spectrum
-    from tiltcal.report.provenance import FileFacts
 
 _EXAMPLES = """\b
 Examples:
@@ -140,7 +140,7 @@ def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: st
         return ReportedLog(Path(rows.name).name, rows.sha256, overview, compensated, time is not None)
 
 
-def _pair_page(calibration: PairRecord, source: FileFacts, logs: Sequence[str], skip_bad_rows: bool) -> str:
+def _pair_page(calibration: PairRecord, source: FileRecord, logs: Sequence[str], skip_bad_rows: bool) -> str:
     from tiltcal.report.pair_page import pair_page
 
     spectra = [_spectrum(log, number, calibration, skip_bad_rows) for number, log in enumerate(logs, start=1)]
@@ -171,9 +171,8 @@ def _spectrum(log: str, number: int, calibration: PairRecord, skip_bad_rows: boo
     )
 
 
-def _source(name: str) -> FileFacts:
-    from hashlib import sha256
+def _source(name: str) -> FileRecord:
+    from tiltcal.files.records import FileRecord
+    from tiltcal.logs.streams import sha256_of
 
-    from tiltcal.report.provenance import FileFacts
-
-    return FileFacts(Path(name).name, sha256(Path(name).read_bytes()).hexdigest())
+    return FileRecord(name=Path(name).name, sha256=sha256_of(name))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from hashlib import sha256
 from pathlib import Path
 
 from tiltcal.errors import UsageError
@@ -37,7 +36,7 @@ class BaseFile:
     @property
     def origin(self) -> FileRecord | None:
         """Its name and SHA-256."""
-        return None if self.name is None else FileRecord(name=self.name, sha256=sha256(self.text.encode()).hexdigest())
+        return None if self.name is None else FileRecord.of_text(self.name, self.text)
 
 
 BASE = Section(BaseFile)

@@ -6,6 +6,7 @@ No angle is computed with them. A report shows them, ``check`` judges them and a
 from __future__ import annotations
 
 from collections.abc import Mapping
+from hashlib import sha256
 from typing import Any
 
 from tiltcal.files.declaration import (
@@ -377,13 +378,16 @@ class FileRecord:
     name: str = entry(Text(), "its name")
     sha256: str | None = entry(Text(), "the SHA-256 of its bytes", default=None)
 
+    @classmethod
+    def of_text(cls, name: str, text: str) -> FileRecord:
+        """Return the record of a file with this text."""
+        return cls(name=name, sha256=sha256(text.encode()).hexdigest())
+
 
 @frozen(kw_only=True)
-class LogRecord:
+class LogRecord(FileRecord):
     """A log that was read."""
 
-    name: str = entry(Text(), "its name")
-    sha256: str | None = entry(Text(), "the SHA-256 of its bytes", default=None)
     rows: int | None = entry(Integer(minimum=0), "how many rows it has", default=None)
     missing: int | None = entry(Integer(minimum=0), "how many of them were left out", default=None)
 

@@ -16,11 +16,12 @@ from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.pair import PairRecord, dump_pair
+from tiltcal.files.records import FileRecord
 from tiltcal.report.figure import SvgFigure, picture
 from tiltcal.report.number_format import AlignedNumber, column, grouped, measured, plain
 from tiltcal.report.page import render, require_extra
 from tiltcal.report.pair_figures import PairDrawing, draw_spectra
-from tiltcal.report.provenance import Fact, FileFacts, notice, provenance_facts
+from tiltcal.report.provenance import Fact, notice, provenance_facts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -110,10 +111,10 @@ def write_pair_page(path: str | Path, calibration: PairRecord) -> None:
     require_extra()
     check_writable(path)
     name = "pairs.yaml"
-    write_whole(path, pair_page(calibration, FileFacts.of_text(name, dump_pair(calibration))))
+    write_whole(path, pair_page(calibration, FileRecord.of_text(name, dump_pair(calibration))))
 
 
-def pair_page(calibration: PairRecord, source: FileFacts, spectra: Sequence[Spectrum] = ()) -> str:
+def pair_page(calibration: PairRecord, source: FileRecord, spectra: Sequence[Spectrum] = ()) -> str:
     """Return one HTML page that needs no other file; the same input gives the same page.
 
     Raises
@@ -132,7 +133,7 @@ def pair_page(calibration: PairRecord, source: FileFacts, spectra: Sequence[Spec
     )
 
 
-def _facts(calibration: PairRecord, source: FileFacts) -> list[Fact]:
+def _facts(calibration: PairRecord, source: FileRecord) -> list[Fact]:
     frequency = calibration.frequency
     said = [
         Fact("Turns of the stage", plain(calibration.turns, 6)),
@@ -142,9 +143,7 @@ def _facts(calibration: PairRecord, source: FileFacts) -> list[Fact]:
     ]
     return [
         *(fact for fact in said if fact.value),
-        *provenance_facts(calibration.provenance),
-        Fact("Calibration file", source.name),
-        Fact("SHA-256 of the file", source.sha256, code=True),
+        *provenance_facts(calibration.provenance, source),
     ]
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import Any
 
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.declaration import Section
-from tiltcal.files.records import CompletingRun, PairProvenance, Provenance
+from tiltcal.files.records import CompletingRun, FileRecord, PairProvenance, Provenance
 
 _VIRTUAL = "virtual"
 """The mark of a file that was made without a real sensor."""
@@ -39,19 +38,6 @@ _WORDS = {
 
 
 @dataclass(frozen=True)
-class FileFacts:
-    """The name and hash of a calibration file."""
-
-    name: str
-    sha256: str
-
-    @classmethod
-    def of_text(cls, name: str, text: str) -> FileFacts:
-        """Return the name and hash of a file with this text."""
-        return cls(name, sha256(text.encode()).hexdigest())
-
-
-@dataclass(frozen=True)
 class Fact:
     """One line of the head; ``code`` for text in a fixed-width font."""
 
@@ -60,22 +46,21 @@ class Fact:
     code: bool = False
 
 
-def facts(calibration: CalibrationRecord, source: FileFacts) -> list[Fact]:
+def facts(calibration: CalibrationRecord, source: FileRecord) -> list[Fact]:
     """Return what was calibrated, when and by whom, and the rest of the provenance."""
     sensor = calibration.sensor
     return [
         Fact("Sensor", sensor.model),
         Fact("Serial number", sensor.serial),
         Fact("Readings", f"{', '.join(sensor.channels)}, in {sensor.unit}"),
-        *provenance_facts(calibration.provenance),
-        Fact("Calibration file", source.name),
-        Fact("SHA-256 of the file", source.sha256, code=True),
+        *provenance_facts(calibration.provenance, source),
     ]
 
 
-def provenance_facts(provenance: Provenance | PairProvenance) -> list[Fact]:
-    """Return the content of a provenance, times first."""
-    return [fact for fact in _facts(provenance) if fact.value]
+def provenance_facts(provenance: Provenance | PairProvenance, source: FileRecord) -> list[Fact]:
+    """Return the content of a provenance, times first, and the calibration file that states it."""
+    file = Fact("Calibration file", source.name), Fact("SHA-256 of the file", source.sha256 or "", code=True)
+    return [fact for fact in (*_facts(provenance), *file) if fact.value]
 
 
 def _facts(provenance: Provenance | PairProvenance) -> Iterator[Fact]:

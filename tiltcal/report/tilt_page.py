@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
+from tiltcal.files.records import FileRecord
 from tiltcal.report.change_section import change_section
 from tiltcal.report.coefficients_section import (
     SOURCES,
@@ -19,7 +20,7 @@ from tiltcal.report.coefficients_section import (
 from tiltcal.report.fit_section import position_table, remarks, verdict
 from tiltcal.report.log_section import ReportedLog, log_section
 from tiltcal.report.page import render, require_extra
-from tiltcal.report.provenance import FileFacts, facts, notice, procedure_facts
+from tiltcal.report.provenance import facts, notice, procedure_facts
 from tiltcal.report.residual_figure import residual_figure
 from tiltcal.report.temperature_figure import temperature_figure
 from tiltcal.report.tilt_figure import tilt_figure
@@ -37,12 +38,12 @@ def write_tilt_page(path: str | Path, calibration: CalibrationRecord) -> None:
     require_extra()
     check_writable(path)
     name = f"{calibration.sensor.serial}.yaml"
-    write_whole(path, tilt_page(calibration, FileFacts.of_text(name, dump_calibration(calibration))))
+    write_whole(path, tilt_page(calibration, FileRecord.of_text(name, dump_calibration(calibration))))
 
 
 def tilt_page(
     calibration: CalibrationRecord,
-    source: FileFacts,
+    source: FileRecord,
     earlier: Sequence[tuple[CalibrationRecord, str]] = (),
     logs: Sequence[ReportedLog] = (),
 ) -> str:
@@ -50,7 +51,7 @@ def tilt_page(
 
     Parameters
     ----------
-    source : FileFacts
+    source : FileRecord
         The file that it was read from.
     earlier : sequence of (CalibrationRecord, str)
         Earlier calibrations of the sensor, with the names of their files.

@@ -18,6 +18,7 @@ from support.html_page import Page
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.records import (
+    FileRecord,
     FitRecord,
     PositionRecord,
     PositionSet,
@@ -26,10 +27,9 @@ from tiltcal.files.records import (
     SegmentsRecord,
     SuspectPosition,
 )
-from tiltcal.report.provenance import FileFacts
 from tiltcal.report.tilt_page import tilt_page
 
-SOURCE = FileFacts("S.yaml", "0" * 64)
+SOURCE = FileRecord(name="S.yaml", sha256="0" * 64)
 
 
 def golden(name: str) -> CalibrationRecord:
