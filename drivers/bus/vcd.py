@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 PREFACE = 20
 """Lines before the header that are skipped."""
 
+MOST_NS = 1 << 63
+"""The record of an edge holds times up to 292 years."""
+
 
 def open_vcd(address: Address, model: Model) -> VcdLink:
     """Open a ``vcd:`` address.
@@ -168,7 +171,7 @@ def _edges(path: str, tokens: Iterator[Any], names: tuple[str, str]) -> Iterator
     lines = {_code(path, signals, name): line for line, name in enumerate(names)}
     if len(lines) < len(names):
         raise BusError(f"{path}: signals {' and '.join(names)} are one and the same wire")
-    return _changes(tokens, lines, scale)
+    return _changes(path, tokens, lines, scale)
 
 
 def _header(path: str, tokens: Iterator[Any]) -> tuple[dict[str, str], Fraction]:
@@ -204,7 +207,7 @@ def _code(path: str, signals: dict[str, str], name: str) -> str:
     return found.get(name) or next(iter(found.values()))
 
 
-def _changes(tokens: Iterator[Any], lines: dict[str, int], scale: Fraction) -> Iterator[Edge]:
+def _changes(path: str, tokens: Iterator[Any], lines: dict[str, int], scale: Fraction) -> Iterator[Edge]:
     """Iterate over the edges; a signal's first value, and a value after x or z, is not an edge."""
     from vcd.reader import TokenKind
 
@@ -213,6 +216,8 @@ def _changes(tokens: Iterator[Any], lines: dict[str, int], scale: Fraction) -> I
     for token in tokens:
         if token.kind is TokenKind.CHANGE_TIME:
             time = token.data
+            if not 0 <= time * scale < MOST_NS:
+                raise BusError(f"{path}: it has a change at {time} steps of {scale} ns: is its time scale right?")
         elif token.kind in (TokenKind.CHANGE_SCALAR, TokenKind.CHANGE_VECTOR) and token.data.id_code in lines:
             line, value = lines[token.data.id_code], str(token.data.value)
             before, level[line] = level.get(line), value

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import degrees, inf
+from math import degrees, inf, radians
 
 import numpy as np
 
@@ -33,11 +33,15 @@ from tiltcal.core.estimation.variance_components import VarianceComponents, vari
 from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.core.uncertainty_budget import Budget
+from tiltcal.errors import EstimateError
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
 
 ROUNDS = 20
 """Most times that the jig is estimated anew at the solution that the last one gave; three to five are usual."""
+
+LARGEST_JIG = radians(45.0)
+"""Standard deviation of a set angle above which the positions are not those that were set, radians."""
 
 CLOSE = 1e-4
 """A relative change of the jig below which it is found."""
@@ -194,6 +198,11 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
     # The mere bound of a lean that the readings show is no evidence of it.
     table = system.table if system.table_stated or near.unobservable_leans else inf
     components = _components(replace(known, table=table), z, dof)
+    if components.angle > LARGEST_JIG:
+        raise EstimateError(
+            "the residuals are larger than any error of the set angles explains: are the positions named right, and "
+            "the readings plausible?"
+        )
     for _ in range(ROUNDS):
         before, last = known.jig, known
         known = _with_noise(replace(system, jig=components.angle), components.noise)

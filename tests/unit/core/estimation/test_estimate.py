@@ -303,6 +303,16 @@ class TestUnitGravityAlone:
             estimate(observations, self.FREE)
 
 
+def test_readings_that_have_nothing_to_do_with_the_positions_are_refused() -> None:
+    rng = np.random.default_rng(1)
+    observations = [
+        observe(str(k), up, *rng.normal(size=3), u=1e-6)
+        for k, up in enumerate(Rotation.random(12, rng).apply((0, 0, 1)))
+    ]
+    with pytest.raises(EstimateError, match="larger than any error of the set angles explains"):
+        estimate(observations, Design(("x", "y", "z"), ("x", "y", "z")))
+
+
 def test_a_square_and_a_cube_are_recovered() -> None:
     """Angles from -90 to 90°; the line bends by 2 % and 0.5 % of 1 g."""
     own = 820.0

@@ -149,9 +149,10 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, why: str) -> No
         opened(path)
 
 
-def test_damage_in_the_middle_is_an_error(hand_written: Path) -> None:
-    hand_written.write_text(HAND_WRITTEN.replace("#60", "&&&"))
-    with closing(opened(hand_written)) as link, pytest.raises(BusError, match="damaged"):
+@pytest.mark.parametrize(("time", "why"), [("&&&", "damaged"), ("#99999999999999999", "is its time scale right")])
+def test_damage_in_the_middle_is_an_error(hand_written: Path, time: str, why: str) -> None:
+    hand_written.write_text(HAND_WRITTEN.replace("#60", time))
+    with closing(opened(hand_written)) as link, pytest.raises(BusError, match=why):
         link.exchange(b"", 4096)
 
 
