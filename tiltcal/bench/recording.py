@@ -51,6 +51,11 @@ class CsvRecorder:
     ----------
     path : Path
         Made anew; an existing file is never touched.
+
+    Attributes
+    ----------
+    rows : int
+        How many it has below its header.
     """
 
     def __init__(self, path: Path, header: Sequence[str]) -> None:
@@ -61,7 +66,8 @@ class CsvRecorder:
         except OSError as error:
             raise UsageError(f"cannot write {path}: {error.strerror}") from None
         self._path = path
-        self._size = 0
+        self._size = self._appended = 0
+        self.rows = -1
         self.write(header)
 
     def write(self, cells: Sequence[str]) -> None:
@@ -73,13 +79,14 @@ class CsvRecorder:
             The disk is full or fails; the rows before are kept.
         """
         row = (",".join(cells) + "\n").encode()
+        self._appended = len(row)
         try:
             write_all(self._descriptor, row)
         except OSError as error:
             with suppress(OSError):
                 os.ftruncate(self._descriptor, self._size)
             raise self._failed(error) from error
-        self._size += len(row)
+        self._count_row()
 
     def secure(self) -> None:
         """Have all rows on the disk.
@@ -96,11 +103,22 @@ class CsvRecorder:
                 raise self._failed(error) from error
 
     def close(self) -> None:
-        """Secure the rows and let the file go."""
+        """Secure the rows and let the file go.
+
+        A row that Ctrl-C met after it was written and before it was counted counts; a part of a row is taken away.
+        """
         try:
+            beyond = os.fstat(self._descriptor).st_size - self._size
+            if beyond == self._appended:
+                self._count_row()
+            elif beyond > 0:
+                os.ftruncate(self._descriptor, self._size)
             self.secure()
         finally:
             os.close(self._descriptor)
+
+    def _count_row(self) -> None:
+        self._size, self.rows = self._size + self._appended, self.rows + 1
 
     def _failed(self, error: OSError) -> UsageError:
         return UsageError(

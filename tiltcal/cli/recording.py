@@ -103,6 +103,7 @@ def capture(
             interrupted = wanted is not None
         finally:
             rows_log.close()
+            tally.rows = rows_log.rows
     if log != output:
         _to_parquet(log, output)
     return RecordedRows(tally, interrupted)

@@ -288,7 +288,7 @@ class Weighing(Attendant):
 
 
 def test_memory_does_not_grow_with_the_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Less than 100 bytes a turn, once there are as many as the recursive estimators and the regression keep."""
+    """Less than 200 bytes a turn of 16 lines, once there are as many as the estimators and the regression keep."""
     monkeypatch.setattr("tiltcal.core.pair.demodulate.MOST_BLOCKS", 16)
     monkeypatch.setattr(Recursive.__init__, "__defaults__", (10.0,))
     printed, attendant = lines(disk.record(seconds=400.0, rate=8.0, spin=0.5)), Weighing()
@@ -297,4 +297,4 @@ def test_memory_does_not_grow_with_the_turns(monkeypatch: pytest.MonkeyPatch) ->
         turned(iter(printed), attendant, turns=180)
     finally:
         tracemalloc.stop()
-    assert attendant.held[180] - attendant.held[60] < 100 * 120
+    assert attendant.held[180] - attendant.held[60] < 200 * 120
