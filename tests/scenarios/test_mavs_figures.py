@@ -46,6 +46,7 @@ def calibrations(tmp_path_factory: pytest.TempPathFactory) -> list[CalibrationRe
             serial=f"A-{seed}",
             output=output,
             journal=journal,
+            samples=40,
         )
         found.append(read_calibration(output))
     return found
