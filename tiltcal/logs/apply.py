@@ -14,7 +14,7 @@ from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare, prepare_file
-from tiltcal.logs.streams import log_sink
+from tiltcal.logs.streams import log_sink, with_writeback
 
 NO_TIME = (
     "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "
@@ -134,7 +134,7 @@ def apply_log(
             say(NO_TIME)
         with log_sink(str(output)) as sink:
             writer = create_log(output, sink, reader, prepared.columns, prepared.origin, rows.units)
-            writer.write(rows.blocks(frames=writer.frames))
+            writer.write(with_writeback(sink, rows.blocks(frames=writer.frames)))
     return rows.summary
 
 

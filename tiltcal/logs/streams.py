@@ -10,9 +10,9 @@ import stat
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from hashlib import file_digest, sha256
 from pathlib import Path
 from select import select
@@ -33,6 +33,7 @@ STANDARD = "-"
 _PIPE_BUFFER = 1 << 16  # bytes that a pipe holds
 _OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")  # how the engine ends its message where the system refuses
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
+_WRITEBACK = 32 << 20  # bytes of a result that go to the disk together
 
 
 class ByteReader(Protocol):
@@ -102,6 +103,24 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         stdout = sys.stdout.buffer
         shutil.copyfileobj(spool, stdout)
         stdout.flush()
+
+
+def with_writeback(sink: BinaryIO, items: Iterable[T]) -> Iterator[T]:
+    """Yield items that are written to a sink, and let the system bring to the disk what it has meanwhile.
+
+    Without it, all that is in the system's memory goes to the disk when the file is complete, and the command waits.
+    """
+    if isinstance(sink, SpooledTemporaryFile) or not hasattr(os, "posix_fadvise"):
+        yield from items
+        return
+    begun = 0
+    for item in items:
+        yield item
+        size = os.fstat(sink.fileno()).st_size
+        if size - begun >= _WRITEBACK:
+            with suppress(OSError):
+                os.posix_fadvise(sink.fileno(), begun, size - begun, os.POSIX_FADV_DONTNEED)
+            begun = size
 
 
 @contextmanager
