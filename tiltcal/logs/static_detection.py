@@ -107,8 +107,8 @@ def find_still(
         raise EstimateError(_too_few(tried, lost))
     # What is left over shows the scatter no better than this. A choice that is better by less has but left out some
     # attitude that fits badly, and would be surer of itself than it is.
-    luck = 1.0 + 1.0 / sqrt(2.0 * (len(best.holds) - UNKNOWNS))
-    good = [choice for choice in tried if choice.expanded <= luck * best.expanded]
+    tolerance = 1.0 + 1.0 / sqrt(2.0 * (len(best.holds) - UNKNOWNS))
+    good = [choice for choice in tried if choice.expanded <= tolerance * best.expanded]
     return max(good, key=lambda choice: (choice.distinct, -choice.expanded)), tried
 
 

@@ -108,3 +108,26 @@ def test_reversal_cancels_the_lean_of_the_table(lean: float) -> None:
         measured.append(measurement(position.name, None, x, y, position.heading))
     found = calibrated(find_procedure("reversal"), measured, jig=0.001)
     assert found.coefficients.offset == pytest.approx([1026.0, 1019.0], abs=0.15)
+
+
+@pytest.mark.parametrize("jig", [None, 0.0, 0.01])
+@pytest.mark.parametrize("loop", [0.0, 2.0])
+def test_exact_readings_whose_uncertainty_is_unknown_give_their_line(jig: float | None, loop: float) -> None:
+    """By hand: 0.2 count/°C, and 2 count more on the way up and back; the residuals of a line without it are zero."""
+    procedure = find_procedure("temperature-sweep")
+    measured = []
+    for position in procedure.positions:
+        temperature = float(position.temperature or 0.0)
+        later = loop * (not position.name.startswith("down"))
+        summaries = {
+            "x": SampleSummary(1024.0 + 0.2 * (temperature - 24.0) + later, 0.0, 1, 0.0),
+            "y": SampleSummary(1024.0, 0.0, 1, 0.0),
+        }
+        level = {"x": 0.0, "y": 0.0}
+        measured.append(Measurement(position.name, (0.0, 0.0, 1.0), level, temperature, summaries))
+    sensors = [MeasuredSensor(SENSOR, measured, NOMINAL)]
+    order = choose_order(sensors, procedure, BenchUncertainty(jig)).order
+    found = fit_jointly(sensors, with_order(procedure, order), BenchUncertainty(jig))[0]
+    thermal = found.coefficients.thermal
+    assert thermal is not None
+    assert thermal.drift[0, 0] == pytest.approx(0.2, abs=1e-9 if not loop else 0.1)

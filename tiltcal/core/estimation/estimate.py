@@ -227,7 +227,8 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
 
 
 def _with_noise(system: System, factor: float) -> System:
-    """Return the system with the variance of its noise multiplied."""
+    """Return the system with the variance of its noise multiplied; no reading is better than its rounding."""
+    factor = max(factor, (np.finfo(float).eps * system.reach) ** 2)
     if factor == 1.0:
         return system
     return replace(system, blocks=tuple(replace(block, u=block.u * factor**0.5) for block in system.blocks))

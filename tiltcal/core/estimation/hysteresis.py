@@ -70,7 +70,8 @@ def largest_loops(found: Estimate, observations: Sequence[Observation], jig: flo
             difference = float(found.residuals[j, column] - found.residuals[i, column])
             u = hypot(observations[i].u[column], observations[j].u[column], by_jig)
             measured.append(Loop(difference, u, (observations[i].position, observations[j].position)))
-        loops[channel] = max(measured, key=lambda one: abs(one.difference) / one.u)
+        # Readings of which no uncertainty is known have none here.
+        loops[channel] = max(measured, key=lambda one: abs(one.difference) / one.u if one.u else abs(one.difference))
     return loops
 
 
