@@ -20,9 +20,9 @@ from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.model import Mounting
-from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.mounting_angles import mounting_matrix
+from tiltcal.core.mounting_rotation import solve_mounting
 from tiltcal.core.statistics import SampleSummary
-from tiltcal.core.wahba import solve_mounting
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.uncertainty import stated_uncertainty

@@ -25,8 +25,8 @@ from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.covariance import stated_budgets
 from tiltcal.core.estimation.design import Design, Observation
 from tiltcal.core.estimation.elimination import linearised
+from tiltcal.core.estimation.equation_assembly import system_of
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.estimation.fixture_equations import system_of
 from tiltcal.core.estimation.hysteresis import with_hysteresis
 from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, pooled
 from tiltcal.core.gravity_direction import gravity_from_tilt

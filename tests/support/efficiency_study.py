@@ -13,8 +13,8 @@ from support.simulated_bench import FACES, Part, Plan, design, fixture, measured
 from tiltcal.core.estimation.covariance import stated_budgets
 from tiltcal.core.estimation.design import Observation
 from tiltcal.core.estimation.elimination import linearised
+from tiltcal.core.estimation.equation_assembly import system_of
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.estimation.fixture_equations import system_of
 
 Array = NDArray[np.float64]
 

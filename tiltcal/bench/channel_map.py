@@ -1,4 +1,4 @@
-"""Which reading of which device each channel of a turning stage is.
+"""The channels of a turning stage: which reading of which device each of them is.
 
 A channel is called as `tiltcal record` names its column: ``a1`` of a single device, ``S-7_a1`` of several; where only
 one device has a channel of the name, the name alone will do. The pairs that come of it carry the names of the columns,

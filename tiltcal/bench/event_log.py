@@ -1,4 +1,4 @@
-"""The event log: everything that a session cannot compute passes through it.
+"""The event log of a session: everything that the session cannot compute passes through it.
 
 A session is a program whose only inputs are the bytes of its buses, the operator's answers and the times of both. All
 of them come from the event log. Where the journal has a next event, the log plays it; where it has none, the log lets

@@ -1,4 +1,4 @@
-"""One session of a combination: what its calibration has measured, and what it has assumed."""
+"""One session of a combination: the coefficients that it measured, and those that it assumed."""
 
 from __future__ import annotations
 

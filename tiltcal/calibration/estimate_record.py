@@ -1,4 +1,4 @@
-"""What a calibration file records of an estimate, with the digits that its uncertainty warrants."""
+"""The records of an estimate in a calibration file, with the digits that its uncertainty warrants."""
 
 from __future__ import annotations
 

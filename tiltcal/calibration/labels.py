@@ -1,4 +1,4 @@
-"""What people call the coefficients of a calibration, by their dotted names: words, symbols and units."""
+"""Labels of the coefficients: words, symbols and units for their dotted names."""
 
 from __future__ import annotations
 

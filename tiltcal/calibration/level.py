@@ -25,9 +25,9 @@ from tiltcal.calibration.measurement import BenchUncertainty, Measurement
 from tiltcal.calibration.verdict import judge
 from tiltcal.core.derivatives import central_differences
 from tiltcal.core.estimation.design import Observation
-from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
+from tiltcal.core.estimation.joint_equations import ADC, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
-from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import CoefficientChange
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import Budget, Part, coverage_factor

@@ -1,4 +1,4 @@
-"""What is measured of the sensors of a fixture, and what is stated of the bench."""
+"""The measured positions of the sensors of a fixture, and the stated uncertainties of the bench."""
 
 from __future__ import annotations
 

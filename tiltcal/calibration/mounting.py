@@ -12,11 +12,17 @@ from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
-from tiltcal.core.mounting import UNKNOWN_ANGLE, mounting_matrix
+from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, mounting_matrix
+from tiltcal.core.mounting_rotation import (
+    MountingEstimate,
+    angle_uncertainty,
+    mounting_rotation,
+    rotation_vector,
+    solve_mounting,
+)
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, with_turns_scaled
-from tiltcal.core.wahba import MountingEstimate, angle_uncertainty, mounting_rotation, rotation_vector, solve_mounting
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES

@@ -16,9 +16,9 @@ from tiltcal.calibration.measurement import BenchUncertainty, Nominal
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, Prediction, predicted_covariance
 from tiltcal.core.model import AXES
+from tiltcal.core.mounting_rotation import angle_uncertainty, solve_mounting
 from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.core.statistics import summarise
-from tiltcal.core.wahba import angle_uncertainty, solve_mounting
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
@@ -237,17 +237,17 @@ def _planned(procedure: Procedure, orientation: Orientation, reference: float) -
     planned: list[PlannedPosition] = []
     before = None
     for position in procedure.positions:
-        stands = (position.gravity, position.heading)
+        setting = (position.gravity, position.heading)
         planned.append(
             PlannedPosition(
                 position.name,
                 orientation.seen(position.gravity),
                 position.temperature if position.temperature is not None else reference,
                 position.heading,
-                held=stands == before,
+                held=setting == before,
             )
         )
-        before = stands
+        before = setting
     return planned
 
 

@@ -1,4 +1,4 @@
-"""``tiltcal check``"""
+"""``tiltcal check``: check calibration files, procedures, twins and journals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal combine``"""
+"""``tiltcal combine``: make one calibration of several sessions."""
 
 from __future__ import annotations
 

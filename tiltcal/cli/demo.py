@@ -1,4 +1,4 @@
-"""``tiltcal demo``"""
+"""``tiltcal demo``: measure, calibrate, apply and report on the virtual bench."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal devices``"""
+"""``tiltcal devices``: list the sensor models."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal diff``"""
+"""``tiltcal diff``: compare two calibrations of one sensor."""
 
 from __future__ import annotations
 

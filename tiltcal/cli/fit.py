@@ -1,4 +1,4 @@
-"""``tiltcal fit``"""
+"""``tiltcal fit``: calibrate from a recorded log or a table of positions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal history``"""
+"""``tiltcal history``: show the calibrations of a folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal match``"""
+"""``tiltcal match``: match accelerometer pairs by a recorded log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal measure``"""
+"""``tiltcal measure``: calibrate sensors at the bench."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal noise``"""
+"""``tiltcal noise``: characterise the noise of a sensor at rest."""
 
 from __future__ import annotations
 

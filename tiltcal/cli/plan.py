@@ -1,4 +1,4 @@
-"""``tiltcal plan``"""
+"""``tiltcal plan``: predict the uncertainty of a procedure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal probe``"""
+"""``tiltcal probe``: test the wiring of a sensor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal procedures``"""
+"""``tiltcal procedures``: list, show and check procedures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal record``"""
+"""``tiltcal record``: log a sensor or a whole bench."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tiltcal replay``"""
+"""``tiltcal replay``: repeat a recorded session without hardware."""
 
 from __future__ import annotations
 

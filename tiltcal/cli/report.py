@@ -1,4 +1,4 @@
-"""``tiltcal report``"""
+"""``tiltcal report``: write a page about a calibration, a log or a folder."""
 
 from __future__ import annotations
 

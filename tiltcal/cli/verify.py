@@ -1,4 +1,4 @@
-"""``tiltcal verify``"""
+"""``tiltcal verify``: compare a calibration with positions that it was not fitted to."""
 
 from __future__ import annotations
 

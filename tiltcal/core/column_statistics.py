@@ -1,4 +1,4 @@
-"""What a log of any length comes to, in bounded memory: envelopes of its angles over time, histograms, flags."""
+"""Statistics of a log of any length in bounded memory: envelopes of its angles over time, histograms, flags."""
 
 from __future__ import annotations
 

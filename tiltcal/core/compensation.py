@@ -37,7 +37,7 @@ from tiltcal.core.flags import (
     mark,
 )
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, nonlinearity_slope, overlap, polynomial
-from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, inclination, pitch, roll, tilt
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen

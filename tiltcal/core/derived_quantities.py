@@ -1,4 +1,4 @@
-"""What follows from the sensitivity matrix: cross-axis sensitivities and misalignment angles."""
+"""Derived quantities of the sensitivity matrix: cross-axis sensitivities and misalignment angles."""
 
 from __future__ import annotations
 

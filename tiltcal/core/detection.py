@@ -1,4 +1,4 @@
-"""What samples show of the sensor: whether it stands still, moves, is knocked, or is stuck at one value.
+"""Detectors of a sensor that is still, moves, is knocked, or is stuck at one value.
 
 These are the only detectors of the project; the bench, recorded logs and the characterisation of noise use them with
 limits of their own. Samples that are all alike are not still: a sensor at rest has noise, and one whose reading does

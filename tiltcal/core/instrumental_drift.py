@@ -1,4 +1,4 @@
-"""How far a coefficient wanders between its calibrations: a random walk, estimated from earlier ones.
+"""Instrumental drift: the random walk of a coefficient between its calibrations, estimated from earlier ones.
 
 The model of a coefficient c of one sensor, with a Wiener process W whose variance grows by ``rate`` a day::
 

@@ -1,4 +1,4 @@
-"""What belongs to a sensor itself, and what to the way it was mounted.
+"""Intrinsic parameters of a sensor, separated from the way in which it was mounted.
 
 The sensitivity matrix is separated by an RQ decomposition, ``S = U R``: ``R`` is the rotation from the frame in which
 the positions were set to the sensor's own, ``U`` is upper triangular with a positive diagonal, so that the sensor's
@@ -20,7 +20,7 @@ from math import degrees, radians
 import numpy as np
 
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
-from tiltcal.core.mounting import UNKNOWN_ANGLE, is_locked, mounting_angles
+from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, is_locked, mounting_angles
 from tiltcal.core.uncertainty_budget import propagated
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen

@@ -1,4 +1,4 @@
-"""Whether the length of a magnetic field stays what it usually is."""
+"""The check that the length of a magnetic field stays what it usually is."""
 
 from __future__ import annotations
 

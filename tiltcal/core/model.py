@@ -31,7 +31,7 @@ AXES = ("x", "y", "z")
 class Mounting:
     """How the sensor sits in the application: roll first, then pitch, then yaw, in radians.
 
-    See :func:`tiltcal.core.mounting.mounting_matrix` for what the angles mean.
+    See :func:`tiltcal.core.mounting_angles.mounting_matrix` for what the angles mean.
     """
 
     roll: float = 0.0

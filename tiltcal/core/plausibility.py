@@ -1,4 +1,4 @@
-"""What a position should read before it is measured, so that a wrong position is caught at once.
+"""The expected reading of a position, by which a wrong position is caught at once.
 
 The coefficients are taken as normal, centred on the model's nominal values with the spread of its parts, and every
 accepted position sharpens them (recursive linear least squares). A reading is then so many standard deviations from

@@ -1,4 +1,4 @@
-"""Where the uncertainty of each coefficient comes from, and what it is multiplied with for an interval of 95 %.
+"""The uncertainty budget: the sources of each coefficient's uncertainty, and its coverage factor for 95 %.
 
 Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2, 5.1 and annex G (Welch-Satterthwaite).
 """

@@ -1,4 +1,4 @@
-"""What is uncertain of a calibration: coefficients and the turn of the mounting, with their covariance."""
+"""The uncertain inputs of a calibration: coefficients and the turn of the mounting, with their covariance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The procedure file: positions in order, the operator's sentence for each, and what they determine."""
+"""A procedure: positions in order, the operator's sentence for each, and the coefficients that they determine."""
 
 from __future__ import annotations
 

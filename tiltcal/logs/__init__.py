@@ -1,1 +1,1 @@
-"""Doors for recorded logs."""
+"""Recorded logs: read, compensated, averaged, cut into static intervals, and written."""

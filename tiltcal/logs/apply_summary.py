@@ -1,4 +1,4 @@
-"""What came out of applying a calibration to a log: rows by flag and reason, and how wide the intervals are."""
+"""The summary of an applied log: rows by flag and reason, and the widths of the intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What makes columns of the rows of a log: a kernel takes the values of some rows by role, and gives a table."""
+"""The interface of a kernel: it takes the values of some rows of a log by role, and gives a table of columns."""
 
 from __future__ import annotations
 

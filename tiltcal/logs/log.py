@@ -1,4 +1,4 @@
-"""What every format of log gives and takes: columns by name, and blocks of rows in order."""
+"""The interface of a log in any format: columns by name, and blocks of rows in order."""
 
 from __future__ import annotations
 

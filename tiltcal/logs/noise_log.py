@@ -1,4 +1,4 @@
-"""A recorded log of a sensor at rest, on its way through the characterisation of its noise."""
+"""The noise of a recorded log of a sensor at rest, characterised block by block."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How noisy a sensor is at rest: table of averages, kinds of noise, and how many samples a position needs."""
+"""The summary of a sensor's noise at rest: averages, kinds of noise, and the samples that a position needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A log on its way into a report: as `apply` wrote it, or raw and compensated on the way."""
+"""The overview of a log for a report: written by `apply`, or raw and compensated while it is read."""
 
 from __future__ import annotations
 

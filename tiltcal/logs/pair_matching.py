@@ -1,4 +1,4 @@
-"""A recorded log on its way through the demodulation of accelerometer pairs."""
+"""The demodulation of a recorded log of accelerometer pairs, block by block."""
 
 from __future__ import annotations
 

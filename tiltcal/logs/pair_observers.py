@@ -1,4 +1,4 @@
-"""Who else looks at the rows of a pair's log while it is read: the online estimators, and the spectra of a figure."""
+"""The observers of a log of pairs while it is read: the online estimators, and the spectra of a figure."""
 
 from __future__ import annotations
 

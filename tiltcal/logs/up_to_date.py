@@ -1,4 +1,4 @@
-"""What the results in a folder were made of, so that a rerun skips those that would come out the same.
+"""A record of what each result in a folder was made of, so that a rerun skips those that would come out the same.
 
 The fingerprint of a result covers the bytes of its log and of the calibration, every option, and the version. It is an
 extended attribute of the result, where no reader of the file meets it and a copy that is edited loses it; on a file

@@ -17,7 +17,7 @@ from tiltcal.core.earth_uncertainty import EarthUncertainty
 from tiltcal.core.flags import CLIPPED, FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, PASS, SUSPECT
 from tiltcal.core.magnetic_field_length import FieldLength
 from tiltcal.core.model import Array, Coefficients, Mounting
-from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
 from tiltcal.logs.compensation_kernel import RoleValues, TiltKernel

@@ -1,6 +1,6 @@
 """Small attitude errors: how a fixture that is set a little wrong turns gravity.
 
-A position is set to the direction ``g``; the fixture really stands at ``g'``, a great-circle arc away::
+A position is set to the direction ``g``; its true direction is ``g'``, a great-circle arc away::
 
     g' = cos|a| g + sin|a| / |a| * (b1 a1 + b2 a2)
 

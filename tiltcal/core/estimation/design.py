@@ -1,4 +1,4 @@
-"""What is measured and what is asked: positions with their mean readings, and the coefficients to determine."""
+"""The input of the estimator: positions with their mean readings, and the coefficients to determine."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Observation:
     heading : float or None
         How far the fixture is turned about the vertical, degrees.
     held : bool
-        The fixture stands as it stood in the position before: it has the same attitude error.
+        The fixture was not set again after the position before: it has the same attitude error.
     dof : ndarray, shape (channels,), or None
         Degrees of freedom of the noise's part of ``u``; None where it is known.
     adc : ndarray, shape (channels,), or None

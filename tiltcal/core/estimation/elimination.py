@@ -22,7 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tiltcal.core.estimation.equations import Equations, Indices, LocalEquations, System
+from tiltcal.core.estimation.joint_equations import Equations, Indices, LocalEquations, System
 from tiltcal.core.model import Array
 
 DEGENERATE = 1e-10

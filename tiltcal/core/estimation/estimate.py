@@ -1,6 +1,6 @@
 """The one estimator: from positions to coefficients, jointly over all sensors and channels of a fixture.
 
-One least-squares system (:mod:`tiltcal.core.estimation.equations`) serves every bench; what is stated of the jig
+One least-squares system (:mod:`tiltcal.core.estimation.joint_equations`) serves every bench; what is stated of the jig
 chooses how far its attitudes are unknowns:
 
 - **stated**, any angle from 0 up: each attitude is an unknown with the jig's uncertainty as its prior. At 0 it is
@@ -23,10 +23,10 @@ from tiltcal.core.estimation.attitude import rotation_vectors
 from tiltcal.core.estimation.covariance import estimated_jig_budgets, scaled_budgets, stated_budgets
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations, require_sound
 from tiltcal.core.estimation.elimination import LinearSolution, linearised
-from tiltcal.core.estimation.equations import System
-from tiltcal.core.estimation.fixture_equations import system_of
+from tiltcal.core.estimation.equation_assembly import system_of
 from tiltcal.core.estimation.gauss_newton import minimise
 from tiltcal.core.estimation.identifiability import require_determined
+from tiltcal.core.estimation.joint_equations import System
 from tiltcal.core.estimation.second_order import second_order_bias
 from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
 from tiltcal.core.estimation.variance_components import VarianceComponents, variance_components
@@ -261,7 +261,7 @@ def _largest_sensitivity(near: LinearSolution) -> float:
     squares = np.zeros((near.angles // 2, 2, 2))
     for block, equations in zip(near.system.blocks, near.equations.blocks, strict=True):
         by_angle = equations.shared[..., -2:].reshape(*block.u.shape, 2)
-        np.add.at(squares, near.system.stands[block.places], np.einsum("scni,scnj->snij", by_angle, by_angle))
+        np.add.at(squares, near.system.settings[block.places], np.einsum("scni,scnj->snij", by_angle, by_angle))
     return float(np.sqrt(np.linalg.eigvalsh(squares).max()))
 
 
@@ -349,8 +349,8 @@ def _attitudes(
     names = list(dict.fromkeys(o.position for sensor in sensors for o in sensor.observations))
     own = z[system.attitudes].reshape(-1, 2)
     covariance = near.shared_covariance[-near.angles :, -near.angles :].reshape(len(own), 2, len(own), 2)
-    stands = np.arange(len(own))
-    values, vectors = np.linalg.eigh(system.jig**2 * np.eye(2) - covariance[stands, :, stands])
+    settings = np.arange(len(own))
+    values, vectors = np.linalg.eigh(system.jig**2 * np.eye(2) - covariance[settings, :, settings])
     seen = values > 1e-6 * system.jig**2
     along = np.einsum("sij,si->sj", vectors, own)
     squares = np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1)
@@ -358,8 +358,8 @@ def _attitudes(
     p = np.where(count > 0, chdtrc(np.maximum(count, 1), squares), 1.0)
     judged = list(zip(squares.tolist(), p.tolist(), strict=True))
     return tuple(
-        AttitudeError(name, np.degrees(turn), *judged[stand])
-        for name, turn, stand in zip(names, turns, system.stands, strict=True)
+        AttitudeError(name, np.degrees(turn), *judged[setting])
+        for name, turn, setting in zip(names, turns, system.settings, strict=True)
     )
 
 

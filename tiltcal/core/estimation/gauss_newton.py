@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from tiltcal.core.estimation.elimination import eliminate
-from tiltcal.core.estimation.equations import System
+from tiltcal.core.estimation.joint_equations import System
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 

@@ -1,7 +1,7 @@
 """Hysteresis: two readings in one position at one temperature, which was reached from two sides.
 
 The truth is anywhere between the two ways, half a loop to either side, with a rectangular distribution (GUM 4.3.7). It
-may be off by the same for all positions on the stand that shows the loop, and for each of them that was met only once
+may be off by the same for all positions of the setting that shows the loop, and for each of them that was met only once
 by itself. The coefficients follow as the estimator does, when the readings there are moved by the loop.
 """
 
@@ -15,8 +15,8 @@ from math import hypot, radians, sqrt
 import numpy as np
 
 from tiltcal.core.estimation.design import Observation, SensorObservations
-from tiltcal.core.estimation.equations import HYSTERESIS
 from tiltcal.core.estimation.estimate import Estimate, estimate
+from tiltcal.core.estimation.joint_equations import HYSTERESIS
 from tiltcal.core.model import AXES, Array
 
 ALIKE = 1.5
@@ -59,14 +59,14 @@ def largest_loops(found: Estimate, observations: Sequence[Observation], jig: flo
     jig : float
         Standard uncertainty of a set angle, degrees: two attitudes that were set apart differ by as much.
     """
-    stands, pairs = _stands(observations), _met_twice(observations)
+    settings, pairs = _settings(observations), _met_twice(observations)
     loops: dict[str, Loop] = {}
     axes = [AXES.index(axis) for axis in found.coefficients.axes]
     for column, channel in enumerate(found.coefficients.channels if pairs else ()):
         measured = []
         for i, j in pairs:
             across = np.cross(np.eye(3)[axes].T @ found.coefficients.sensitivity[column], observations[i].gravity)
-            by_jig = 0.0 if stands[i] == stands[j] else sqrt(2.0) * radians(jig) * float(np.linalg.norm(across))
+            by_jig = 0.0 if settings[i] == settings[j] else sqrt(2.0) * radians(jig) * float(np.linalg.norm(across))
             difference = float(found.residuals[j, column] - found.residuals[i, column])
             u = hypot(observations[i].u[column], observations[j].u[column], by_jig)
             measured.append(Loop(difference, u, (observations[i].position, observations[j].position)))
@@ -113,15 +113,15 @@ def _follow(sensor: SensorObservations, rows: Sequence[int], column: int, loop: 
 
 
 def _moved_together(observations: Sequence[Observation]) -> Iterator[list[int]]:
-    """Yield the positions on each stand that shows a loop, and each of them that was met once."""
-    stands, twice = _stands(observations), {one for pair in _met_twice(observations) for one in pair}
-    for stand in dict.fromkeys(stands[one] for one in sorted(twice)):
-        rows = [row for row, its in enumerate(stands) if its == stand]
+    """Yield the positions of each setting that shows a loop, and each of them that was met once."""
+    settings, twice = _settings(observations), {one for pair in _met_twice(observations) for one in pair}
+    for setting in dict.fromkeys(settings[one] for one in sorted(twice)):
+        rows = [row for row, its in enumerate(settings) if its == setting]
         yield rows
         yield from ([row] for row in rows if row not in twice)
 
 
-def _stands(observations: Sequence[Observation]) -> list[int]:
+def _settings(observations: Sequence[Observation]) -> list[int]:
     """Number how often the fixture had been set before each position."""
     return [int(count) for count in np.cumsum([not one.held for one in observations])]
 

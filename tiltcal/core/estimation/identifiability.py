@@ -1,4 +1,4 @@
-"""Whether positions determine the coefficients, and which position to add where they do not."""
+"""Identifiability: whether positions determine the coefficients, and which position to add where they do not."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.linalg import svd
 from numpy.typing import NDArray
 
 from tiltcal.core.estimation.elimination import LinearSolution
-from tiltcal.core.estimation.equations import System
+from tiltcal.core.estimation.joint_equations import System
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError

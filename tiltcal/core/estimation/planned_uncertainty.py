@@ -1,4 +1,4 @@
-"""What a design will determine, before anything is measured: the covariance of every coefficient from the plan alone.
+"""Planned uncertainty: the covariance of every coefficient from the plan alone, before anything is measured.
 
 The same system of equations as the estimator's, at nominal coefficients and with readings that fit exactly: its
 covariance needs no readings.
@@ -16,9 +16,9 @@ import numpy as np
 from tiltcal.core.estimation.covariance import stated_budgets
 from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.elimination import linearised
-from tiltcal.core.estimation.equations import System
-from tiltcal.core.estimation.fixture_equations import system_of
+from tiltcal.core.estimation.equation_assembly import system_of
 from tiltcal.core.estimation.identifiability import CANDIDATES, WARMER, require_determined
+from tiltcal.core.estimation.joint_equations import System
 from tiltcal.core.estimation.unit_gravity import require_spread, triangular_gauge
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array

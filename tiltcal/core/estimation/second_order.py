@@ -1,4 +1,4 @@
-"""What the squares of the attitudes' errors do: the part of an uncertainty that no derivative shows.
+"""Second-order terms of the attitude errors: the part of an uncertainty that no derivative shows.
 
 A channel that points straight up reads cos a: an attitude error lowers it by a²/2 and never raises it. With a jig of
 0.5° that is 4e-5 g, as much as the noise of a good sensor. To second order in the attitudes' errors ``a`` the estimate
@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from tiltcal.core.estimation.elimination import LinearSolution, shared_table
-from tiltcal.core.estimation.equations import EquationBlock, System
+from tiltcal.core.estimation.joint_equations import EquationBlock, System
 from tiltcal.core.model import AXES, Array
 
 
@@ -41,12 +41,12 @@ def second_order_bias(near: LinearSolution, z: Array) -> Array:
     # Of a true error of the angles the attitudes follow the unit matrix less this, and the coefficients the response.
     own = (np.eye(near.angles) - covariance[first:]).reshape(-1, 2, near.angles)
     follows = (near.response * near.variances) @ near.directions[first:].T / q
-    # aᵀa is 2 s² for each stand's two angles; âᵀâ is what the estimate follows of them.
+    # aᵀa is 2 s² for each setting's two angles; âᵀâ is what the estimate follows of them.
     squares = np.sum(own**2, axis=(1, 2)) - 2.0
     direction, derivative = system.directions(z)
     right, locally = np.zeros(near.shared), []
     for block, equations, factor in zip(system.blocks, near.equations.blocks, near.elimination.factors, strict=True):
-        stands = system.stands[block.places]
+        settings = system.settings[block.places]
         seen = system.seen(block, direction)
         curvature = (block.read(z, seen, block.dt).by_gravity @ seen[:, None].swapaxes(2, 3)).diagonal(0, 2, 3)
         mixed = _by_sensitivity_and_angle(system, block, z, derivative)
@@ -57,13 +57,13 @@ def second_order_bias(near: LinearSolution, z: Array) -> Array:
         left = table @ covariance - factor.basis[:, : equations.readings] @ (factor.follows @ covariance)
         left = left.reshape(*block.u.shape, near.angles) / block.u[..., None]
         moved = (own.reshape(-1, near.angles) @ followed).reshape(*columns.shape[:2], len(own), 2, -1)
-        moved = np.stack([one[:, at] for one, at in zip(moved, stands, strict=True)])
-        off = 0.5 * curvature * squares[stands][:, None] - np.einsum("scnik,scnki->scn", mixed, moved)
-        by_own = np.einsum("scna,snka->scnk", left, own[stands])
+        moved = np.stack([one[:, at] for one, at in zip(moved, settings, strict=True)])
+        off = 0.5 * curvature * squares[settings][:, None] - np.einsum("scnik,scnki->scn", mixed, moved)
+        by_own = np.einsum("scna,snka->scnk", left, own[settings])
         by_angle = np.einsum("scnik,scni->scnk", mixed, left @ followed) - curvature[..., None] * by_own
         pull = np.zeros(system.coefficients)
         pull[columns] = np.einsum("scnik,scnk->sci", mixed, by_own)
-        np.add.at(right[first:].reshape(-1, 2), stands, by_angle.sum(axis=1))
+        np.add.at(right[first:].reshape(-1, 2), settings, by_angle.sum(axis=1))
 
         residual = (off / block.u).reshape(len(factor.basis), -1)
         of_own = factor.unknowns[0] < system.coefficients

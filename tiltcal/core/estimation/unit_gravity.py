@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from tiltcal.core.estimation.elimination import LinearSolution
-from tiltcal.core.estimation.equations import Indices, System
 from tiltcal.core.estimation.identifiability import undetermined_unknowns
+from tiltcal.core.estimation.joint_equations import Indices, System
 from tiltcal.core.intrinsic_parameters import separated
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError

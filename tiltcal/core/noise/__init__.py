@@ -1,1 +1,1 @@
-"""How noisy readings at rest are: averages, Allan deviation, the kinds of noise in it, and what averaging buys."""
+"""Noise of readings at rest: averages, Allan deviation, its kinds, and the gain of averaging."""

@@ -1,4 +1,4 @@
-"""What kinds of noise an Allan deviation is made of.
+"""The kinds of noise that an Allan deviation is made of, fitted.
 
 The model is the sum of four that are independent of each other (IEEE Std 952-1997, annex C, with τ in seconds)::
 

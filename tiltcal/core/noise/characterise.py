@@ -1,4 +1,4 @@
-"""The noise of a record, whole: averages, Allan deviation, kinds of noise, and what disturbed it."""
+"""The characterisation of a record's noise: averages, Allan deviation, kinds of noise, and disturbances."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does not belong into a record at rest: motion, and a reading that hangs.
+"""Disturbances of a record at rest: motion, and a reading that hangs.
 
 Means of short blocks differ from their neighbours by the noise, and by what it wanders from one to the next; in a block
 that differs by far more, or scatters by far more within, the sensor was moved. How much is usual the median says, which

@@ -1,4 +1,4 @@
-"""How many samples a mean should have: as many as the target asks for, and no more than help.
+"""The number of samples of a mean: as many as the target asks for, and no more than help.
 
 The standard uncertainty of a mean of n samples is the Allan deviation at the time that they take, which is how far it
 is from the mean of the n samples before, and what rounding leaves in it.

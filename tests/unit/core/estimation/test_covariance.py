@@ -22,7 +22,7 @@ from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.intrinsic_parameters import intrinsic, separated
 from tiltcal.core.model import Coefficients, Mounting
-from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.uncertainty_budget import coverage_factor, propagated, welch_satterthwaite
 from tiltcal.errors import EstimateError
 

@@ -20,8 +20,8 @@ from tiltcal.core.estimation.attitude import tangent_basis
 from tiltcal.core.estimation.covariance import stated_budgets
 from tiltcal.core.estimation.design import Prior, SensorObservations
 from tiltcal.core.estimation.elimination import linearised
+from tiltcal.core.estimation.equation_assembly import system_of
 from tiltcal.core.estimation.estimate import estimate_jointly
-from tiltcal.core.estimation.fixture_equations import system_of
 from tiltcal.core.estimation.gauss_newton import minimise
 from tiltcal.core.estimation.second_order import second_order_bias
 

@@ -27,10 +27,10 @@ from tiltcal.core.estimation.pooling import (
 )
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import Mounting
-from tiltcal.core.mounting import mounting_matrix
+from tiltcal.core.mounting_angles import mounting_matrix
+from tiltcal.core.mounting_rotation import solve_mounting
 from tiltcal.core.statistics import SampleSummary, summarise
 from tiltcal.core.uncertainty_budget import coverage_factor
-from tiltcal.core.wahba import solve_mounting
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from support.efficiency_study import CLASSES, Regime, bound_of, simulate
 from support.simulated_bench import FACES, POSITIONS, XYZ, design, fixture, measured, part, plan_of
 
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
-from tiltcal.core.estimation.equations import System
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
+from tiltcal.core.estimation.joint_equations import System
 from tiltcal.errors import EstimateError
 
 OFFSETS = [0, 4, 8]

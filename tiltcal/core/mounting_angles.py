@@ -1,4 +1,4 @@
-"""The mounting rotation: from the sensor's frame to the application's, and the angles back from a matrix.
+"""The mounting angles: their rotation from the sensor's frame to the application's, and the angles of a matrix.
 
 Source: *Correcting for SCA3000 Accelerometer Mounting Angle* (VTI Technologies, 2006).
 """

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tiltcal.core.model import Mounting
-from tiltcal.core.mounting import mounting_angles, mounting_matrix
+from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
 from tiltcal.errors import EstimateError
 
 turns = st.floats(-pi, pi)

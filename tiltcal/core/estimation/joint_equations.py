@@ -1,7 +1,7 @@
-"""The joint system: every reading of every sensor on a fixture, every unknown, every prior, as one weighted residual.
+"""The joint equations: every reading of every sensor on a fixture, every unknown and prior, as one weighted residual.
 
 The unknowns are the coefficients of all channels, the error of each temperature, the lean of the table, the error of
-each heading and two attitude angles for each stand of the fixture. The equations are the readings, and what the bench
+each heading and two attitude angles for each setting of the fixture. The equations are the readings, and what the bench
 states of itself::
 
     0 = (u - model(coefficients, attitude, temperature)) / sigma_noise      one for each reading
@@ -155,7 +155,7 @@ class System:
     orientations : ndarray, shape (sensors, 3, 3)
     gravity : ndarray, shape (places, 3)
         As set, in the fixture's frame.
-    stands : ndarray of int, shape (places,)
+    settings : ndarray of int, shape (places,)
         The attitude that each place has; places that were held on share one.
     lean_rotations : ndarray, shape (places, 2, 2), or None
         From the lean of the table to the attitude angles of each place; None where no lean is estimated.
@@ -180,7 +180,7 @@ class System:
     blocks: tuple[EquationBlock, ...]
     orientations: Array
     gravity: Array
-    stands: Indices
+    settings: Indices
     lean_rotations: Array | None
     names: tuple[str, ...]
     sensors: Indices
@@ -223,14 +223,14 @@ class System:
 
     @cached_property
     def heading_errors(self) -> slice:
-        """Unknowns that are heading errors, one for each stand."""
-        count = int(self.stands.max()) + 1 if self.heading > 0 and self.lean_rotations is not None else 0
+        """Unknowns that are heading errors, one for each setting."""
+        count = int(self.settings.max()) + 1 if self.heading > 0 and self.lean_rotations is not None else 0
         return slice(self.lean.stop, self.lean.stop + count)
 
     @cached_property
     def attitudes(self) -> slice:
         """Unknowns that are attitude angles."""
-        count = 2 * (int(self.stands.max()) + 1) if self.jig > 0 else 0
+        count = 2 * (int(self.settings.max()) + 1) if self.jig > 0 else 0
         return slice(self.heading_errors.stop, self.heading_errors.stop + count)
 
     @cached_property
@@ -297,7 +297,7 @@ class System:
         """Return the attitude error of every place, the table's lean included, shape (places, 2), radians."""
         angles = np.zeros((len(self.gravity), 2))
         if self.jig > 0:
-            angles += z[self.attitudes].reshape(-1, 2)[self.stands]
+            angles += z[self.attitudes].reshape(-1, 2)[self.settings]
         if self.lean_rotations is not None:
             angles += self._lean(z)[0] @ z[self.lean]
         return angles
@@ -306,7 +306,7 @@ class System:
         """Return the matrices from lean to angles in each place, and derivatives by heading, shape (places, 2, 2)."""
         rotations = np.zeros((0, 2, 2)) if self.lean_rotations is None else self.lean_rotations
         if self.heading_errors.stop > self.heading_errors.start:
-            rotations = heading_rotations(z[self.heading_errors][self.stands]) @ rotations
+            rotations = heading_rotations(z[self.heading_errors][self.settings]) @ rotations
         return rotations, _PER_LEAN @ rotations
 
     def at(self, z: Array) -> Equations:
@@ -356,16 +356,16 @@ class System:
         found = []
         for block in self.blocks:
             shape = (*block.places.shape, 1)
-            stands = self.stands[block.places][..., None]
+            settings = self.settings[block.places][..., None]
             parts = []
             if self.thermometer > 0 and not block.own_thermometer:
                 parts.append(self.temperature_errors.start + block.temperatures[..., None])
             if self.lean_rotations is not None:
                 parts.append(np.broadcast_to(np.arange(self.lean.start, self.lean.stop), (*shape[:2], 2)))
                 if self.heading_errors.stop > self.heading_errors.start:
-                    parts.append(self.heading_errors.start + stands)
+                    parts.append(self.heading_errors.start + settings)
             if self.jig > 0:
-                parts.append(self.attitudes.start + 2 * stands + np.arange(2))
+                parts.append(self.attitudes.start + 2 * settings + np.arange(2))
             columns = np.concatenate(parts, axis=2) if parts else np.zeros((*shape[:2], 0), dtype=np.intp)
             few = columns.shape[2]
             found.append(np.broadcast_to(columns[:, None], (*block.mean.shape, few)) - self.local)

@@ -1,4 +1,4 @@
-"""The mounting rotation from readings in known positions: Wahba's problem.
+"""The mounting rotation from readings in known positions, by Wahba's problem.
 
 Directions of gravity are known in the application's frame, as the positions were set, and read in the sensor's. The
 rotation between the two minimises the weighted squares of what is left between them.
@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from tiltcal.core.model import Array, Mounting
-from tiltcal.core.mounting import UNKNOWN_ANGLE, is_locked, mounting_angles
+from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, is_locked, mounting_angles
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
 

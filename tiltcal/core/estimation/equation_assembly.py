@@ -1,4 +1,4 @@
-"""From the observations of the sensors of a fixture to their joint equations."""
+"""The assembly of the joint equations, from the observations of all sensors of a fixture."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from tiltcal.core.estimation.attitude import heading_rotations
 from tiltcal.core.estimation.design import Observation, SensorObservations
-from tiltcal.core.estimation.equations import EquationBlock, Indices, System
+from tiltcal.core.estimation.joint_equations import EquationBlock, Indices, System
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
@@ -37,7 +37,7 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
         Two sensors disagree on the direction or heading of a position.
     """
     design = sensors[0].design
-    places, gravity, headings, stands = _places(sensors)
+    places, gravity, headings, settings = _places(sensors)
     names = [sensor.design.names for sensor in sensors]
     priors = [sensor.design.priors.get(name) for sensor, own in zip(sensors, names, strict=True) for name in own]
     lean_unknown = design.table > 0 if design.table is not None else len({heading % 360.0 for heading in headings}) > 1
@@ -46,7 +46,7 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
         blocks=tuple(_blocks(sensors, places, temperatures, own)),
         orientations=np.array([sensor.orientation for sensor in sensors], dtype=float),
         gravity=gravity,
-        stands=stands,
+        settings=settings,
         lean_rotations=heading_rotations(np.radians(headings)) if lean_unknown and not design.free else None,
         names=tuple(name for one in names for name in one),
         sensors=np.repeat(np.arange(len(sensors)), [len(one) for one in names]),
@@ -63,11 +63,11 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
 
 
 def _places(sensors: Sequence[SensorObservations]) -> tuple[dict[str, int], Array, list[float], Indices]:
-    """Return the positions of all sensors by name, their directions in the fixture's frame, headings and stands."""
+    """Return the positions of all sensors by name, their directions in the fixture's frame, headings and settings."""
     numbers: dict[str, int] = {}
     gravity: list[Array] = []
     headings: list[float] = []
-    stands: list[int] = []
+    settings: list[int] = []
     for sensor in sensors:
         back = np.array(sensor.orientation, dtype=float).T
         before: int | None = None
@@ -79,14 +79,14 @@ def _places(sensors: Sequence[SensorObservations]) -> tuple[dict[str, int], Arra
                 gravity.append(direction)
                 headings.append(heading)
                 held = observation.held and before is not None
-                stands.append(stands[before] if held and before is not None else max(stands, default=-1) + 1)
+                settings.append(settings[before] if held and before is not None else max(settings, default=-1) + 1)
             elif np.max(np.abs(direction - gravity[number])) > SAME or heading != headings[number]:
                 raise EstimateError(
                     f"position {observation.position}: two sensors of the fixture name different directions for it; "
                     "check their axes"
                 )
             before = number
-    return numbers, np.array(gravity), headings, np.array(stands, dtype=np.intp)
+    return numbers, np.array(gravity), headings, np.array(settings, dtype=np.intp)
 
 
 def _temperatures(sensors: Sequence[SensorObservations], places: dict[str, int]) -> tuple[list[Indices], int, int]:
