@@ -12,6 +12,7 @@ import pytest
 from tiltcal.bench.measure import measure
 from tiltcal.bench.plan import plan
 from tiltcal.cli.main import group
+from tiltcal.cli.options import wrapped
 from tiltcal.logs.fit import fit
 from tiltcal.logs.prepared_calibration import ApplyOptions
 
@@ -33,3 +34,13 @@ def test_every_option_but_a_command_s_own_is_a_parameter_of_the_library(
     options = {str(one.name) for one in found.params}
     assert set(own.split()) < options
     assert options - set(own.split()) <= set(signature(function).parameters)
+
+
+def test_remarks_break_between_words_at_the_width_of_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    text = "S-7: state the lean of the table (--table-lean), or measure again\n  a line that fits stays  as it is"
+    assert wrapped(text).split("\n") == [
+        "S-7: state the lean of the table",
+        "    (--table-lean), or measure again",
+        "  a line that fits stays  as it is",
+    ]

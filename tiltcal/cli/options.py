@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -60,6 +61,21 @@ def left_at_default(option: str) -> bool:
     return context.get_parameter_source(option) is click.core.ParameterSource.DEFAULT
 
 
-def remark(line: str) -> None:
+def remark(text: str) -> None:
     """Print a remark on the session; control characters, which could be escape sequences, become question marks."""
-    click.echo("".join(one if one.isprintable() or one == "\n" else "?" for one in line), err=True)
+    shown = "".join(one if one.isprintable() or one == "\n" else "?" for one in text)
+    click.echo(wrapped(shown) if sys.stderr.isatty() else shown, err=True)
+
+
+def wrapped(text: str) -> str:
+    """Return text whose lines break between words at the width of the terminal; a broken line goes on indented."""
+    from shutil import get_terminal_size
+    from textwrap import fill
+
+    width = get_terminal_size().columns
+    return "\n".join(
+        fill(line, width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+        if len(line) > width
+        else line
+        for line in text.split("\n")
+    )
