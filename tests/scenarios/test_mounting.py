@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from math import degrees, pi, radians
+from math import degrees, pi, radians, sqrt
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 from scipy.spatial.transform import Rotation
 from support.command import tiltcal
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
@@ -19,7 +20,7 @@ from tiltcal.calibration.mounting import mount
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.estimate import estimate_jointly
-from tiltcal.core.model import Mounting
+from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.mounting_rotation import solve_mounting
 from tiltcal.core.statistics import SampleSummary
@@ -82,6 +83,28 @@ def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
         scatter.append(np.mean((error / result.standard[:, :2]) ** 2))
     assert np.mean(inside) == pytest.approx(0.95, abs=3 * np.std(inside) / np.sqrt(len(inside)) + 0.005)
     assert np.sqrt(np.mean(scatter)) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("pitch", "jig", "expected"),
+    [
+        (-0.1, None, dict.fromkeys(("roll", "pitch", "yaw"), stats.t.ppf(0.975, 7))),  # 10 angles less 3 unknown
+        (-0.1, 0.2, dict.fromkeys(("roll", "pitch", "yaw"), stats.norm.ppf(0.975))),
+        (pi / 2 - 1e-3, 0.2, {"roll": 0.95 * sqrt(3), "pitch": stats.norm.ppf(0.975), "yaw": 0.95 * sqrt(3)}),
+    ],
+    ids=["residuals", "stated jig", "gimbal lock"],
+)
+def test_the_angles_have_their_coverage_factors(pitch: float, jig: float | None, expected: dict[str, float]) -> None:
+    """Of an exact base: Student's where the residuals show the jig, 95 % of a circle where an angle is not known."""
+    turned = mounting_matrix(Mounting(0.2, pitch, 0.4))
+    exact = Coefficients(XYZ, XYZ, np.zeros(3), np.eye(3))
+    base = CalibrationRecord(SensorIdentity("bench-built", "S-1", "g", XYZ), exact)
+    read = noisy(np.random.default_rng(8), turned, radians(0.2))
+    found = mount(base, [_measured(*one) for one in zip(KNOWN, read, strict=True)], jig=jig).uncertainty
+    assert {angle: found.coverage_factor[f"mounting.{angle}"] for angle in expected} == pytest.approx(
+        expected, abs=1e-3
+    )
+    assert set(expected) == {name.removeprefix("mounting.") for name in found}
 
 
 def _measured(gravity: np.ndarray, readings: np.ndarray) -> Measurement:

@@ -137,12 +137,13 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Combination) -> Unc
         own = known.chosen(turns)
         every = (*found.names, *own.names)
         joint = np.block([[found.covariance, across], [across.T, own.covariance]])
-        mounted = {name: u for name, u in session.record.uncertainty.items() if name.startswith("mounting.")}
+        stated = session.record.uncertainty
+        mounted = {name: u for name, u in stated.items() if name.startswith("mounting.")}
         return replace(
             both,
             standard={**both.standard, **mounted},
             coverage_factor=dict(both.coverage_factor)
-            | {name: round(factor, 3) for name, factor in zip(own.names, own.factors.tolist(), strict=True)},
+            | {name: k for name, k in stated.coverage_factor.items() if name.startswith("mounting.")},
             covariance=rounded_covariance(every, with_turns_scaled(every, joint, degrees(1.0))),
         )
     return both

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.core.derived_quantities import cross_axis, derived_uncertainty, misalignment
+from tiltcal.core.derived_quantities import DerivedQuantity, cross_axis, derived, misalignment
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
-from tiltcal.core.intrinsic_parameters import IntrinsicQuantity, intrinsic
+from tiltcal.core.intrinsic_parameters import intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.uncertainty_budget import NORMAL_FACTOR, Budget
+from tiltcal.core.uncertainty_budget import Budget
+from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.files.records import (
     NOISE_ALONE,
     DerivedCoverage,
     DerivedRecord,
     DerivedUncertainty,
     FitRecord,
+    IntrinsicCoverage,
     IntrinsicRecord,
     IntrinsicUncertainty,
     SuspectPosition,
@@ -106,8 +108,9 @@ def derived_record(found: DeterminedCoefficients, assumed: str, *, mounted: bool
     if assumed:
         return DerivedRecord(assumed=(f"sensitivity: {assumed}",))
     coefficients = found.coefficients
-    crossed, u_crossed, k_crossed = _derived(found, cross_axis)
-    turned, u_turned, k_turned = _derived(found, misalignment)
+    uncertain = UncertaintyInputs(found.names, found.covariance, found.budget.factors)
+    crossed, u_crossed, k_crossed = _printed(derived(cross_axis, coefficients, uncertain))
+    turned, u_turned, k_turned = _printed(derived(misalignment, coefficients, uncertain))
     whole = len(coefficients.channels) == 3 and set(coefficients.axes) == set(AXES)
     return DerivedRecord(
         cross_axis_percent=crossed,
@@ -117,25 +120,7 @@ def derived_record(found: DeterminedCoefficients, assumed: str, *, mounted: bool
             misalignment_degrees=u_turned,
             coverage_factor=DerivedCoverage(cross_axis_percent=k_crossed, misalignment_degrees=k_turned),
         ),
-        intrinsic=intrinsic_record(coefficients, found.names, found.covariance, mounted=mounted) if whole else None,
-    )
-
-
-def _derived(
-    found: DeterminedCoefficients, quantity: Callable[[Coefficients], dict[str, float]]
-) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Return a derived quantity, its standard uncertainty, and its coverage factor by channel, rounded.
-
-    Uncertainties that are wider by what each factor exceeds that of a normal distribution are propagated as the
-    standard ones are.
-    """
-    wider = found.budget.factors / NORMAL_FACTOR
-    u = derived_uncertainty(quantity, found.coefficients, found.names, found.covariance)
-    wide = derived_uncertainty(quantity, found.coefficients, found.names, found.covariance * np.outer(wider, wider))
-    return (
-        {c: round_to(value, u[c]) for c, value in quantity(found.coefficients).items()},
-        {c: significant(value, DIGITS) for c, value in u.items()},
-        {c: round(NORMAL_FACTOR * wide[c] / value, 3) for c, value in u.items() if value > 0.0},
+        intrinsic=intrinsic_record(coefficients, uncertain, mounted=mounted) if whole else None,
     )
 
 
@@ -194,28 +179,32 @@ def _rounded_rows(table: Array, channels: Sequence[str], name: str, u: Mapping[s
     return np.array(rows).reshape(table.shape)
 
 
-def intrinsic_record(
-    coefficients: Coefficients, names: Sequence[str], covariance: Array, *, mounted: bool
-) -> IntrinsicRecord:
+def intrinsic_record(coefficients: Coefficients, uncertain: UncertaintyInputs, *, mounted: bool) -> IntrinsicRecord:
     """Return the nine intrinsic parameters and, where positions were set (``mounted``), the rotation that is left."""
-    own = intrinsic(coefficients, names, covariance, mounted=mounted)
+    own = intrinsic(coefficients, uncertain, mounted=mounted)
     parts = {"offset": own.offset, "sensitivity": own.sensitivity, "angle_degrees": own.angle}
     if own.mounting:
         parts["rotation_degrees"] = own.mounting
     printed = {name: _printed(quantities) for name, quantities in parts.items()}
     return IntrinsicRecord(
-        **{name: values for name, (values, _) in printed.items()},
-        uncertainty=IntrinsicUncertainty(**{name: u for name, (_, u) in printed.items()}),
+        **{name: values for name, (values, _, _) in printed.items()},
+        uncertainty=IntrinsicUncertainty(
+            **{name: u for name, (_, u, _) in printed.items()},
+            coverage_factor=IntrinsicCoverage(**{name: factors for name, (_, _, factors) in printed.items()}),
+        ),
         gimbal_lock=own.gimbal_lock,
         left_handed=own.left_handed or None,
     )
 
 
-def _printed(quantities: Mapping[str, IntrinsicQuantity]) -> tuple[dict[str, float], dict[str, float]]:
-    """Values and uncertainties, rounded."""
+def _printed(
+    quantities: Mapping[str, DerivedQuantity],
+) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Return values, standard uncertainties and coverage factors, rounded; what is exact has no factor."""
     return (
         {name: round_to(one.value, one.u) for name, one in quantities.items()},
         {name: significant(one.u, DIGITS) for name, one in quantities.items()},
+        {name: round(one.factor, 3) for name, one in quantities.items() if one.u > 0.0},
     )
 
 

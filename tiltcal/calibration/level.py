@@ -30,7 +30,7 @@ from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import CoefficientChange
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.uncertainty_budget import Budget, Part, coverage_factor
+from tiltcal.core.uncertainty_budget import COVERAGE, Budget, Part, coverage_factor
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
@@ -105,8 +105,7 @@ def level(
     before = base.derived.intrinsic
     if before is None:
         return record
-    own = found.inputs.without_turn
-    renewed = intrinsic_record(coefficients, own.names, own.covariance, mounted=bool(before.rotation_degrees))
+    renewed = intrinsic_record(coefficients, found.inputs.without_turn, mounted=bool(before.rotation_degrees))
     return replace(record, derived=replace(base.derived, intrinsic=renewed))
 
 
@@ -222,6 +221,9 @@ class _Renewal:
             change={c: round_to(one.difference, one.u or 0.0) for c, one in zip(channels, self.changes, strict=True)},
             change_uncertainty={
                 c: significant(one.u, DIGITS) for c, one in zip(channels, self.changes, strict=True) if one.u
+            },
+            change_coverage_factor={
+                c: round(one.threshold(COVERAGE), 3) for c, one in zip(channels, self.changes, strict=True) if one.u
             },
             verdict=str(judge(self.changes, incomplete)),
             temperature=None if self.temperature is None else round(self.temperature, 3),

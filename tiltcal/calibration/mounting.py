@@ -12,9 +12,10 @@ from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
-from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, mounting_matrix
+from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, UNKNOWN_FACTOR, mounting_matrix
 from tiltcal.core.mounting_rotation import (
     MountingEstimate,
+    angle_derivatives,
     angle_uncertainty,
     mounting_rotation,
     rotation_vector,
@@ -61,7 +62,7 @@ def mount(
     return replace(
         base,
         coefficients=replace(base.coefficients, mounting=mounting),
-        uncertainty=_uncertainty(base.uncertainty, joint, u),
+        uncertainty=_uncertainty(base.uncertainty, joint, mounting, u, locked=locked),
         derived=replace(base.derived, gimbal_lock=base.derived.gimbal_lock or locked),
         fit=replace(base.fit, mounting=_record(found, measurements, jig)),
         procedure=replace(
@@ -112,13 +113,21 @@ def _joined(
     )
 
 
-def _uncertainty(before: Uncertainty, joint: UncertaintyInputs, u: Mapping[str, float]) -> Uncertainty:
+def _uncertainty(
+    before: Uncertainty, joint: UncertaintyInputs, mounting: Mounting, u: Mapping[str, float], *, locked: bool
+) -> Uncertainty:
     """Return the base's uncertainty with the mounting's in it, degrees."""
     own = {name: value for name, value in before.items() if not name.startswith("mounting.")}
+    turn, by = joint.covariance[-3:, -3:], angle_derivatives(mounting_matrix(mounting))
+    wide = by @ (turn * np.outer(joint.factors[-3:], joint.factors[-3:])) @ by.T
+    factors = dict(zip(ANGLES, np.sqrt(np.diag(wide) / np.diag(by @ turn @ by.T)).tolist(), strict=True))
+    if locked:
+        factors |= dict.fromkeys(("roll", "yaw"), UNKNOWN_FACTOR)
     return Uncertainty(
         {**own, **{f"mounting.{angle}": value for angle, value in u.items()}},
         before.single_reading,
-        {n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)},
+        {n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)}
+        | {f"mounting.{angle}": round(factors[angle], 3) for angle in u},
         rounded_covariance(joint.names, with_turns_scaled(joint.names, joint.covariance, degrees(1.0))),
     )
 

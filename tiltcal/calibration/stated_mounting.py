@@ -9,7 +9,7 @@ from math import isfinite, radians
 import numpy as np
 
 from tiltcal.core.model import Mounting
-from tiltcal.core.uncertainty_inputs import TURN, is_turn
+from tiltcal.core.uncertainty_inputs import is_turn
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES, in_degrees
@@ -48,7 +48,7 @@ def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> Calibra
             calibration.uncertainty,
             standard={n: u for n, u in calibration.uncertainty.items() if not n.startswith("mounting.")},
             coverage_factor={
-                n: k for n, k in calibration.uncertainty.coverage_factor.items() if not n.startswith(TURN)
+                n: k for n, k in calibration.uncertainty.coverage_factor.items() if not n.startswith("mounting.")
             },
             covariance=None if covariance is None else without_turn(covariance),
         ),

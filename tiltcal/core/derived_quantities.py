@@ -10,6 +10,17 @@ import numpy as np
 from tiltcal.core.closed_forms import cross_axis_sensitivity
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.uncertainty_budget import propagated
+from tiltcal.core.uncertainty_inputs import UncertaintyInputs
+from tiltcal.frozen import frozen
+
+
+@frozen
+class DerivedQuantity:
+    """A number with its standard uncertainty, in the same unit, and the factor of that for an interval of 95 %."""
+
+    value: float
+    u: float
+    factor: float
 
 
 def cross_axis(coefficients: Coefficients) -> dict[str, float]:
@@ -35,33 +46,39 @@ def misalignment(coefficients: Coefficients) -> dict[str, float]:
     return angles
 
 
-def derived_uncertainty(
-    quantity: Callable[[Coefficients], dict[str, float]],
-    coefficients: Coefficients,
-    names: Sequence[str],
-    covariance: Array,
-) -> dict[str, float]:
-    """Standard uncertainty of what follows from the coefficients.
+def derived(
+    quantity: Callable[[Coefficients], dict[str, float]], coefficients: Coefficients, uncertain: UncertaintyInputs
+) -> dict[str, DerivedQuantity]:
+    """Compute a quantity that follows from the coefficients, by channel, with its uncertainty.
 
     Parameters
     ----------
     quantity : callable
         :func:`cross_axis` or :func:`misalignment`.
-    names : sequence of str
-        Dotted names of the uncertain coefficients.
-    covariance : ndarray, shape (k, k)
-
-    Returns
-    -------
-    dict of str to float
-        Per channel, in the unit of the quantity.
+    uncertain : UncertaintyInputs
+        Without turns of the mounting.
     """
+    found = quantity(coefficients)
+    return with_uncertainty(
+        list(found), lambda moved: np.array(list(quantity(moved).values())), coefficients, uncertain
+    )
 
-    def values(vector: Array) -> Array:
-        return np.array(list(quantity(with_vector(coefficients, names, vector)).values()))
 
-    u = propagated(values, vector_of(coefficients, names), covariance)
-    return dict(zip(quantity(coefficients), u.tolist(), strict=True))
+def with_uncertainty(
+    names: Sequence[str],
+    function: Callable[[Coefficients], Array],
+    coefficients: Coefficients,
+    uncertain: UncertaintyInputs,
+) -> dict[str, DerivedQuantity]:
+    """Compute named values of a function of the coefficients, with their uncertainties."""
+    u, factors = propagated(
+        lambda vector: function(with_vector(coefficients, uncertain.names, vector)),
+        vector_of(coefficients, uncertain.names),
+        uncertain.covariance,
+        uncertain.factors,
+    )
+    each = zip(function(coefficients).tolist(), u.tolist(), factors.tolist(), strict=True)
+    return {name: DerivedQuantity(*one) for name, one in zip(names, each, strict=True)}
 
 
 def _row(coefficients: Coefficients, channel: str) -> tuple[float, list[float]]:

@@ -12,26 +12,18 @@ triangular form that unit gravity alone determines.)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import degrees, radians
 
 import numpy as np
 
-from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
-from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, is_locked, mounting_angles
-from tiltcal.core.uncertainty_budget import propagated
+from tiltcal.core.derived_quantities import DerivedQuantity, with_uncertainty
+from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, UNKNOWN_FACTOR, is_locked, mounting_angles
+from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
-
-
-@frozen
-class IntrinsicQuantity:
-    """A number with its standard uncertainty, in the same unit."""
-
-    value: float
-    u: float
 
 
 @frozen
@@ -40,13 +32,13 @@ class Intrinsic:
 
     Attributes
     ----------
-    offset : dict of str to IntrinsicQuantity
+    offset : dict of str to DerivedQuantity
         Per channel, unit.
-    sensitivity : dict of str to IntrinsicQuantity
+    sensitivity : dict of str to DerivedQuantity
         Per channel, along its own sensitive direction, unit/g.
-    angle : dict of str to IntrinsicQuantity
+    angle : dict of str to DerivedQuantity
         Between the sensitive directions of two channels, ``xy``, ``xz``, ``yz``, degrees.
-    mounting : dict of str to IntrinsicQuantity
+    mounting : dict of str to DerivedQuantity
         Roll, pitch and yaw of R, degrees. Empty where the positions were free and R means nothing, and where there is
         no such rotation.
     gimbal_lock : bool
@@ -55,26 +47,23 @@ class Intrinsic:
         Why there is no rotation, such as channels that form a left-handed frame; empty where there is one.
     """
 
-    offset: dict[str, IntrinsicQuantity]
-    sensitivity: dict[str, IntrinsicQuantity]
-    angle: dict[str, IntrinsicQuantity]
-    mounting: dict[str, IntrinsicQuantity]
+    offset: dict[str, DerivedQuantity]
+    sensitivity: dict[str, DerivedQuantity]
+    angle: dict[str, DerivedQuantity]
+    mounting: dict[str, DerivedQuantity]
     gimbal_lock: bool
     left_handed: str = ""
 
 
-def intrinsic(
-    coefficients: Coefficients, names: Sequence[str], covariance: Array, *, mounted: bool = True
-) -> Intrinsic:
+def intrinsic(coefficients: Coefficients, uncertain: UncertaintyInputs, *, mounted: bool = True) -> Intrinsic:
     """Separate a calibration into the sensor and its mounting.
 
     Parameters
     ----------
     coefficients : Coefficients
         Of three channels over three axes.
-    names : sequence of str
-        Dotted names of the uncertain coefficients.
-    covariance : ndarray, shape (k, k)
+    uncertain : UncertaintyInputs
+        Without turns of the mounting.
     mounted : bool
         False where the positions were free: the rotation is then a choice and no finding.
 
@@ -86,52 +75,40 @@ def intrinsic(
     if len(coefficients.channels) != 3 or set(coefficients.axes) != set(AXES):
         raise EstimateError("a sensor is separated from its mounting where it has three channels over three axes")
     channels = coefficients.channels
-
-    def numbers(vector: Array) -> Array:
-        moved = with_vector(coefficients, names, vector)
-        matrix = _matrix(moved)
-        return np.concatenate([moved.offset, _lengths(matrix), _angles(matrix)])
-
-    vector = vector_of(coefficients, names)
-    values, u = numbers(vector), propagated(numbers, vector, covariance)
-    found = [IntrinsicQuantity(float(value), float(standard)) for value, standard in zip(values, u, strict=True)]
     pairs = [first + second for first, second in combinations(channels, 2)]
     own = Intrinsic(
-        offset=dict(zip(channels, found[:3], strict=True)),
-        sensitivity=dict(zip(channels, found[3:6], strict=True)),
-        angle=dict(zip(pairs, found[6:9], strict=True)),
+        offset=with_uncertainty(channels, lambda moved: moved.offset, coefficients, uncertain),
+        sensitivity=with_uncertainty(channels, _lengths, coefficients, uncertain),
+        angle=with_uncertainty(pairs, _angles, coefficients, uncertain),
         mounting={},
         gimbal_lock=False,
     )
     if not mounted:
         return own
     try:
-        mounting, gimbal_lock = _mounting(coefficients, names, covariance)
+        mounting, gimbal_lock = _mounting(coefficients, uncertain)
     except EstimateError as error:
         return replace(own, left_handed=str(error))
     return replace(own, mounting=mounting, gimbal_lock=gimbal_lock)
 
 
-def _mounting(
-    coefficients: Coefficients, names: Sequence[str], covariance: Array
-) -> tuple[dict[str, IntrinsicQuantity], bool]:
+def _mounting(coefficients: Coefficients, uncertain: UncertaintyInputs) -> tuple[dict[str, DerivedQuantity], bool]:
     """Roll, pitch and yaw of R, degrees, and whether they are locked."""
     _, rotation = separated(_matrix(coefficients))
     angles = mounting_angles(rotation)
     turned = (angles.mounting.roll, angles.mounting.pitch, angles.mounting.yaw)
 
-    def roll_pitch_yaw(vector: Array) -> Array:
-        around = mounting_angles(separated(_matrix(with_vector(coefficients, names, vector)))[1]).mounting
+    def roll_pitch_yaw(moved: Coefficients) -> Array:
+        around = mounting_angles(separated(_matrix(moved))[1]).mounting
         there = np.array([around.roll, around.pitch, around.yaw])
         return np.asarray(np.degrees(np.mod(there - turned + np.pi, 2 * np.pi) - np.pi))
 
-    standard = propagated(roll_pitch_yaw, vector_of(coefficients, names), covariance).tolist()
-    found = {
-        name: IntrinsicQuantity(degrees(angle), u)
-        for name, angle, u in zip(("roll", "pitch", "yaw"), turned, standard, strict=True)
-    }
+    off = with_uncertainty(("roll", "pitch", "yaw"), roll_pitch_yaw, coefficients, uncertain)
+    found = {name: replace(one, value=degrees(angle)) for (name, one), angle in zip(off.items(), turned, strict=True)}
     if angles.gimbal_lock or is_locked(angles.mounting.pitch, radians(found["pitch"].u)):
-        found |= {name: replace(found[name], u=degrees(UNKNOWN_ANGLE)) for name in ("roll", "yaw")}
+        found |= {
+            name: replace(found[name], u=degrees(UNKNOWN_ANGLE), factor=UNKNOWN_FACTOR) for name in ("roll", "yaw")
+        }
         return found, True
     return found, False
 
@@ -171,15 +148,15 @@ def _matrix(coefficients: Coefficients) -> Array:
     return coefficients.sensitivity[:, [coefficients.axes.index(axis) for axis in AXES]]
 
 
-def _lengths(matrix: Array) -> Array:
-    return np.asarray(np.linalg.norm(matrix, axis=1))
+def _lengths(coefficients: Coefficients) -> Array:
+    return np.asarray(np.linalg.norm(coefficients.sensitivity, axis=1))
 
 
-def _angles(matrix: Array) -> Array:
+def _angles(coefficients: Coefficients) -> Array:
     """Between each two rows, degrees."""
     return np.array(
         [
             degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second))
-            for first, second in combinations(matrix, 2)
+            for first, second in combinations(_matrix(coefficients), 2)
         ]
     )

@@ -16,6 +16,9 @@ from tiltcal.errors import EstimateError
 UNKNOWN_ANGLE = pi / sqrt(3.0)
 """Standard uncertainty of an angle of which nothing is known, radians."""
 
+UNKNOWN_FACTOR = 0.95 * sqrt(3.0)
+"""Its coverage factor: 95 % of the whole circle."""
+
 NORMAL_FACTOR = 1.96
 
 _LOCK = 1e-8  # cosine of pitch below which roll and yaw turn about one line, within double precision

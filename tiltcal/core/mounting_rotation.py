@@ -123,17 +123,20 @@ def angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
     covariance : ndarray, shape (3, 3)
         Of the rotation vector in the application's frame, rad².
     """
-    columns = []
-    for axis in range(3):
-        turn = np.zeros(3)
-        turn[axis] = STEP
-        ends = [_angles(_small(sign * turn) @ matrix) for sign in (1.0, -1.0)]
-        columns.append((np.angle(np.exp(1j * (ends[0] - ends[1])))) / (2 * STEP))
-    jacobian = np.stack(columns, axis=1)
+    jacobian = angle_derivatives(matrix)
     roll, pitch, yaw = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T)).tolist()
     if is_locked(mounting_angles(matrix).mounting.pitch, pitch):
         return Mounting(UNKNOWN_ANGLE, pitch, UNKNOWN_ANGLE)
     return Mounting(roll, pitch, yaw)
+
+
+def angle_derivatives(matrix: Array) -> Array:
+    """Return the derivatives of roll, pitch and yaw by a small turn about each of the application's axes."""
+    columns = []
+    for turn in STEP * np.eye(3):
+        ends = [_angles(_small(sign * turn) @ matrix) for sign in (1.0, -1.0)]
+        columns.append((np.angle(np.exp(1j * (ends[0] - ends[1])))) / (2 * STEP))
+    return np.stack(columns, axis=1)
 
 
 def rotation_vector(matrix: Array) -> Array:

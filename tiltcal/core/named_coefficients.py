@@ -126,15 +126,12 @@ def known(
         moved = with_vector(coefficients, names, vector)
         return np.array(list(values(moved if reference is None else referred(moved, reference)).values()))
 
-    vector, wider = vector_of(coefficients, names), np.maximum(factors / NORMAL_FACTOR, 1.0)
-    u = propagated(numbers, vector, covariance)
-    stretched = propagated(numbers, vector, covariance * np.outer(wider, wider))
-    found = {}
-    for name, own, stretch in zip(values(coefficients), u.tolist(), stretched.tolist(), strict=True):
-        if own > 0.0:
-            factor = NORMAL_FACTOR * stretch / own
-            found[name] = KnownCoefficient(own, degrees_of_freedom(factor))
-    return found
+    u, wide = propagated(numbers, vector_of(coefficients, names), covariance, np.maximum(factors, NORMAL_FACTOR))
+    return {
+        name: KnownCoefficient(own, degrees_of_freedom(factor))
+        for name, own, factor in zip(values(coefficients), u.tolist(), wide.tolist(), strict=True)
+        if own > 0.0
+    }
 
 
 def degrees_of_freedom(factor: float) -> float:

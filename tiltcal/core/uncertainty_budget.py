@@ -165,8 +165,10 @@ def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float | Ar
     return np.divide(variance**2, weighted, out=np.full_like(weighted, np.inf), where=counts)
 
 
-def propagated(function: Callable[[Array], Array], parameters: Array, covariance: Array) -> Array:
-    """Compute the standard uncertainty of a function of uncertain parameters.
+def propagated(
+    function: Callable[[Array], Array], parameters: Array, covariance: Array, factors: Array
+) -> tuple[Array, Array]:
+    """Compute the standard uncertainty of a function of uncertain parameters, and its coverage factor.
 
     Parameters
     ----------
@@ -174,11 +176,15 @@ def propagated(function: Callable[[Array], Array], parameters: Array, covariance
         From the parameters, shape (k,), to any number of values, shape (m,).
     parameters : ndarray, shape (k,)
     covariance : ndarray, shape (k, k)
+    factors : ndarray, shape (k,)
+        What each parameter's standard uncertainty is multiplied with for an interval of 95 %.
 
     Returns
     -------
-    ndarray, shape (m,)
+    u : ndarray, shape (m,)
         NaN where the function is NaN near the parameters.
+    factors : ndarray, shape (m,)
+        From parameters whose uncertainties are wider by what each factor exceeds that of a normal distribution.
 
     Notes
     -----
@@ -186,6 +192,13 @@ def propagated(function: Callable[[Array], Array], parameters: Array, covariance
     the GUM's law of propagation (5.1) where the function is linear, and stays finite where it has a corner, such as the
     angle between two directions that are nearly parallel.
     """
+    wider = factors / NORMAL_FACTOR
+    u = _standard_uncertainty(function, parameters, covariance)
+    wide = _standard_uncertainty(function, parameters, covariance * np.outer(wider, wider))
+    return u, NORMAL_FACTOR * np.divide(wide, u, out=np.ones_like(u), where=u > 0.0)
+
+
+def _standard_uncertainty(function: Callable[[Array], Array], parameters: Array, covariance: Array) -> Array:
     values, axes = np.linalg.eigh(covariance)
     middle = function(parameters)
     variance = np.zeros_like(middle)

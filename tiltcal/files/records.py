@@ -121,6 +121,9 @@ class LevelFit:
     change_uncertainty: Mapping[str, float] = entry(
         ByChannel(FROM_ZERO), "per channel, its standard uncertainty, unit", default={}
     )
+    change_coverage_factor: Mapping[str, float] = entry(
+        ByChannel(FROM_ZERO), "per channel, what that is multiplied with for an interval of 95 %", default={}
+    )
     verdict: str | None = entry(Text(), "whether the change is more than its uncertainty", default=None)
     temperature: float | None = entry(Number(), "of the position, °C", default=None)
     jig_degrees: float | None = entry(
@@ -219,6 +222,16 @@ class DerivedUncertainty:
 
 
 @frozen(kw_only=True)
+class IntrinsicCoverage:
+    """Coverage factors of the intrinsic parameters, for intervals of 95 %."""
+
+    offset: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel", default={})
+    sensitivity: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel", default={})
+    angle_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "per pair of channels", default={})
+    rotation_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "roll, pitch, yaw", default={})
+
+
+@frozen(kw_only=True)
 class IntrinsicUncertainty:
     """Standard uncertainties of the intrinsic parameters."""
 
@@ -226,6 +239,9 @@ class IntrinsicUncertainty:
     sensitivity: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel, unit/g", default={})
     angle_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "per pair of channels, degrees", default={})
     rotation_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "roll, pitch, yaw, degrees", default={})
+    coverage_factor: IntrinsicCoverage | None = entry(
+        Section(IntrinsicCoverage), "what each is multiplied with for an interval of 95 %", default=None
+    )
 
 
 @frozen(kw_only=True)

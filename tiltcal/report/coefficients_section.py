@@ -11,7 +11,13 @@ from tiltcal.calibration.labels import symbol, unit_of, words
 from tiltcal.core.named_coefficients import values
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.records import DerivedCoverage, DerivedUncertainty, IntrinsicRecord, IntrinsicUncertainty
+from tiltcal.files.records import (
+    DerivedCoverage,
+    DerivedUncertainty,
+    IntrinsicCoverage,
+    IntrinsicRecord,
+    IntrinsicUncertainty,
+)
 from tiltcal.report.number_format import AlignedNumber, at_place, column, half_width, measured, plain
 
 SOURCES = {
@@ -179,12 +185,14 @@ def _derived(calibration: CalibrationRecord) -> Iterator[CoefficientGroup]:
 
 def _intrinsic(own: IntrinsicRecord, unit: str) -> CoefficientGroup:
     u = own.uncertainty or IntrinsicUncertainty()
+    k, length = u.coverage_factor or IntrinsicCoverage(), "Sensitivity of {} along its own direction"
+    turn = own.rotation_degrees, u.rotation_degrees, k.rotation_degrees
     return _group(
         "Intrinsic parameters",
-        _by_channel("Offset of {}", unit, own.offset, u.offset),
-        _by_channel("Sensitivity of {} along its own direction", f"{unit}/g", own.sensitivity, u.sensitivity),
-        _by_channel("Angle between {}", "°", own.angle_degrees, u.angle_degrees),
-        _by_channel("Rotation in the jig’s frame, {}", "°", own.rotation_degrees, u.rotation_degrees),
+        _by_channel("Offset of {}", unit, own.offset, u.offset, k.offset),
+        _by_channel(length, f"{unit}/g", own.sensitivity, u.sensitivity, k.sensitivity),
+        _by_channel("Angle between {}", "°", own.angle_degrees, u.angle_degrees, k.angle_degrees),
+        _by_channel("Rotation in the jig’s frame, {}", "°", *turn),
         remark=own.left_handed or "These do not change with the mounting.",
     )
 
@@ -213,8 +221,9 @@ def _mounting(calibration: CalibrationRecord) -> CoefficientGroup:
         return CoefficientGroup("Mounting", (), remark)
     angles = {angle: degrees(getattr(mounting, angle)) for angle in ANGLES}
     u = {angle: calibration.uncertainty.get(f"mounting.{angle}", 0.0) for angle in ANGLES}
+    known = calibration.uncertainty.coverage_factor
     rows = [
-        Row(f"mounting.{angle}", angle.capitalize(), ("", ""), value, u[angle], "°", None)
+        Row(f"mounting.{angle}", angle.capitalize(), ("", ""), value, u[angle], "°", known.get(f"mounting.{angle}"))
         for angle, value in angles.items()
     ]
     return _group("Mounting", rows, remark=remark or "Roll first, then pitch, then yaw.")

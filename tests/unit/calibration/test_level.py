@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import radians, sqrt
+from math import inf, radians, sqrt
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.spatial.transform import Rotation
 from support import FIXTURES
 
@@ -33,10 +34,11 @@ def levelled(
     *,
     jig: float | None = JIG,
     alignment: float | None = None,
+    dof: float = inf,
 ) -> CalibrationRecord:
     """The base with the offset of one level position."""
     summaries = {
-        channel: SampleSummary(float(mean), NOISE * 10, 100, NOISE)
+        channel: SampleSummary(float(mean), NOISE * 10, 100, NOISE, dof=dof)
         for channel, mean in zip(base.coefficients.channels, readings, strict=True)
     }
     measurement = Measurement("level", (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, temperature, summaries)
@@ -69,6 +71,15 @@ def test_the_offset_is_what_is_left_of_the_reading() -> None:
     np.testing.assert_array_equal(joint[1:, 1:], known)
     np.testing.assert_array_equal(new.sensitivity, old.sensitivity)
     assert found.limits == COMPLETE.limits
+
+
+def test_the_change_has_the_coverage_factor_of_its_noise() -> None:
+    """Noise from ten block means beside a known error of the thermometer: Welch-Satterthwaite by hand, Student's t."""
+    base = replace(COMPLETE, uncertainty=replace(COMPLETE.uncertainty, standard={}, covariance=None))
+    found = levelled(base, np.array([1030.0, 1010.0]), jig=0.0, dof=9.0).fit.level
+    thermometer = 0.1 * COMPLETE.coefficients.thermal.drift[:, 0]
+    expected = stats.t.ppf(0.975, 9.0 * (1.0 + (thermometer / NOISE) ** 2) ** 2)
+    assert [found.change_coverage_factor[channel] for channel in "xy"] == pytest.approx(expected.tolist(), abs=1e-3)
 
 
 def test_both_channels_share_what_the_level_was_off() -> None:

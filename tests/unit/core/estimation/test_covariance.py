@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from support.accuracy_study import Regime, planned, simulate, sweep, two_temperatures
 from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of
 
-from tiltcal.core.derived_quantities import cross_axis, derived_uncertainty, misalignment
+from tiltcal.core.derived_quantities import cross_axis, derived, misalignment
 from tiltcal.core.estimation.design import Design, Observation
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predicted_covariance
@@ -24,6 +24,7 @@ from tiltcal.core.intrinsic_parameters import intrinsic, separated
 from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.uncertainty_budget import coverage_factor, propagated, welch_satterthwaite
+from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.errors import EstimateError
 
 LEVEL = np.array([0.0, 0.0, 1.0])
@@ -222,6 +223,10 @@ class TestPooling:
         assert np.all(np.isinf(dof))
 
 
+def uncertain(names: tuple[str, ...], covariance: np.ndarray, factor: float = 1.96) -> UncertaintyInputs:
+    return UncertaintyInputs(names, covariance, np.full(len(names), factor))
+
+
 class TestIntrinsic:
     """The nine numbers that no mounting changes."""
 
@@ -240,7 +245,7 @@ class TestIntrinsic:
         np.testing.assert_allclose(found, rotation, atol=1e-12)
 
     def test_lengths_and_angles_by_hand(self) -> None:
-        own = intrinsic(self.coefficients(np.eye(3)), self.NAMES, 1e-12 * np.eye(12))
+        own = intrinsic(self.coefficients(np.eye(3)), uncertain(self.NAMES, 1e-12 * np.eye(12)))
         assert own.sensitivity["x"].value == pytest.approx(sqrt(1.02**2 + 0.03**2 + 0.02**2))
         assert own.sensitivity["z"].value == pytest.approx(1.01)
         assert own.angle["yz"].value == pytest.approx(degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
@@ -250,11 +255,20 @@ class TestIntrinsic:
         """An error that turns all rows alike, by 0.1° about z, is the yaw's and nobody else's."""
         turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
         shift = np.hstack([np.zeros((3, 1)), self.TRIANGULAR @ turn]).ravel() * radians(0.1)
-        own = intrinsic(self.coefficients(np.eye(3)), self.NAMES, np.outer(shift, shift))
+        own = intrinsic(self.coefficients(np.eye(3)), uncertain(self.NAMES, np.outer(shift, shift)))
         assert own.mounting["yaw"].u == pytest.approx(0.1, rel=1e-3)
         assert own.mounting["roll"].u < 1e-3
         assert own.sensitivity["x"].u < 1e-5
         assert own.angle["xy"].u < 1e-3
+
+    def test_one_estimated_variance_gives_all_of_them_the_factor_of_student(self) -> None:
+        """Readings whose variance has 5 degrees of freedom: whatever follows from them straightly has t of 5."""
+        student = float(stats.t.ppf(0.975, 5))
+        by = np.random.default_rng(3).normal(size=(12, 12))
+        own = intrinsic(self.coefficients(np.eye(3)), uncertain(self.NAMES, 1e-12 * by @ by.T, student))
+        every = [*own.offset.values(), *own.sensitivity.values(), *own.angle.values(), *own.mounting.values()]
+        assert len(every) == 12
+        np.testing.assert_allclose([one.factor for one in every], student, rtol=1e-4)
 
     def test_a_mirror_image_is_refused(self) -> None:
         with pytest.raises(EstimateError, match="left-handed"):
@@ -263,7 +277,7 @@ class TestIntrinsic:
     def test_a_mirror_image_has_its_nine_numbers_all_the_same(self) -> None:
         """A channel that is wired the other way round: lengths stay, and its angles with the others are 180° less."""
         mirrored = Coefficients(XYZ, XYZ, np.zeros(3), self.TRIANGULAR * np.array([[1.0], [-1.0], [1.0]]))
-        own = intrinsic(mirrored, self.NAMES, 1e-12 * np.eye(12))
+        own = intrinsic(mirrored, uncertain(self.NAMES, 1e-12 * np.eye(12)))
         assert own.sensitivity["y"].value == pytest.approx(sqrt(0.97**2 + 0.05**2))
         assert own.angle["yz"].value == pytest.approx(180.0 - degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
         assert own.mounting == {}
@@ -273,20 +287,18 @@ class TestIntrinsic:
 def test_cross_axis_and_misalignment_with_their_uncertainty() -> None:
     """S_X = 2, S_Y = 0.06, S_Z = 0.08: 5 %; du = (0.6 du_Y + 0.8 du_Z) / 2, for both of 0.01: 0.5 %."""
     known = Coefficients(("x",), XYZ, np.zeros(1), np.array([[2.0, 0.06, 0.08]]))
-    names, covariance = ("sensitivity.x.y", "sensitivity.x.z"), 1e-4 * np.eye(2)
+    known_to = uncertain(("sensitivity.x.y", "sensitivity.x.z"), 1e-4 * np.eye(2))
     assert cross_axis(known)["x"] == pytest.approx(5.0)
-    assert derived_uncertainty(cross_axis, known, names, covariance)["x"] == pytest.approx(0.5, rel=0.01)
+    assert derived(cross_axis, known, known_to)["x"].u == pytest.approx(0.5, rel=0.01)
     angle = degrees(np.arctan(0.05))
     assert misalignment(known)["x"] == pytest.approx(angle)
-    assert derived_uncertainty(misalignment, known, names, covariance)["x"] == pytest.approx(
-        degrees(0.005 / (1 + 0.05**2)), rel=0.01
-    )
+    assert derived(misalignment, known, known_to)["x"].u == pytest.approx(degrees(0.005 / (1 + 0.05**2)), rel=0.01)
 
 
 def test_propagation_is_exact_for_a_straight_function() -> None:
     matrix = np.array([[1.0, -2.0], [0.5, 3.0], [0.0, 1.0]])
     covariance = np.array([[2.0, 0.7], [0.7, 1.0]])
-    u = propagated(lambda v: matrix @ v, np.array([1.0, 2.0]), covariance)
+    u, _ = propagated(lambda v: matrix @ v, np.array([1.0, 2.0]), covariance, np.full(2, 1.96))
     np.testing.assert_allclose(u, np.sqrt(np.diag(matrix @ covariance @ matrix.T)), rtol=1e-12)
 
 
