@@ -84,33 +84,20 @@ def test_plane_at_an_mcp3208_and_4_9_volts(tmp_path: Path) -> None:
         assert_true(found(bench, tmp_path), part)
 
 
-def told(bench: Bench) -> dict[str, object]:
-    line = bench.process.stdout.readline()
-    assert line, bench.errors()
-    return json.loads(line)
-
-
-def take(bench: Bench) -> None:
-    """Take the position that is asked for next."""
-    ask = told(bench)
-    bench.pose(ask["gravity"])
-    bench.say(json.dumps({"answer": "ready"}))
-
-
 def test_unplugged_and_faulty_in_mid_session_and_then_well_again(tmp_path: Path) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
     address = "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2&rate=860"
     part = Ads1115Sca100t()
     with run_on_i2c(program(address, tmp_path, "--samples", "20"), part, 0x48) as bench:
-        take(bench)
-        assert told(bench)["event"] == "accepted"
+        bench.take()
+        assert bench.read()["event"] == "accepted"
         bench.fail(errno.EREMOTEIO)
-        take(bench)
-        assert "no device acknowledges at address 0x48" in str(told(bench)["why"])
+        bench.take()
+        assert "no device acknowledges at address 0x48" in str(bench.read()["why"])
         bench.fail(0)
         bench.break_part()
-        take(bench)
-        assert "both outputs are below 0.25 V" in str(told(bench)["why"])
+        bench.take()
+        assert "both outputs are below 0.25 V" in str(bench.read()["why"])
         bench.break_part(False)
         assert_true(found(bench, tmp_path), part)
 

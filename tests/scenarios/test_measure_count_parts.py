@@ -6,7 +6,6 @@ Noise is that of the data sheets, the jig has 0.01°. Offsets are found within 0
 from __future__ import annotations
 
 import errno
-import json
 import sys
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.command import tiltcal
-from support.emulated.bench import Adxl355, Bench, Iis2iclx, PartFacts, Sca103t, Scl3300, run_on_i2c, run_on_spi
+from support.emulated.bench import READY, Adxl355, Bench, Iis2iclx, PartFacts, Sca103t, Scl3300, run_on_i2c, run_on_spi
 
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
@@ -128,14 +127,14 @@ SCL_2G = replace(SCL, address=f"{SPI}?range=2.4g", part=Scl3300(noise=178e-6, co
 def test_what_happens_in_mid_session_is_told_and_redone(setup: Setup, fault: int, why: str, tmp_path: Path) -> None:
     """The part is in another range than after a reset, so that words of the wrong scale would show."""
     with setup.run(setup.program(tmp_path)) as bench:
-        take_position(bench)
-        assert read_line(bench)["event"] == "accepted"
-        ask = read_line(bench)
+        bench.take()
+        assert bench.read()["event"] == "accepted"
+        ask = bench.read()
         bench.pose(ask["gravity"], ask.get("temperature"))
         bench.fail(fault)
         bench.call("restart")
-        bench.say(json.dumps({"answer": "ready"}))
-        refused = read_line(bench)
+        bench.say(READY)
+        refused = bench.read()
         assert refused["event"] == "refused"
         assert why in str(refused["why"])
         bench.fail(0)
@@ -152,15 +151,3 @@ def require_true(setup: Setup, folder: Path) -> None:
     np.testing.assert_allclose((np.array(found.offset) - model.offset) / model.sensitivity, offset, atol=0.5e-3)
     determined = np.array(found.sensitivity) / model.sensitivity
     np.testing.assert_allclose(determined, sensitivity[:, : determined.shape[1]], atol=0.5e-3)
-
-
-def take_position(bench: Bench) -> None:
-    ask = read_line(bench)
-    bench.pose(ask["gravity"], ask.get("temperature"))
-    bench.say(json.dumps({"answer": "ready"}))
-
-
-def read_line(bench: Bench) -> dict[str, object]:
-    line = bench.process.stdout.readline()
-    assert line, bench.errors()
-    return json.loads(line)

@@ -7,7 +7,6 @@ within 0.9 count/g of the part's truth.
 from __future__ import annotations
 
 import errno
-import json
 import signal
 import sys
 from math import cos, radians
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.emulated.bench import Bench, Part, run_on_spi
+from support.emulated.bench import Part, run_on_spi
 
 from tiltcal.bench.session import Session
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
@@ -67,30 +66,17 @@ def test_cross_axis(tmp_path: Path) -> None:
     assert calibration.derived.cross_axis_percent["y"] == pytest.approx(1.1445, abs=0.15)
 
 
-def answer(bench: Bench, line: str, wrong: tuple[float, float, float] | None = None) -> dict[str, object]:
-    ask = json.loads(line)
-    bench.pose(wrong or ask["gravity"], ask.get("temperature"))
-    bench.say(json.dumps({"answer": "ready"}))
-    return ask
-
-
-def read_line(bench: Bench) -> dict[str, object]:
-    line = bench.process.stdout.readline()
-    assert line, bench.errors()
-    return json.loads(line)
-
-
 def test_a_wrong_position_is_refused_and_asked_for_again(tmp_path: Path) -> None:
     with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
-        first = read_line(bench)
-        answer(bench, json.dumps(first), wrong=(-0.5, 0.0, 0.866025404))
-        refused = read_line(bench)
+        first = bench.read()
+        bench.take(first, gravity=(-0.5, 0.0, 0.866025404))
+        refused = bench.read()
         assert refused["event"] == "refused"
         assert refused["position"] == "x-tilt1"
         assert "x-tilt2" in str(refused["why"])
-        again = read_line(bench)
+        again = bench.read()
         assert again == first
-        answer(bench, json.dumps(again))
+        bench.take(again)
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     assert told[0]["event"] == "accepted"
@@ -98,11 +84,11 @@ def test_a_wrong_position_is_refused_and_asked_for_again(tmp_path: Path) -> None
 
 def test_unplugged_in_mid_session_and_plugged_in_again(tmp_path: Path) -> None:
     with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
-        answer(bench, json.dumps(read_line(bench)))
-        assert read_line(bench)["event"] == "accepted"
+        bench.take()
+        assert bench.read()["event"] == "accepted"
         bench.fail(errno.EIO)
-        answer(bench, json.dumps(read_line(bench)))
-        refused = read_line(bench)
+        bench.take()
+        refused = bench.read()
         assert refused["event"] == "refused"
         assert "/dev/spidev0.0" in str(refused["why"])
         bench.fail(0)
@@ -117,8 +103,8 @@ def test_unplugged_in_mid_session_and_plugged_in_again(tmp_path: Path) -> None:
 
 def test_a_part_that_stays_away_ends_the_session_and_keeps_it(tmp_path: Path) -> None:
     with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
-        answer(bench, json.dumps(read_line(bench)))
-        assert read_line(bench)["event"] == "accepted"
+        bench.take()
+        assert bench.read()["event"] == "accepted"
         bench.fail(errno.ENODEV)
         bench.lead()
         assert bench.exit_code == 3
@@ -129,10 +115,10 @@ def test_a_part_that_stays_away_ends_the_session_and_keeps_it(tmp_path: Path) ->
 
 def test_the_parts_fault_signal_is_refused(tmp_path: Path) -> None:
     with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
-        ask = read_line(bench)
+        ask = bench.read()
         bench.break_part()
-        answer(bench, json.dumps(ask))
-        assert "102" in str(read_line(bench)["why"])
+        bench.take(ask)
+        assert "102" in str(bench.read()["why"])
         bench.break_part(False)
         bench.lead()
         assert bench.exit_code == 0
@@ -167,9 +153,9 @@ def test_a_captured_real_session_replays_to_the_byte(tmp_path: Path) -> None:
 def test_killed_on_the_real_bus_and_resumed(tmp_path: Path) -> None:
     with run_on_spi(program("plane", tmp_path, "--samples", "30"), FLAT) as bench:
         for _ in range(2):
-            answer(bench, json.dumps(read_line(bench)))
-            assert read_line(bench)["event"] == "accepted"
-        answer(bench, json.dumps(read_line(bench)))
+            bench.take()
+            assert bench.read()["event"] == "accepted"
+        bench.take()
         bench.kill(signal.SIGKILL)
         assert bench.exit_code == 128 + signal.SIGKILL
     journal = tmp_path / "S-0042.journal.jsonl"

@@ -7,14 +7,13 @@ within 0.9 count/g of the part's truth.
 from __future__ import annotations
 
 import errno
-import json
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.command import tiltcal
-from support.emulated.bench import Bench, Sca3000, run_on_i2c, run_on_spi
+from support.emulated.bench import Sca3000, run_on_i2c, run_on_spi
 
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.journal import read_journal
@@ -69,11 +68,11 @@ def test_unplugged_on_i2c_in_mid_session_and_plugged_in_again(tmp_path: Path) ->
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
     part = Sca3000(thermometer=False)
     with run_on_i2c(program(*ON_I2C, tmp_path, "--samples", "20"), part, 0x1D) as bench:
-        take_position(bench)
-        assert read_line(bench)["event"] == "accepted"
+        bench.take()
+        assert bench.read()["event"] == "accepted"
         bench.fail(errno.EREMOTEIO)
-        take_position(bench)
-        refused = read_line(bench)
+        bench.take()
+        refused = bench.read()
         assert refused["event"] == "refused"
         assert "no device acknowledges at address 0x1d on /dev/i2c-1" in str(refused["why"])
         bench.fail(0)
@@ -100,15 +99,3 @@ def test_a_twin_file_with_too_few_channels_is_refused(tmp_path: Path) -> None:
     refused = tiltcal("probe", "--sensor", "sca3000-d01", "--address", "sim:twin=flat.yaml", cwd=tmp_path)
     assert refused.returncode == 2
     assert "the twin file has no z, which a sca3000-d01 reads" in refused.stderr
-
-
-def take_position(bench: Bench) -> None:
-    ask = read_line(bench)
-    bench.pose(ask["gravity"], ask.get("temperature"))
-    bench.say(json.dumps({"answer": "ready"}))
-
-
-def read_line(bench: Bench) -> dict[str, object]:
-    line = bench.process.stdout.readline()
-    assert line, bench.errors()
-    return json.loads(line)

@@ -7,13 +7,12 @@ the sentence with its sequence number and checksum; on request, damage to one se
 
 from __future__ import annotations
 
-import os
 import random
-import threading
-import tty
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+
+from support.pty_device import printing
 
 SENTENCES_A_SECOND = 250
 
@@ -75,28 +74,6 @@ class Adxl202Part:
         return whole[: place + 2] + b"\xff\x00\x81\r\n"
 
 
-@contextmanager
-def on_a_pty(part: Adxl202Part) -> Iterator[str]:
-    """Let the part talk on a pseudo-terminal; its path."""
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    os.set_blocking(master, False)
-    ended = threading.Event()
-
-    def talk() -> None:
-        while not ended.wait(1 / SENTENCES_A_SECOND):
-            try:
-                os.write(master, part.sentence())
-            except BlockingIOError:
-                # Nobody reads: a UART's bytes are lost then.
-                continue
-
-    talker = threading.Thread(target=talk)
-    talker.start()
-    try:
-        yield os.ttyname(slave)
-    finally:
-        ended.set()
-        talker.join()
-        os.close(master)
-        os.close(slave)
+def on_a_pty(part: Adxl202Part) -> AbstractContextManager[str]:
+    """Let the part print on a pseudo-terminal; its path."""
+    return printing(part.sentence, SENTENCES_A_SECOND, waits=False)

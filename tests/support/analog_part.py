@@ -15,15 +15,16 @@ Not modelled: differential inputs, continuous conversion, the comparator, drift 
 
 from __future__ import annotations
 
-import random
 import time
-from math import pi, radians, sin
+from math import pi, sin
+
+from support.held_part import Held
 
 FULL_SCALES = {0b000: 6.144, 0b001: 4.096, 0b010: 2.048, 0b011: 1.024, 0b100: 0.512, 0b101: 0.256}
 RATES = {0b000: 8, 0b001: 16, 0b010: 32, 0b011: 64, 0b100: 128, 0b101: 250, 0b110: 475, 0b111: 860}
 
 
-class AnalogSca100t:
+class AnalogSca100t(Held):
     """The sensor, its supply, and the jig that holds it.
 
     Parameters
@@ -53,23 +54,12 @@ class AnalogSca100t:
         jig: float,
         seed: int,
     ) -> None:
+        super().__init__(jig, seed)
         self.offset = offset
         self.sensitivity = sensitivity
         self.mean_supply = supply
         self.wander = wander
         self.noise = noise
-        self.jig = radians(jig)
-        self.chance = random.Random(seed)
-        self.gravity = [0.0, 0.0, 1.0]
-        self.broken = False
-
-    def pose(self, gravity: list[float], temperature: float | None) -> None:
-        """Lie as asked, but for the jig's error: g' = g + e x g for a small rotation e."""
-        ex, ey, ez = (self.chance.gauss(0.0, self.jig) for _ in range(3))
-        gx, gy, gz = gravity
-        missed = [gx + ey * gz - ez * gy, gy + ez * gx - ex * gz, gz + ex * gy - ey * gx]
-        length = sum(component**2 for component in missed) ** 0.5
-        self.gravity = [component / length for component in missed]
 
     def vdd(self) -> float:
         """The supply now, V."""

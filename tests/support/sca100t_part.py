@@ -13,13 +13,12 @@ Not modelled: self-test, non-linearity, bandwidth, start-up, the parity fault by
 
 from __future__ import annotations
 
-import random
-from math import radians
+from support.held_part import Held
 
 REFRESH_NS = 150_000
 
 
-class Sca100tPart:
+class Sca100tPart(Held):
     """The part, and the jig that holds it.
 
     Parameters
@@ -46,27 +45,13 @@ class Sca100tPart:
         jig: float,
         seed: int,
     ) -> None:
+        super().__init__(jig, seed)
         self.offset = offset
         self.sensitivity = sensitivity
         self.drift = drift
         self.noise = noise
-        self.jig = radians(jig)
-        self.chance = random.Random(seed)
-        self.gravity = [0.0, 0.0, 1.0]
-        self.temperature = 24.0
-        self.broken = False
         self.last_end_ns: int | None = None
         self.words = [0, 0]
-
-    def pose(self, gravity: list[float], temperature: float | None) -> None:
-        """Lie as asked, but for the jig's error: g' = g + e x g for a small rotation e."""
-        ex, ey, ez = (self.chance.gauss(0.0, self.jig) for _ in range(3))
-        gx, gy, gz = gravity
-        missed = [gx + ey * gz - ez * gy, gy + ez * gx - ex * gz, gz + ex * gy - ey * gx]
-        length = sum(component**2 for component in missed) ** 0.5
-        self.gravity = [component / length for component in missed]
-        if temperature is not None:
-            self.temperature = temperature
 
     def transfer(self, out: bytes, start_ns: int, end_ns: int) -> bytes:
         """Answer one frame, chip select low from ``start_ns`` to ``end_ns``."""

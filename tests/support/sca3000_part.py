@@ -15,15 +15,14 @@ nothing and counted in ``writes``: no test may cause one.
 
 from __future__ import annotations
 
-import random
-from math import radians
+from support.held_part import Held
 
 REVID, STATUS = 0x00, 0x02
 X_LSB, Z_MSB = 0x04, 0x09
 TEMP_LSB, TEMP_MSB = 0x12, 0x13
 
 
-class Sca3000Part:
+class Sca3000Part(Held):
     """The part, and the jig that holds it.
 
     Parameters
@@ -52,31 +51,21 @@ class Sca3000Part:
         rate: float,
         thermometer: bool,
     ) -> None:
+        super().__init__(jig, seed)
         self.offset = offset
         self.sensitivity = sensitivity
         self.noise = noise
-        self.jig = radians(jig)
-        self.chance = random.Random(seed)
         self.period_ns = round(1e9 / rate)
         self.thermometer = thermometer
-        self.gravity = [0.0, 0.0, 1.0]
-        self.temperature = 24.0
-        self.broken = False
         self.pointer = 0
         self.writes = 0
         self.slot = -1
         self.words = [0, 0, 0]
 
     def pose(self, gravity: list[float], temperature: float | None) -> None:
-        """Lie as asked, but for the jig's error: g' = g + e x g for a small rotation e."""
-        ex, ey, ez = (self.chance.gauss(0.0, self.jig) for _ in range(3))
-        gx, gy, gz = gravity
-        missed = [gx + ey * gz - ez * gy, gy + ez * gx - ex * gz, gz + ex * gy - ey * gx]
-        length = sum(component**2 for component in missed) ** 0.5
-        self.gravity = [component / length for component in missed]
+        """Lie as asked, and take new words."""
+        super().pose(gravity, temperature)
         self.slot = -1
-        if temperature is not None:
-            self.temperature = temperature
 
     def transfer(self, out: bytes, start_ns: int, end_ns: int) -> bytes:
         """Answer one SPI frame; the byte under the command is left to chance."""

@@ -5,13 +5,12 @@ Nothing is lost on the way: a line is printed when there is room for it, so the 
 
 from __future__ import annotations
 
-import os
-import threading
-import tty
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from itertools import chain, repeat
 
 from support import accelerometer_disk as disk
+from support.pty_device import printing
 
 LINES_A_SECOND = 1500
 
@@ -24,31 +23,7 @@ def printed(taken: disk.Record) -> list[bytes]:
     ]
 
 
-@contextmanager
-def on_a_pty(lines: Sequence[bytes]) -> Iterator[str]:
+def on_a_pty(lines: Sequence[bytes]) -> AbstractContextManager[str]:
     """Print the lines on a pseudo-terminal, the last one again and again; its path."""
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    os.set_blocking(master, False)
-    ended = threading.Event()
-
-    def talk() -> None:
-        number, rest = 0, b""
-        while not ended.wait(1 / LINES_A_SECOND):
-            if not rest:
-                rest = lines[min(number, len(lines) - 1)]
-                number += 1
-            try:
-                rest = rest[os.write(master, rest) :]
-            except BlockingIOError:
-                continue
-
-    talker = threading.Thread(target=talk)
-    talker.start()
-    try:
-        yield os.ttyname(slave)
-    finally:
-        ended.set()
-        talker.join()
-        os.close(master)
-        os.close(slave)
+    following = chain(lines, repeat(lines[-1]))
+    return printing(lambda: next(following), LINES_A_SECOND, waits=True)

@@ -155,6 +155,9 @@ class Message(NamedTuple):
     answer: bytes
 
 
+READY = '{"answer": "ready"}'
+
+
 class Bench:
     """The running program, and the part it talks to.
 
@@ -217,8 +220,20 @@ class Bench:
     def ask(self, line: str) -> dict[str, Any]:
         """Send the program a line and take its answer, one line of JSON."""
         self.say(line)
-        answer: dict[str, Any] = json.loads(self.process.stdout.readline())  # type: ignore[union-attr]
-        return answer
+        return self.read()
+
+    def read(self) -> dict[str, Any]:
+        """Take the next line of the program, one object of JSON."""
+        line = self.process.stdout.readline()  # type: ignore[union-attr]
+        assert line, self.errors()
+        found: dict[str, Any] = json.loads(line)
+        return found
+
+    def take(self, asked: Mapping[str, Any] | None = None, gravity: Sequence[float] | None = None) -> None:
+        """Take the position of an ask, of the next one where none is given, or a wrong ``gravity``; say ready."""
+        asked = asked or self.read()
+        self.pose(gravity or asked["gravity"], asked.get("temperature"))
+        self.say(READY)
 
     def say(self, line: str) -> None:
         """Send the program a line on its standard input."""
@@ -243,7 +258,7 @@ class Bench:
             said.append(json.loads(line))
             if "ask" in said[-1]:
                 self.pose(said[-1]["gravity"], said[-1].get("temperature"))
-                self.say(json.dumps(answer or {"answer": "ready"}))
+                self.say(json.dumps(answer) if answer else READY)
         return said
 
     def _order(self, **order: object) -> dict[str, Any]:
