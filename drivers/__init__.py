@@ -7,8 +7,10 @@ a model by an entry point in the group ``tiltcal.devices``, with the name of the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -104,8 +106,14 @@ def _built_in(name: str) -> Model:
     return model
 
 
-def _plug_ins() -> dict[str, list[EntryPoint]]:
+def _plug_ins() -> Mapping[str, list[EntryPoint]]:
     """Return the entry points of each name; the caller reports a name with more than one."""
+    return _plug_ins_on(tuple(sys.path))
+
+
+@cache
+def _plug_ins_on(path: tuple[str, ...]) -> Mapping[str, list[EntryPoint]]:
+    """Search every package that is installed on a path, which takes longer than all else at the look-up of a model."""
     from importlib.metadata import entry_points
 
     found: dict[str, list[EntryPoint]] = {}

@@ -103,9 +103,9 @@ def _probability(fit: FitRecord) -> float | None:
         return None
     if fit.p_value is not None:
         return fit.p_value
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
-    return float(chi2.sf(fit.chi_square, fit.degrees_of_freedom))
+    return float(chdtrc(fit.degrees_of_freedom, fit.chi_square))
 
 
 def _pair(value: float, u: float) -> str:
