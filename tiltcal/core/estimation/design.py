@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import inf
 
 from tiltcal.core.model import Array, ChannelModel
@@ -110,12 +111,12 @@ class Design:
         """Whether the directions of gravity are unknown."""
         return self.jig == inf
 
-    @property
+    @cached_property
     def models(self) -> tuple[ChannelModel, ...]:
         """The model of each channel."""
         return tuple(ChannelModel(name, self.axes, self.drift, self.gain, self.nonlinearity) for name in self.channels)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Dotted names of all coefficients, channel by channel."""
         return tuple(name for model in self.models for name in model.coefficients)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import tracemalloc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import factorial
 
 import numpy as np
@@ -41,7 +42,7 @@ class Whole:
     thermometer: float = 0.0
     own: bool = False
 
-    @property
+    @cached_property
     def sizes(self) -> list[int]:
         n, count = len(self.sensors[0].observations), len(self.sensors)
         thermometers = (count if self.own else 1) if self.thermometer else 0
@@ -54,11 +55,29 @@ class Whole:
             n * thermometers,
         ]
 
+    @cached_property
+    def told(self) -> list[tuple[Array, Array, Array]]:
+        """Temperature from the reference, means and their standard uncertainties of each sensor."""
+        return [
+            (
+                np.array([one.temperature for one in sensor.observations]) - sensor.design.reference,
+                np.array([one.mean for one in sensor.observations]).T,
+                np.array([one.u for one in sensor.observations]).T,
+            )
+            for sensor in self.sensors
+        ]
+
+    @cached_property
+    def gravity(self) -> tuple[Array, Array]:
+        """Gravity as set, and the two directions in which it can move."""
+        gravity = np.array([one.gravity for one in self.sensors[0].observations])
+        return gravity, tangent_basis(gravity)
+
     def residual(self, z: Array) -> Array:
         """All equations over their standard uncertainties, analytic in z."""
         theta, angles, lean, heading, warm = np.split(z, np.cumsum(self.sizes)[:-1])
         seen = self.sensors[0].observations
-        gravity = np.array([one.gravity for one in seen])
+        gravity, basis = self.gravity
         n, k = len(gravity), len(theta) // (3 * len(self.sensors))
         off = angles.reshape(-1, 2) if self.jig else np.zeros((n, 2))
         if self.lean:
@@ -70,17 +89,17 @@ class Whole:
         s = np.sum(off**2, axis=1)
         cos = sum((-s) ** m / factorial(2 * m) for m in range(9))
         sinc = sum((-s) ** m / factorial(2 * m + 1) for m in range(9))
-        g = cos[:, None] * gravity + sinc[:, None] * np.einsum("nij,nj->ni", tangent_basis(gravity), off)
+        g = cos[:, None] * gravity + sinc[:, None] * np.einsum("nij,nj->ni", basis, off)
         rows = []
         for number, (sensor, own) in enumerate(zip(self.sensors, theta.reshape(-1, 3, k), strict=True)):
             drift, gain = sensor.design.drift, sensor.design.gain
-            told = np.array([one.temperature for one in sensor.observations]) - sensor.design.reference
+            told, means, u = self.told[number]
             if self.thermometer:
                 told = told + warm.reshape(-1, n)[number if self.own else 0]
             for row, c in enumerate(own):
                 value = c[0] + sum(c[4 + p] * told ** (p + 1) for p in range(drift))
                 value = value + (1 + sum(c[4 + drift + p] * told ** (p + 1) for p in range(gain))) * (g @ c[1:4])
-                rows.append([(o.mean[row] - v) / o.u[row] for o, v in zip(sensor.observations, value, strict=True)])
+                rows.append((means[row] - value) / u[row])
             priors = sensor.design.priors
             flat = dict(zip(sensor.design.names, own.ravel(), strict=True))
             rows.append([(priors[name].value - flat[name]) / priors[name].u for name in priors])
@@ -95,8 +114,13 @@ class Whole:
         return np.stack([-self.residual(z + one).imag / 1e-30 for one in step], axis=1)
 
     def minimum(self, z: Array) -> Array:
+        """Where Gauss-Newton's steps end: the last one moves all residuals together by less than 1e-12."""
         for _ in range(20):
-            z = z + np.linalg.lstsq(self.jacobian(z), self.residual(z + 0j).real, rcond=1e-15)[0]
+            jacobian = self.jacobian(z)
+            step = np.linalg.lstsq(jacobian, self.residual(z + 0j).real, rcond=1e-15)[0]
+            z = z + step
+            if np.linalg.norm(jacobian @ step) < 1e-12:
+                break
         return z
 
     def bias(self, z: Array) -> Array:
