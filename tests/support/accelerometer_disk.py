@@ -60,7 +60,8 @@ def record(
     for k, d, phi, off, slope in zip(scale, misalignment, PHASES, offset, drift, strict=True):
         angle = turned + phi
         felt = common * (np.sin(angle) + d * np.cos(angle))
-        felt += 0.5 * gradient[0] * np.sin(2 * angle) + gradient[1] * np.cos(2 * angle)
+        if any(gradient):
+            felt += 0.5 * gradient[0] * np.sin(2 * angle) + gradient[1] * np.cos(2 * angle)
         columns.append(off + slope * time / seconds + k * felt + noise * coloured(draw, len(time), corner / rate))
     return Record(time, np.rad2deg(turned) % 360.0, np.stack(columns, axis=1))
 

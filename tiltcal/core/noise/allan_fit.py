@@ -189,7 +189,7 @@ def _likeliest(columns: Array, variance: Array, dof: Array) -> Array:
         weights = np.sqrt(dof) / made
         scale = np.max(columns * weights[:, None], axis=0)
         found = nnls(columns * weights[:, None] / scale, variance * weights)[0] / scale
-        settled = np.allclose(found, squares, rtol=1e-9, atol=0.0)
+        settled = np.all(np.abs(found - squares) <= 1e-9 * squares)
         squares, made = found, columns @ found
         if settled or not np.all(made > 0.0):
             break

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from math import pi
 
@@ -206,7 +207,7 @@ class Demodulation:
         if variance <= 0.0 or len(self.scores) < 2:
             return 1.0
         scores = self.scores @ mix
-        fine, dof = _scatter(scores, self.weights, variance)
+        fine, dof = _scatter(scores, self._inverse_weights, variance)
         pooled = (_WHITE + dof * fine) / (_WHITE + dof)
         widened = pooled * _student(_WHITE + dof)
         if len(scores) < 4 * _COARSE_BLOCKS:
@@ -214,11 +215,15 @@ class Demodulation:
         groups = np.array_split(np.arange(len(scores)), _COARSE_BLOCKS)
         coarse, coarse_dof = _scatter(
             np.stack([scores[group].sum(axis=0) for group in groups]),
-            np.stack([self.weights[group].sum(axis=0) for group in groups]),
+            np.linalg.pinv(np.stack([self.weights[group].sum(axis=0) for group in groups])),
             variance,
         )
         # Slower than a turn: amplitudes that wander.
         return coarse * _student(coarse_dof) if _surprising(coarse / pooled, coarse_dof, dof) else widened
+
+    @cached_property
+    def _inverse_weights(self) -> Array:
+        return np.asarray(np.linalg.pinv(self.weights))
 
 
 def regress(blocks: Array, channels: Sequence[str], harmonics: int) -> Demodulation:
@@ -293,9 +298,9 @@ def _inverse(products: Array) -> Array | None:
     return np.asarray(np.linalg.inv(scaled) / np.outer(size, size))
 
 
-def _scatter(scores: Array, weights: Array, variance: float) -> tuple[float, int]:
+def _scatter(scores: Array, inverse_weights: Array, variance: float) -> tuple[float, int]:
     """Mean square of the blocks' scores over what white noise gives, and its degrees of freedom."""
-    squares = np.einsum("bi,bij,bj->b", scores, np.linalg.pinv(weights), scores)
+    squares = np.einsum("bi,bij,bj->b", scores, inverse_weights, scores)
     dof = max(2 * len(scores) - 2, 1)
     return float(squares.sum()) / variance / dof, dof
 

@@ -179,9 +179,10 @@ class Loops:
         now = sum_weights(self.p, self.q)
         # What the trimmed hardware would have put out, with p and q as they were in each sector; a change of them steps
         # the signal and not the offset that the readings may have.
-        trimmed = readings @ now
-        for table, (_, _, weights) in zip(tables, self._turn, strict=True):
-            trimmed += (table[:, READINGS:] - table[:, [ONE, DRIFT]] @ line) @ (weights - now)
+        changes = np.stack([weights for _, _, weights in self._turn]) - now
+        trimmed = readings @ now + np.einsum(
+            "sij,sj->i", tables[..., READINGS:] - tables[..., [ONE, DRIFT]] @ line, changes
+        )
         self._sectors += 1
         self._slopes = self._slopes + (line[1] - self._slopes) / min(self._sectors, _DRIFT_MEMORY)
         drifts = np.outer(columns[:, DRIFT], [self._slopes @ now, *self._slopes])
