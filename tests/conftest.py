@@ -68,6 +68,13 @@ def nothing_is_left_behind() -> Iterator[None]:
     assert not any(left.values()), f"left behind: {left}"
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the figures of a page empty where a test reads its words: to draw them takes most of a page's time."""
+    empty = b'<svg viewBox="0 0 1 1"></svg>'
+    monkeypatch.setattr("tiltcal.report.figure.save", lambda figure, stream: stream.write(empty))
+
+
 def _new_threads(before: set[threading.Thread]) -> set[threading.Thread]:
     """Return the threads that Python has started since; one of a library is a dummy here from its first call on."""
     return {thread for thread in set(threading.enumerate()) - before if not isinstance(thread, threading._DummyThread)}

@@ -26,6 +26,7 @@ def test_every_golden_file_has_its_page(file: Path, tmp_path: Path) -> None:
     assert "{" not in Page(text).root.find("main")[0].text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_it_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "report.html"
     assert run(["report", str(FIXTURES / "plane.yaml"), "-o", str(output)]) == 0
@@ -81,6 +82,7 @@ def test_what_is_refused(files: list[str], why: str, tmp_path: Path, capsys: pyt
     assert output.read_text(encoding="utf-8") == "as it was"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_several_calibrations_of_one_sensor(tmp_path: Path) -> None:
     spring, autumn, output = tmp_path / "spring.yaml", tmp_path / "autumn.yml", tmp_path / "report.html"
     known = read_calibration(FIXTURES / "plane.yaml")

@@ -37,6 +37,7 @@ def shares(page: Page, heading: str) -> dict[str, tuple[int, float]]:
     return {row[0]: (int(row[2].replace(" ", "")), float(row[3])) for row in page.below(heading)[1:]}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_flags_are_those_that_apply_counts(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["apply", CALIBRATION, str(log), "-o", str(tmp_path / "tilt.csv"), "--json"]) == 0
     applied = json.loads(capsys.readouterr().out)
@@ -47,6 +48,7 @@ def test_flags_are_those_that_apply_counts(log: Path, tmp_path: Path, capsys: py
     assert found["Flag 9"] == (100, pytest.approx(100 * 100 / 3600, abs=6e-4))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_log_that_is_compensated_already_says_the_same(log: Path, tmp_path: Path) -> None:
     tilt = tmp_path / "tilt.csv"
     assert run(["apply", CALIBRATION, str(log), "-o", str(tilt)]) == 0
@@ -97,6 +99,7 @@ def test_the_page_does_not_grow_with_the_log(tmp_path: Path) -> None:
     assert sizes[1] < 1.3 * sizes[0] < 600_000
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_name_with_markup_is_text(tmp_path: Path) -> None:
     path = tmp_path / "<img src=x onerror=alert(1)>.csv"
     path.write_text("x,y,temperature\n1030,1020,20\n", encoding="utf-8")
