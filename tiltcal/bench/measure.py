@@ -27,8 +27,10 @@ from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.base_calibration import bases_of, identity_in
 from tiltcal.files.bench import BenchFile, read_bench
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.node import require_name
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.stated_numbers import require_above_zero, require_whole
 
 if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration
@@ -142,6 +144,8 @@ def measure(
         )
         steps = find_procedure(str(procedure), tilt).with_turns(turns).with_alignment(alignment)
         steps = steps.with_closing() if closing else steps
+        if bench is None:
+            require_name(str(serial), "the serial number")
         _require_settings(steps, samples, settle, jig)
         sensors = _bench(bench) if bench is not None else single(str(sensor), str(serial), str(address))
         sensors = replace(
@@ -302,8 +306,10 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
 
 
 def _require_settings(procedure: Procedure, samples: int | None, settle: float | None, jig: float | None) -> None:
-    """Refuse settings that a procedure does not have."""
+    """Refuse settings that a procedure does not have, or that nobody can measure with."""
     require_no_jig(procedure, jig)
+    require_whole("--samples", samples, 2, "samples")
+    require_above_zero("--settle", settle)
     if procedure.rotation is None:
         return
     for option, value in (("--samples", samples), ("--settle", settle), ("--jig", jig)):

@@ -23,6 +23,7 @@ from tiltcal.errors import UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.stated_numbers import require_from_zero, require_whole
 
 _NOT_PREDICTED = (
     "nothing can be predicted before the stage turns: p and q will have a standard uncertainty of 2 s / (A sqrt(n)), "
@@ -125,6 +126,8 @@ def plan(
     steps = find_procedure(procedure, tilt)
     steps = steps.with_closing() if closing else steps
     require_no_jig(steps, jig)
+    require_whole("--samples", samples, 2, "samples")
+    require_from_zero("--noise", noise)
     if own is not None or steps.determines.level:
         bases_of(steps, base, [] if own is None else [own.sensor.serial])
     if steps.rotation is not None:

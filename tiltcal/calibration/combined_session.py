@@ -17,7 +17,7 @@ from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs, is_turn
-from tiltcal.errors import EstimateError
+from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, calibration_of, dump_calibration
 from tiltcal.files.document import checked_kind, parse_document, read_text
 from tiltcal.files.records import NOISE_ALONE
@@ -40,6 +40,8 @@ class CombinedSession:
     def of(cls, given: Calibration | str | Path) -> CombinedSession:
         if isinstance(given, Calibration):
             return cls(given.procedure.name or "a calibration", _sha(dump_calibration(given.record)), given.record)
+        if not isinstance(given, str | Path):
+            raise UsageError(f"combine takes tilt calibrations or their files, not {given!r:.40}")
         text = read_text(given)
         return cls(Path(given).name, _sha(text), calibration_of(checked_kind(parse_document(text, str(given)), "tilt")))
 

@@ -8,6 +8,7 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.verdict import Verdict, judge
 from tiltcal.core.named_coefficients import CoefficientChange
+from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
 from tiltcal.files.records import NOISE_ALONE
 from tiltcal.frozen import frozen
@@ -90,12 +91,15 @@ def compare(old: Calibration, new: Calibration) -> Comparison:
     Raises
     ------
     UsageError
-        They are not of one sensor; the message names what differs.
+        They are not tilt calibrations of one sensor; the message names what differs.
 
     Examples
     --------
     >>> print(tiltcal.compare(tiltcal.read("spring.yaml"), tiltcal.read("autumn.yaml")))
     """
+    for one in (old, new):
+        if not isinstance(one, Calibration):
+            raise UsageError(f"compare takes two tilt calibrations, as tiltcal.read returns them, not {one!r:.40}")
     return compare_records(old.record, new.record)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field
-from math import isfinite
 from typing import Any
 
 from tiltcal.core.estimation.design import STRAIGHT
@@ -16,6 +15,7 @@ from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.records import PositionRecord
 from tiltcal.frozen import frozen
+from tiltcal.stated_numbers import is_number
 
 
 @frozen
@@ -53,8 +53,8 @@ class BenchUncertainty:
             ("--table-lean", self.table),
             ("--heading-uncertainty", self.heading),
         ):
-            if value is not None and not (isfinite(value) and value >= 0.0):
-                raise UsageError(f"{option} {value:g}: a standard uncertainty is 0 or more")
+            if value is not None and not is_number(value, 0.0):
+                raise UsageError(f"{option} {value}: a standard uncertainty is 0 or more")
 
 
 @frozen

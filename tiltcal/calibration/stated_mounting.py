@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import isfinite, radians
+from math import radians
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES, in_degrees
 from tiltcal.files.uncertainty import Covariance
+from tiltcal.stated_numbers import is_number
 
 REACH = {"roll": 180.0, "pitch": 90.0, "yaw": 180.0}
 """The largest size of each angle, degrees."""
@@ -31,10 +32,8 @@ def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
     for name, angle in named.items():
         if name not in ANGLES:
             raise UsageError(f"--mounting: there is no angle {name!r}; the angles are {', '.join(ANGLES)}, in degrees")
-        if not isfinite(angle) or abs(angle) > REACH[name]:
-            raise UsageError(
-                f"--mounting: {name} is between -{REACH[name]:g} and {REACH[name]:g} degrees, not {angle:g}"
-            )
+        if not is_number(angle) or abs(angle) > REACH[name]:
+            raise UsageError(f"--mounting: {name} is between -{REACH[name]:g} and {REACH[name]:g} degrees, not {angle}")
     return Mounting(**{name: radians(angle) for name, angle in named.items()})
 
 

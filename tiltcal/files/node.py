@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
-from tiltcal.errors import InputError
+from tiltcal.errors import InputError, UsageError
 
 DEPTH_LIMIT = 32
 
@@ -297,6 +297,21 @@ def require_printable(text: str, file: str | None, line: int | None, key: str | 
         raise InputError(
             f"the control character {found.group()!r} is not allowed in a text", file=file, line=line, key=key
         )
+
+
+def require_name(text: object, what: str) -> None:
+    """Refuse what cannot stand in a file as a name.
+
+    Raises
+    ------
+    UsageError
+        It is no text, or an empty one.
+    InputError
+        It has a control character.
+    """
+    if not isinstance(text, str) or not text.strip():
+        raise UsageError(f"{what} is {text!r}: write a text")
+    require_printable(text, None, None, what)
 
 
 def member_key(key: str | None, name: str) -> str:

@@ -8,8 +8,18 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tiltcal.errors import InputError
 from tiltcal.logs.apply_summary import ApplySummary
-from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, locate_columns, named_columns, require_unit
+from tiltcal.logs.cf_attributes import same_unit
+from tiltcal.logs.columns import (
+    HEADING,
+    TEMPERATURE,
+    TIME,
+    locate_columns,
+    named_columns,
+    require_celsius,
+    require_unit,
+)
 from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
@@ -173,9 +183,12 @@ def apply_frame(
     """
     from tiltcal.logs.frames import FrameReader
 
-    reader = FrameReader(frame, unit=unit)
+    reader = FrameReader(frame)
     prepared = prepare_any(calibration, ApplyOptions(**options))(reader, columns)
     log = CompensatedLog.of(reader, prepared, columns)
+    if unit is not None and prepared.unit is not None and not same_unit(unit, prepared.unit):
+        why = f"column {reader.names[log.channels[0]]!r} is in {unit}, and the calibration in {prepared.unit}"
+        raise InputError(f"{why}: convert the readings", file=reader.name)
     blocks = list(log.blocks())
     if prepared.averaging is not None:
         return reader.of_means(blocks, log.channels, log.units)
@@ -260,6 +273,7 @@ class CompensatedLog:
         channels = tuple(where[channel] for channel in prepared.channels)
         if prepared.unit is not None:
             require_unit(log, channels, prepared.unit)
+        require_celsius(log, where)
         present = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
         summary = ApplySummary.watching(prepared.watched)
         return cls(log, prepared, channels, present, vectors, summary, _field_length("magnetometer" in vectors))

@@ -21,6 +21,7 @@ from tiltcal.errors import UsageError
 from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.log import LogBlock, Table
+from tiltcal.stated_numbers import require_whole
 
 if TYPE_CHECKING:
     import polars as pl
@@ -56,8 +57,7 @@ def averaging(rows: int | None, every: str | float | None) -> Averaging:
     if (rows is None) == (every is None):
         raise UsageError("--average and --every each say what belongs into a mean: give one of them")
     if rows is not None:
-        if rows < 1:
-            raise UsageError(f"--average takes a number of rows from 1, not {rows}")
+        require_whole("--average", rows, 1, "rows")
         return Averaging(rows=rows)
     found = _DURATION.fullmatch(str(every).strip())
     try:

@@ -57,6 +57,7 @@ _SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600
 _UNITS = {
     "count": ("counts", "lsb", "digit", "digits"),
     "V": ("v", "volt", "volts"),
+    "°C": ("c", "degc", "deg_c", "deg c", "celsius", "degree_c", "degrees_c", "degree_celsius", "degrees_celsius", "℃"),
     "g": ("g_n", "g0", "standard_gravity"),
     "m/s2": ("m s-2", "m s^-2", "m s**-2", "m/s^2", "m/s²", "m/s**2", "m.s-2", "meter second-2"),
 }

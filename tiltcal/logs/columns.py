@@ -33,7 +33,7 @@ def named_columns(
     for role in columns:
         if role not in roles:
             raise UsageError(f"--columns: there is no role {role!r}{_suggestion(role, roles)}")
-    return dict(columns)
+    return {role: str(name) for role, name in columns.items()}
 
 
 def parse_columns(text: str, channels: Sequence[str], others: Sequence[str] = ()) -> dict[str, str]:
@@ -112,6 +112,10 @@ def locate_columns(
         elif role in named or role in channels or role in others:
             why = _absent(role, column, log.names, option.format(role=role))
             raise InputError(why, file=log.name, line=log.header_line)
+    shared = [role for role in located if role in channels and list(located.values()).count(located[role]) > 1]
+    if shared:
+        name = log.names[located[shared[0]]]
+        raise InputError(f"{' and '.join(shared)} are one column, {name!r}: name the column of each", file=log.name)
     if TIME not in others:
         located.pop(TIME, None)
     return located
@@ -129,6 +133,7 @@ def locate_readings(
     """
     where = locate_columns(log, channels, named, others)
     require_unit(log, [where[channel] for channel in channels], unit, "the --unit")
+    require_celsius(log, where)
     return where
 
 
@@ -148,7 +153,20 @@ def require_unit(log: LogReader, columns: Sequence[int], unit: str, whose: str =
             )
 
 
+def require_celsius(log: LogReader, where: Mapping[str, int]) -> None:
+    """Refuse a log whose temperature states another unit than °C.
+
+    Raises
+    ------
+    InputError
+    """
+    if TEMPERATURE in where:
+        require_unit(log, [where[TEMPERATURE]], "°C", "temperatures")
+
+
 def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:
+    if not names:
+        return "there are no columns"
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
         return f"the header {names[0]!r} is a single column: separate the columns with commas"
     if all(is_number(name) for name in names if name):

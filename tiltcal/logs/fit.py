@@ -22,7 +22,7 @@ from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
-from tiltcal.files.node import require_printable
+from tiltcal.files.node import require_name
 from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
@@ -44,6 +44,7 @@ from tiltcal.logs.static_intervals import (
     read_timed_record,
 )
 from tiltcal.logs.streams import sha256_of
+from tiltcal.stated_numbers import is_number
 
 SHORTEST = 4
 """Rows of a window over which a sensor can be still."""
@@ -146,9 +147,9 @@ def fit(
     source = FitSource(data, segments, table, columns, window, progress)
     source.require_sound(steps)
     require_no_jig(steps, jig)
-    if gravity is not None and not LOCAL_GRAVITY[0] <= gravity <= LOCAL_GRAVITY[1]:
+    if gravity is not None and not (is_number(gravity, LOCAL_GRAVITY[0]) and gravity <= LOCAL_GRAVITY[1]):
         raise UsageError(
-            f"--gravity {gravity:g}: local gravity is between {LOCAL_GRAVITY[0]:g} and {LOCAL_GRAVITY[1]:g} m/s²"
+            f"--gravity {gravity}: local gravity is between {LOCAL_GRAVITY[0]:g} and {LOCAL_GRAVITY[1]:g} m/s²"
         )
     model = find_model(sensor) if sensor else None
     if model is not None:
@@ -413,6 +414,7 @@ def _identity(
             f"unit gravity alone needs three channels x, y and z; {model.name if model else 'it'} has "
             f"{', '.join(channels)}: name a procedure whose positions were set"
         )
-    for what, text in (("the serial number", serial), ("the unit", unit or "")):
-        require_printable(text, None, None, what)
-    return SensorIdentity(model.name if model else UNKNOWN_MODEL, serial, unit or str(model and model.unit), channels)
+    unit = str(model and model.unit) if unit is None else unit
+    for what, text in (("the serial number", serial), ("the unit", unit)):
+        require_name(text, what)
+    return SensorIdentity(model.name if model else UNKNOWN_MODEL, serial, unit, channels)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.cf_attributes import describe, same_unit, seconds_since_1970
+from tiltcal.logs.cf_attributes import describe, seconds_since_1970
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
 
 if TYPE_CHECKING:
@@ -30,8 +30,6 @@ class FrameReader(LogReader):
     ----------
     name : str
         What messages call it.
-    unit : str, optional
-        Of its readings, where the frame does not state one.
 
     Raises
     ------
@@ -41,29 +39,24 @@ class FrameReader(LogReader):
         It has no row, or its columns are not of one length.
     """
 
-    def __init__(self, frame: Any, *, name: str = "the frame", unit: str | None = None) -> None:
+    def __init__(self, frame: Any, *, name: str = "the frame") -> None:
         super().__init__(LogSource(BytesIO(), "", name))
         self._frame = _columns_of(frame, name)
-        self._unit = unit
         self.names = self._frame.names
         self.notes = {str(key): str(note) for key, note in dict(getattr(frame, "attrs", None) or {}).items()}
 
     def unit(self, column: int) -> str | None:
-        stated = self._frame.unit(self.names[column])
-        if self._unit is None or stated is None:
-            return stated or self._unit
-        if not same_unit(self._unit, stated):
-            raise InputError(f"column {self.names[column]!r} is in {stated}, not in {self._unit}", file=self.name)
-        return self._unit
+        return self._frame.unit(self.names[column])
 
     @property
     def sha256(self) -> str:
         raise UsageError("a frame has no checksum: name the file that it came from")
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
-        values = {}
+        values, along = {}, {}
         for index in columns:
             name = self.names[index]
+            along[self._dimension(name)] = name
             found = self._frame.times(name) if index == time else self._frame.numbers(name)
             if found is None:
                 raise InputError(
@@ -71,12 +64,26 @@ class FrameReader(LogReader):
                     file=self.name,
                 )
             values[index] = found
+        if len(along) > 1:
+            told = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
+            raise InputError(f"the variables have rows of different kinds: {told}", file=self.name)
         block = LogBlock(values, frame=self._frame.polars(self.names[columns[0]]) if frames else None)
         if values and not len(block):
             raise InputError("the log has columns and no rows", file=self.name)
         if len({len(found) for found in values.values()}) > 1:
             raise InputError("the columns differ in length", file=self.name)
         yield block
+
+    def _dimension(self, name: str) -> str:
+        """Return along what a column has its rows."""
+        dimensions = self._frame.dimensions(name)
+        if len(dimensions) != 1:
+            listed = ", ".join(dimensions) or "a single value"
+            raise InputError(
+                f"column {name!r} has {len(dimensions)} dimensions ({listed}): a log's columns have one, such as time",
+                file=self.name,
+            )
+        return dimensions[0]
 
     def of_means(self, blocks: Sequence[tuple[LogBlock, Table]], channels: Sequence[int], units: Units) -> Any:
         """Return the means of a frame, of its own kind, with columns behind them; see :meth:`with_columns`."""
@@ -113,9 +120,14 @@ def rows_of(frame: Any, name: str) -> list[dict[str, Any]]:
         The frame is of no known kind.
     """
     if isinstance(frame, Mapping):
-        columns = [np.asarray(values).tolist() for values in frame.values()]
+        arrays = [_array(values) for values in frame.values()]
+        if len({values.shape[:1] or None for values in arrays}) > 1 or any(values.ndim == 0 for values in arrays):
+            raise InputError("the columns differ in length", file=name)
+        columns = [values.tolist() for values in arrays]
         rows = [dict(zip(frame, cells, strict=True)) for cells in zip(*columns, strict=True)]
     elif isinstance(frame, Sequence):
+        if not all(isinstance(row, Mapping) for row in frame):
+            raise UsageError(f"{name} is a list of rows: each is a mapping, such as {{'position': 'level', 'x': 2.5}}")
         rows = [dict(row) for row in frame]
     else:
         rows = list(_eager(frame, name).rows(named=True))
@@ -130,6 +142,10 @@ class _Columns(Protocol):
     def unit(self, name: str) -> str | None: ...
 
     def kind(self, name: str) -> object: ...
+
+    def dimensions(self, name: str) -> tuple[str, ...]:
+        """Return along what a column has its values; a column of a log has one."""
+        ...
 
     def numbers(self, name: str) -> Array | None: ...
 
@@ -148,7 +164,7 @@ class _Columns(Protocol):
 
 def _columns_of(frame: Any, name: str) -> _Columns:
     if hasattr(frame, "data_vars") and hasattr(frame, "dims"):
-        return _Dataset(frame, name)
+        return _Dataset(frame)
     if isinstance(frame, Mapping):
         return _Arrays(frame)
     return _Table(_eager(frame, name))
@@ -160,6 +176,8 @@ def _eager(frame: Any, name: str) -> Any:
 
     try:
         return nw.from_native(frame, eager_only=True)
+    except nw.exceptions.DuplicateError as failure:
+        raise InputError(f"two columns have one name: {' '.join(str(failure).split())}", file=name) from None
     except TypeError:
         raise UsageError(
             f"{name} is a {type(frame).__module__.partition('.')[0]}.{type(frame).__name__}: give a polars, pandas or "
@@ -172,24 +190,31 @@ class _Table:
 
     def __init__(self, frame: Any) -> None:
         self._frame = frame
-        self.names = tuple(frame.columns)
+        self._named = {str(name): name for name in frame.columns}  # a pandas frame may have numbers for names
+        self.names = tuple(self._named)
 
     def unit(self, name: str) -> str | None:
         return None
 
     def kind(self, name: str) -> object:
-        return self._frame[name].dtype
+        return self._column(name).dtype
+
+    def _column(self, name: str) -> Any:
+        return self._frame.get_column(self._named[name])
+
+    def dimensions(self, name: str) -> tuple[str, ...]:
+        return ("row",)
 
     def numbers(self, name: str) -> Array | None:
         import narwhals.stable.v2 as nw
 
-        column = self._frame[name]
+        column = self._column(name)
         return _floats(column.cast(nw.Float64)) if column.dtype.is_numeric() else None
 
     def times(self, name: str) -> Array | None:
         import narwhals.stable.v2 as nw
 
-        column = self._frame[name]
+        column = self._column(name)
         kind = column.dtype
         if isinstance(kind, nw.Datetime | nw.Duration):
             moment = isinstance(kind, nw.Datetime)
@@ -200,7 +225,7 @@ class _Table:
         return _seconds(column.to_list())
 
     def polars(self, reading: str) -> pl.DataFrame:
-        return self._frame.to_polars()  # type: ignore[no-any-return]
+        return self._frame.rename({own: name for name, own in self._named.items() if own != name}).to_polars()  # type: ignore[no-any-return]
 
     def of_rows(self, rows: pl.DataFrame) -> _Table:
         import narwhals.stable.v2 as nw
@@ -220,14 +245,17 @@ class _Arrays:
 
     def __init__(self, arrays: Mapping[str, Any]) -> None:
         self._given = dict(arrays)
-        self._arrays = {str(name): np.asarray(values) for name, values in arrays.items()}
-        self.names = tuple(name for name, values in self._arrays.items() if values.ndim == 1)
+        self._arrays = {str(name): _array(values) for name, values in arrays.items()}
+        self.names = tuple(self._arrays)
 
     def unit(self, name: str) -> str | None:
         return None
 
     def kind(self, name: str) -> object:
         return self._arrays[name].dtype
+
+    def dimensions(self, name: str) -> tuple[str, ...]:
+        return tuple(f"axis {number}" for number in range(self._arrays[name].ndim))
 
     def numbers(self, name: str) -> Array | None:
         return _numeric(self._arrays[name])
@@ -238,7 +266,8 @@ class _Arrays:
     def polars(self, reading: str) -> pl.DataFrame:
         import polars as pl
 
-        return pl.DataFrame({name: values for name, values in self._arrays.items() if values.ndim == 1})
+        columns = {name: values for name, values in self._arrays.items() if values.ndim == 1}
+        return pl.DataFrame({name: _numeric(one) if np.ma.isMaskedArray(one) else one for name, one in columns.items()})
 
     def of_rows(self, rows: pl.DataFrame) -> _Arrays:
         return _Arrays({name: rows[name].to_numpy() for name in rows.columns})
@@ -250,9 +279,8 @@ class _Arrays:
 class _Dataset:
     """An xarray Dataset, whose readings are variables along one dimension and state their unit."""
 
-    def __init__(self, data: Any, name: str) -> None:
+    def __init__(self, data: Any) -> None:
         self._data = data
-        self._file = name
         self.names = tuple(str(variable) for variable in data.variables)
 
     def unit(self, name: str) -> str | None:
@@ -262,22 +290,15 @@ class _Dataset:
     def kind(self, name: str) -> object:
         return self._data[name].dtype
 
+    def dimensions(self, name: str) -> tuple[str, ...]:
+        return tuple(map(str, self._data[name].dims))
+
     def numbers(self, name: str) -> Array | None:
-        return _numeric(self._along_one(name))
+        return _numeric(np.asarray(self._data[name].values))
 
     def times(self, name: str) -> Array | None:
-        found = _timed(self._along_one(name))
+        found = _timed(np.asarray(self._data[name].values))
         return None if found is None else seconds_since_1970(found, self.unit(name))
-
-    def _along_one(self, name: str) -> NDArray[Any]:
-        variable = self._data[name]
-        if len(variable.dims) != 1:
-            raise InputError(
-                f"variable {name!r} has {len(variable.dims)} dimensions ({', '.join(map(str, variable.dims))}): a "
-                "log's columns have one, such as time",
-                file=self._file,
-            )
-        return np.asarray(variable.values)
 
     def polars(self, reading: str) -> pl.DataFrame:
         import polars as pl
@@ -291,7 +312,7 @@ class _Dataset:
         columns = {name: (dimension, rows[name].to_numpy(), self._data[name].attrs) for name in rows.columns}
         coordinates = {name: column for name, column in columns.items() if name in self._data.coords}
         others = {name: column for name, column in columns.items() if name not in coordinates}
-        return _Dataset(kept.assign_coords(coordinates).assign(others), self._file)
+        return _Dataset(kept.assign_coords(coordinates).assign(others))
 
     def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any:
         (dimension,) = self._data[readings[0]].dims
@@ -308,15 +329,20 @@ class _Dataset:
         )
 
 
+def _array(values: Any) -> NDArray[Any]:
+    """Return values as an array, which keeps its mask."""
+    return values if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
+
+
 def _floats(column: Any) -> Array:
     """Return a narwhals column of doubles as an array; NaN where a value is missing."""
     return np.array(column.fill_null(float("nan")).to_numpy(), dtype=float)
 
 
 def _numeric(values: NDArray[Any]) -> Array | None:
-    if isinstance(values, np.ma.MaskedArray):
-        values = values.filled(np.nan)
-    return np.array(values, dtype=float) if values.dtype.kind in "iuf" else None
+    if values.dtype.kind not in "iuf":
+        return None
+    return np.ma.filled(values.astype(float), np.nan)
 
 
 def _timed(values: NDArray[Any]) -> Array | None:

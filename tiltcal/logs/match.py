@@ -103,7 +103,10 @@ def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
     if not 1 <= len(pairs) <= 2:
         raise UsageError("at most two pairs can be matched at once: those of one stage" if pairs else "name a pair")
     found = []
-    for first, second, orthogonal in pairs:
+    for pair in pairs:
+        if isinstance(pair, str) or len(pair) != 3:
+            raise UsageError(f"a pair is three columns, the first, the second and the orthogonal one; not {pair!r}")
+        first, second, orthogonal = pair
         if len({first, second, orthogonal}) < 3:
             raise UsageError(
                 f"--pair {first},{second} --orthogonal {orthogonal}: these must be three different columns"

@@ -23,6 +23,7 @@ from tiltcal.logs.log import Progress
 from tiltcal.logs.noise_log import NoiseLog, characterise_log
 from tiltcal.logs.noise_summary import NoiseTarget, as_data, summary
 from tiltcal.logs.uniform_sampling import UniformLog
+from tiltcal.stated_numbers import require_above_zero, require_whole
 
 STANDARD_GRAVITY = 9.80665
 """m/s²"""
@@ -222,6 +223,9 @@ def characterise_readings(
     progress : callable, optional
         Called with the bytes that have been read, after each block.
     """
+    require_above_zero("--rate", rate)
+    for size in averages:
+        require_whole("--averages", size, 1, "samples")
     named = named_columns(columns, AXES)
     with open_log(readings, name=name, skip_bad_rows=skip_bad_rows, progress=progress) as log:
         asked = tuple(axis for axis in AXES if axis in named)

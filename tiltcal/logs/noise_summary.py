@@ -15,6 +15,7 @@ from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.sample_size import Limit, SampleSize, advise, uncertainty
 from tiltcal.core.noise.scale import NoiseScale
 from tiltcal.core.rounding import bracketed
+from tiltcal.stated_numbers import require_above_zero
 
 _SHOWS = 0.1
 """Share of the lowest deviation above which what rounding leaves is worth a word."""
@@ -37,6 +38,10 @@ class NoiseTarget:
 
     uncertainty: float | None = None
     range: float | None = None
+
+    def __post_init__(self) -> None:
+        require_above_zero("--target", self.uncertainty)
+        require_above_zero("--target-range", self.range)
 
     @property
     def degrees(self) -> float | None:

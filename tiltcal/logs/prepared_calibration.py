@@ -15,6 +15,7 @@ from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import HEADING, TIME
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
 from tiltcal.logs.streams import sha256_of
+from tiltcal.stated_numbers import is_number, require_from_zero
 
 if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration
@@ -73,6 +74,10 @@ class ApplyOptions:
     average: int | None = None
     every: str | float | None = None
 
+    def __post_init__(self) -> None:
+        for option in ("reading_noise", "stability", "magnetometer_noise"):
+            require_from_zero(f"--{option.replace('_', '-')}", getattr(self, option))
+
     def averaging(self) -> Averaging | None:
         """Return how rows are put into means; None where they are not.
 
@@ -99,8 +104,8 @@ class ApplyOptions:
         found = {role: _three_columns(role, names) for role, names in given.items() if names}
         if self.declination is not None and not found:
             raise UsageError("--declination needs --magnetometer or --velocity")
-        if self.declination is not None and not abs(self.declination) <= 180.0:
-            raise UsageError(f"--declination is between -180 and 180 degrees, not {self.declination:g}")
+        if self.declination is not None and not (is_number(self.declination) and abs(self.declination) <= 180.0):
+            raise UsageError(f"--declination is between -180 and 180 degrees, not {self.declination}")
         if self.magnetometer_noise is not None and not (self.uncertainty and self.magnetometer):
             raise UsageError("--magnetometer-noise needs --magnetometer and --uncertainty")
         return found

@@ -98,7 +98,7 @@ def test_a_base_with_a_mounting_is_refused(base: Path) -> None:
     [
         ({"jig": -0.1}, "--jig -0.1: a standard uncertainty is 0 or more"),
         ({"thermometer": float("nan")}, "--thermometer nan: a standard uncertainty is 0 or more"),
-        ({"gravity": 12.0}, "--gravity 12: local gravity is between 9.7 and 9.9"),
+        ({"gravity": 12.0}, "--gravity 12.0: local gravity is between 9.7 and 9.9"),
         ({"window": 2}, "--window"),
     ],
 )

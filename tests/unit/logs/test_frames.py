@@ -20,6 +20,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.apply import apply_frame, apply_log
 from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import open_log
+from tiltcal.logs.frames import rows_of
 from tiltcal.logs.log import LogBlock
 from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
 
@@ -108,7 +109,63 @@ def calibration() -> Calibration:
 READINGS: dict[str, list[float]] = {"x": [1024.0, 1100.0], "y": [1024.0, 1000.0]}
 
 
+class TestMissingValues:
+    """What an array masks is missing, whatever stands below the mask."""
+
+    @pytest.mark.parametrize("kind", [float, int])
+    def test_a_masked_reading_is_missing(self, kind: type, calibration: Calibration) -> None:
+        masked = np.ma.masked_array(np.array([1024, 1100], dtype=kind), mask=[True, False])
+        found = apply_frame(calibration, READINGS | {"x": masked, "temperature": [20.0, 20.0]})
+        assert np.isnan(found["tilt_x"]).tolist() == [True, False]
+        assert found["flag"].tolist() == [9, 1]
+        means = apply_frame(calibration, READINGS | {"x": masked, "temperature": [20.0, 20.0]}, average=2)
+        assert means["count"].tolist() == [1]
+
+    def test_a_masked_cell_of_a_table_is_missing(self) -> None:
+        masked = {"position": ["level", "x-45"], "temperature": np.ma.masked_array([20.0, 999.0], mask=[False, True])}
+        assert rows_of(masked, "the table") == [{"position": "level", "temperature": 20.0}, {"position": "x-45"}]
+
+
 class TestRefusals:
+    @pytest.mark.parametrize("temperature", [20.0, [[20.0, 21.0]]])
+    def test_a_column_without_rows(self, temperature: Any, calibration: Calibration) -> None:
+        with pytest.raises(InputError, match=r"column 'temperature' has [02] dimensions .*: a log's columns have one"):
+            apply_frame(calibration, READINGS | {"temperature": temperature})
+
+    def test_columns_of_a_table_that_differ_in_length(self) -> None:
+        for other in ([1.0], 1.0):
+            with pytest.raises(InputError, match="the table: the columns differ in length"):
+                rows_of({"position": ["level", "x-45"], "x": other}, "the table")
+
+    def test_columns_along_different_dimensions(self, calibration: Calibration) -> None:
+        with pytest.raises(InputError, match="rows of different kinds: 'x' along 'a' and 'y' along 'b'"):
+            apply_frame(calibration, xarray.Dataset({"x": ("a", READINGS["x"]), "y": ("b", READINGS["y"])}))
+
+    def test_a_temperature_in_kelvin(self, calibration: Calibration) -> None:
+        warm = {"temperature": ("n", [293.1, 293.2], {"units": "K"})}
+        data = xarray.Dataset({name: ("n", column) for name, column in READINGS.items()} | warm)
+        with pytest.raises(InputError, match="column 'temperature' is in K, and temperatures in °C"):
+            apply_frame(calibration, data)
+
+    def test_one_column_for_two_readings(self, calibration: Calibration) -> None:
+        with pytest.raises(InputError, match="x and y are one column, 'x'"):
+            apply_frame(calibration, READINGS, columns="y=x")
+
+    def test_two_columns_of_one_name(self, calibration: Calibration) -> None:
+        for frame in (pd.DataFrame([[1.0, 2.0]], columns=["x", "x"]), pa.table([[1.0], [2.0]], names=["x", "x"])):
+            with pytest.raises(InputError, match="the frame: two columns have one name"):
+                apply_frame(calibration, frame)
+
+    def test_numbers_for_names_of_columns(self, calibration: Calibration) -> None:
+        frame = pd.DataFrame({0: READINGS["x"], 1: READINGS["y"]})
+        found = apply_frame(calibration, frame, columns={"x": "0", "y": "1"})
+        assert list(found.columns[:3]) == [0, 1, "g_x"]
+        assert found["tilt_x"].tolist() == apply_frame(calibration, READINGS)["tilt_x"].tolist()
+
+    def test_no_columns(self, calibration: Calibration) -> None:
+        with pytest.raises(InputError, match="there are no columns"):
+            apply_frame(calibration, {})
+
     def test_another_unit(self, calibration: Calibration) -> None:
         with pytest.raises(InputError, match="column 'x' is in V, and the calibration in count"):
             apply_frame(calibration, READINGS, unit="V")

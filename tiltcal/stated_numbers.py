@@ -1,0 +1,51 @@
+"""Numbers that a caller states: the library refuses the same ones as the options of the command line."""
+
+from __future__ import annotations
+
+from math import inf
+from numbers import Integral, Real
+
+from tiltcal.errors import UsageError
+
+
+def is_number(value: object, least: float = -inf) -> bool:
+    """Return whether a value is a finite number, not below the least one."""
+    return isinstance(value, Real) and least <= float(value) and -inf < float(value) < inf
+
+
+def require_above_zero(option: str, value: object) -> None:
+    """Refuse a value that is no number above 0; None is not stated.
+
+    Raises
+    ------
+    UsageError
+    """
+    if value is not None and not (is_number(value, 0.0) and value):
+        raise UsageError(f"{option} takes a number above 0, not {value!r}")
+
+
+def require_from_zero(option: str, value: object) -> None:
+    """Refuse a value that is no number from 0; None is not stated.
+
+    Raises
+    ------
+    UsageError
+    """
+    if value is not None and not is_number(value, 0.0):
+        raise UsageError(f"{option} takes a number from 0, not {value!r}")
+
+
+def require_whole(option: str, value: object, least: int, what: str) -> None:
+    """Refuse a value that is no whole number from the least one; None is not stated.
+
+    Parameters
+    ----------
+    what : str
+        What it counts, for the message.
+
+    Raises
+    ------
+    UsageError
+    """
+    if value is not None and not (isinstance(value, Integral) and int(value) >= least):
+        raise UsageError(f"{option} takes a number of {what} from {least}, not {value!r}")
