@@ -105,7 +105,7 @@ class Adxl202Sentences:
     link : Link
         Serial.
     clock : Clock
-        Unused: the driver waits for sentences.
+        Session time: a sentence that does not end is given up.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:

@@ -214,7 +214,7 @@ def _model(part: AnalogPart, address: Address) -> Model:
             *part.not_modelled,
             "response time: a new position and a new temperature take effect at once, without ringing",
             "supply: ripple, drift, start-up time, ratiometric error",
-            "converter: offset, gain error, non-linearity, noise, charge taken from the sensor's output",
+            "converter: offset, gain error, nonlinearity, noise, charge taken from the sensor's output",
             "an input without a wire, which floats on the real part: it reads 0 V",
         ),
         default_truth=from_twin("analog", "draw_truth", part),
@@ -252,7 +252,7 @@ def _adxl202(digital: Model) -> Model:
         not_modelled=(
             "the pulses: their ripple after the RC filter, and the load of the filter",
             "offsets, cross-axis sensitivity and drift of a part are our estimates: no source states them",
-            "non-linearity",
+            "nonlinearity",
         ),
     )
     return _model(part, parse_address("sim:"))

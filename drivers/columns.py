@@ -104,7 +104,7 @@ class ColumnsSensor:
     link : Link
         Serial.
     clock : Clock
-        Unused: the driver waits for lines.
+        Session time: a line that does not end is given up.
     """
 
     def __init__(self, columns: ColumnLayout, link: Link, clock: Clock) -> None:

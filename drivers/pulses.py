@@ -21,7 +21,7 @@ from tiltcal.errors import DeviceFault
 ALONE = 8
 """Pulses on one line, without one on the other, that indicate a broken wire."""
 
-APART = 1 / 8
+MOST_APART = 1 / 8
 """Fraction of a period by which the pulses of one sensor may deviate from both arrangements (late timestamps)."""
 
 
@@ -144,7 +144,7 @@ class PulseTrains:
             next_x, next_y = xs[1], ys[1]
             xs.popleft()
             ys.popleft()
-            if abs(next_y.rise - y.rise - about) > APART * about:
+            if abs(next_y.rise - y.rise - about) > MOST_APART * about:
                 # A pulse of one line is missing, so the next pulses are not the next period.
                 self.torn += 1
                 continue
@@ -163,7 +163,7 @@ class PulseTrains:
 def _arranged(x: Pulse, y: Pulse, next_x: Pulse, next_y: Pulse, about: float) -> Cycle:
     """Return the cycle for the arrangement of the pulses; ``about`` is the approximate period."""
     rises, centres = abs(y.rise - x.rise), abs(y.rise - x.rise + y.fall - x.fall) / 2
-    if min(rises, centres) > APART * about:
+    if min(rises, centres) > MOST_APART * about:
         raise DeviceFault(
             "the pulses of x and y share neither their rising edges nor their centres: are both lines of one sensor?"
         )

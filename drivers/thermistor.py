@@ -276,7 +276,7 @@ def _model(address: Address) -> Model:
             "lag behind the chamber, self-heating, noise",
             "tolerance of the curve and of the fixed resistor, resistance of the wires",
             "supply: ripple, drift",
-            "converter: offset, gain error, non-linearity, noise, charge taken from the divider",
+            "converter: offset, gain error, nonlinearity, noise, charge taken from the divider",
         ),
         default_truth=_default_truth,
         spi=front_end.spi,

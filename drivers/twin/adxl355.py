@@ -29,7 +29,7 @@ from tiltcal.drivers.adxl355 import (
     Adxl355Settings,
 )
 from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import Conversions, CountingUp, I2cTwin, SpiTwin, Spread
+from tiltcal.drivers.twin.counts import Conversions, CountingUp, I2cTwin, SpiTwin, Tolerances
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -101,7 +101,7 @@ def adxl355_twin(settings: Adxl355Settings, truth: Truth, fixture: HeldPose, clo
 
 def draw_truth(settings: Adxl355Settings, seed: int) -> Truth:
     """Draw a part within the data sheet's limits."""
-    spread = Spread(
+    limits = Tolerances(
         offset=OFFSET_LIMIT,
         sensitivity=SENSITIVITY_LIMIT,
         cross=0.01,
@@ -110,4 +110,4 @@ def draw_truth(settings: Adxl355Settings, seed: int) -> Truth:
         noise=DENSITY * (settings.rate / 4) ** 0.5,
         thermometer=5.0,
     )
-    return counts.draw_truth(("x", "y", "z"), settings.counts_per_g, spread, seed)
+    return counts.draw_truth(("x", "y", "z"), settings.counts_per_g, limits, seed)

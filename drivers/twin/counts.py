@@ -279,15 +279,17 @@ class I2cTwin:
 
 
 def at_time(clock: Clock, now_ns: int, act: Callable[[], object]) -> None:
-    """Run the block at another session time, in nanoseconds."""
+    """Call ``act`` with the clock set to another session time, in nanoseconds, and set the clock back."""
     present_ns = clock.now_ns()
     clock.seek(now_ns)
-    act()
-    clock.seek(present_ns)
+    try:
+        act()
+    finally:
+        clock.seek(present_ns)
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class Tolerances:
     """The tolerances of a model; every error is uniformly distributed within its limit.
 
     Attributes
@@ -315,7 +317,7 @@ class Spread:
     thermometer: float
 
 
-def draw_truth(channels: tuple[str, ...], counts_per_g: float, spread: Spread, seed: int) -> Truth:
+def draw_truth(channels: tuple[str, ...], counts_per_g: float, limits: Tolerances, seed: int) -> Truth:
     """Draw a plausible part, on a jig of 0.01° in a chamber with a time constant of 20 s.
 
     Parameters
@@ -330,20 +332,20 @@ def draw_truth(channels: tuple[str, ...], counts_per_g: float, spread: Spread, s
     within = tolerances(seed)
 
     def row(channel: str) -> dict[str, float]:
-        own = counts_per_g * (1.0 + within(spread.sensitivity, f"sensitivity {channel}"))
-        cross, direction = own * within(spread.cross, f"cross {channel}"), within(pi, f"direction {channel}")
+        own = counts_per_g * (1.0 + within(limits.sensitivity, f"sensitivity {channel}"))
+        cross, direction = own * within(limits.cross, f"cross {channel}"), within(pi, f"direction {channel}")
         first, second = (other for other in "xyz" if other != channel)
         return {channel: own, first: cross * cos(direction), second: cross * sin(direction)}
 
     return Truth(
         channels=channels,
-        offset={channel: counts_per_g * within(spread.offset, f"offset {channel}") for channel in channels},
+        offset={channel: counts_per_g * within(limits.offset, f"offset {channel}") for channel in channels},
         sensitivity={channel: row(channel) for channel in channels},
         reference=REFERENCE,
-        drift={channel: (counts_per_g * within(spread.drift, f"drift {channel}"),) for channel in channels},
-        gain={channel: (within(spread.gain, f"gain {channel}"),) for channel in channels},
-        noise=dict.fromkeys(channels, counts_per_g * spread.noise),
-        thermometer_error=within(spread.thermometer, "thermometer"),
+        drift={channel: (counts_per_g * within(limits.drift, f"drift {channel}"),) for channel in channels},
+        gain={channel: (within(limits.gain, f"gain {channel}"),) for channel in channels},
+        noise=dict.fromkeys(channels, counts_per_g * limits.noise),
+        thermometer_error=within(limits.thermometer, "thermometer"),
         seed=seed,
         jig=0.01,
         ambient=24.0,

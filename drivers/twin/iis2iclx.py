@@ -25,7 +25,7 @@ from tiltcal.drivers.iis2iclx import (
     Iis2iclxSettings,
 )
 from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import Conversions, CountingUp, I2cTwin, SpiTwin, Spread
+from tiltcal.drivers.twin.counts import Conversions, CountingUp, I2cTwin, SpiTwin, Tolerances
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -91,7 +91,7 @@ def iis2iclx_twin(
 
 def draw_truth(settings: Iis2iclxSettings, seed: int) -> Truth:
     """Draw a part within the limits of the data sheet; the limit of the cross-axis sensitivity is ours."""
-    spread = Spread(
+    limits = Tolerances(
         offset=OFFSET_LIMIT,
         sensitivity=SENSITIVITY_LIMIT,
         cross=0.01,
@@ -100,4 +100,4 @@ def draw_truth(settings: Iis2iclxSettings, seed: int) -> Truth:
         noise=DENSITY * (settings.rate / 2) ** 0.5,
         thermometer=15.0,
     )
-    return counts.draw_truth(("x", "y"), settings.counts_per_g, spread, seed)
+    return counts.draw_truth(("x", "y"), settings.counts_per_g, limits, seed)

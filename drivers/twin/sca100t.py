@@ -21,7 +21,7 @@ from tiltcal.drivers.sca100t import (
     Sca100tVariant,
 )
 from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import REFERENCE, Spread
+from tiltcal.drivers.twin.counts import REFERENCE, Tolerances
 from tiltcal.drivers.twin.noise import normal, tolerances, uniform
 from tiltcal.drivers.twin.truth import Polynomial, Truth
 from tiltcal.errors import BusError
@@ -244,7 +244,7 @@ def draw_inclinometer(part: Sca100tVariant | OneAxisPart, channels: tuple[str, .
     noise : float
         Standard deviation of a reading, count.
     """
-    spread = Spread(
+    limits = Tolerances(
         offset=sin(radians(part.offset_limit)),
         sensitivity=SENSITIVITY_LIMIT,
         cross=CROSS_AXIS_LIMIT,
@@ -253,7 +253,7 @@ def draw_inclinometer(part: Sca100tVariant | OneAxisPart, channels: tuple[str, .
         noise=noise / part.counts_per_g,
         thermometer=2.0,
     )
-    truth = counts.draw_truth(channels, part.counts_per_g, spread, seed)
+    truth = counts.draw_truth(channels, part.counts_per_g, limits, seed)
     _, slope, *higher = recentred(part.population.drift, REFERENCE)
     mean, steepness, *bends = recentred(part.population.gain, REFERENCE)
     return replace(

@@ -18,7 +18,7 @@ from tiltcal.drivers.sca3000 import (
     Sca3000Part,
 )
 from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import Conversions, I2cTwin, SpiTwin, Spread
+from tiltcal.drivers.twin.counts import Conversions, I2cTwin, SpiTwin, Tolerances
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -81,7 +81,7 @@ def sca3000_twin(part: Sca3000Part, scheme: str, truth: Truth, fixture: HeldPose
     return SpiTwin(registers, clock, lambda command: (command >> COMMAND_SHIFT, False))
 
 
-SPREAD = Spread(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.5e-3, gain=1e-4, noise=0.0, thermometer=2.0)
+SPREAD = Tolerances(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.5e-3, gain=1e-4, noise=0.0, thermometer=2.0)
 """These limits are ours, because no source states the tolerances."""
 
 

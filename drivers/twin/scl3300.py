@@ -23,7 +23,7 @@ from tiltcal.drivers.scl3300_frames import (
     crc8,
 )
 from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import Conversions, Spread
+from tiltcal.drivers.twin.counts import Conversions, Tolerances
 from tiltcal.drivers.twin.noise import uniform
 
 if TYPE_CHECKING:
@@ -174,7 +174,7 @@ def _frame(operation: int, status: int, data: int) -> bytes:
 
 def draw_truth(part: Scl3300Part, measuring: MeasuringRange, seed: int) -> Truth:
     """Draw a part within the limits of the SCA3300, which are used for the SCL3300 too."""
-    spread = Spread(
+    limits = Tolerances(
         offset=part.offset_limit,
         sensitivity=0.007,
         cross=0.01,
@@ -183,4 +183,4 @@ def draw_truth(part: Scl3300Part, measuring: MeasuringRange, seed: int) -> Truth
         noise=measuring.noise,
         thermometer=10.0,
     )
-    return counts.draw_truth(("x", "y", "z"), measuring.counts_per_g, spread, seed)
+    return counts.draw_truth(("x", "y", "z"), measuring.counts_per_g, limits, seed)

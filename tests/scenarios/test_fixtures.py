@@ -78,7 +78,7 @@ def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("procedure", ["cross-axis", "complete"])
 def test_the_golden_file_finds_the_truth(procedure: str) -> None:
-    """Within five of its stated uncertainties, or what non-linearity and jig can do to a coefficient (1.5 count)."""
+    """Within five of its stated uncertainties, or what nonlinearity and jig can do to a coefficient (1.5 count)."""
     found = read_calibration(FIXTURES / f"{procedure}.yaml").coefficients
     _, truth = read_twin(FIXTURES / "twins" / "sca100t-d02.yaml")
     for row, channel in enumerate(found.channels):

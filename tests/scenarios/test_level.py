@@ -69,7 +69,8 @@ def test_it_is_resumed_from_any_byte(plugged_in: Path, tmp_path: Path, monkeypat
 
 
 def test_the_same_from_a_log_that_is_all_level(plugged_in: Path, tmp_path: Path) -> None:
-    assert tiltcal("replay", JOURNAL, "--samples", tmp_path / "log.csv", "-o", tmp_path / "x.yaml", cwd=plugged_in)
+    replayed = tiltcal("replay", JOURNAL, "--samples", tmp_path / "log.csv", "-o", tmp_path / "x.yaml", cwd=plugged_in)
+    assert replayed.returncode == 0, replayed.stderr
     done = tiltcal("fit", "level", "log.csv", "--base", BASE, "--jig", "0.05", "-o", "fit.yaml", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found, live = (read_calibration(path) for path in (tmp_path / "fit.yaml", plugged_in / "again.yaml"))

@@ -134,7 +134,7 @@ def test_every_procedure_runs_on_the_virtual_bench(procedure: str, model: str, a
     truth = find_model(model).default_truth(3)
     for row, channel in enumerate("xy"):
         own = read.coefficients.axes.index(channel)
-        # Two parts in a hundred leave room for what a procedure cannot tell: non-linearity, cross-axis terms.
+        # Two parts in a hundred leave room for what a procedure cannot tell: nonlinearity, cross-axis terms.
         assert read.coefficients.sensitivity[row, own] == pytest.approx(truth.sensitivity[channel][channel], rel=0.02)
         if procedure == "mavs":
             # Of a cubic drift the line between two temperatures is found, at either end of it.

@@ -8,7 +8,7 @@ last bit; registers that are not fresh sooner than 150 µs after the end of a fr
 cross-axis terms up to z, a linear temperature coefficient of each offset, Gaussian noise of each conversion, rounding
 and clipping; a thermometer by the datasheet's line; a jig that misses each position by a random small rotation.
 
-Not modelled: self-test, non-linearity, bandwidth, start-up, the parity fault by itself (set ``broken`` for it).
+Not modelled: self-test, nonlinearity, bandwidth, start-up, the parity fault by itself (set ``broken`` for it).
 """
 
 from __future__ import annotations

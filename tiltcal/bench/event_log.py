@@ -101,7 +101,7 @@ class EventLog:
         Parameters
         ----------
         question : str
-            The place of such a word, another one wherever one may come.
+            The identifier of this call in the journal, another one for each place that polls.
         operator : callable
             Returns at once.
         """

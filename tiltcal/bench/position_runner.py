@@ -15,7 +15,7 @@ from functools import partial
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import PositionOperator
 from tiltcal.bench.position_result import PositionResult, temperature_of
-from tiltcal.bench.sample_checks import far_off, require_agreement, require_few, require_living, require_off_rails
+from tiltcal.bench.sample_checks import far_off, require_agreement, require_few, require_not_stuck, require_off_rails
 from tiltcal.bench.sensor_set import ConnectedSensor, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_still
@@ -133,7 +133,7 @@ class PositionRunner:
 
     def _refuse(self, position: Position, error: Exception) -> None:
         log, sensors = self._log, self._sensors
-        if isinstance(error, SensorError) and not sensors.failed(error):
+        if isinstance(error, SensorError) and not sensors.can_go_on_after(error):
             if log.state is SessionState.LIVE:
                 raise error
             # It ended the session once; whoever resumes it has put it right.
@@ -232,7 +232,7 @@ class PositionRunner:
                 if why:
                     raise Unsettled(why)
         for one in self._sensors.sensors:
-            require_living(one, result, accepted, last=last)
+            require_not_stuck(one, result, accepted, last=last)
         self._require_plausible(result, self._expectations(accepted), accepted)
 
     def _expectations(self, accepted: Sequence[PositionResult]) -> dict[str, ExpectedReadings]:

@@ -186,7 +186,7 @@ def record(
     started : datetime
         UTC, when ``clock`` stood at zero.
     thermometer : bool
-        Whether the sensors has one of its own.
+        Whether the bench has a thermometer of its own.
     interval : float
         Seconds between rows.
     rows : int or None

@@ -14,7 +14,7 @@ from tiltcal.bench.settle import Timed, Unsettled
 from tiltcal.core.detection import outliers, resolution
 from tiltcal.drivers.device import Model, Reading
 
-FEWEST = 8
+FEWEST_SAMPLES = 8
 """Readings among which one can be called far off."""
 
 LEFT_OUT = 0.05
@@ -48,7 +48,7 @@ def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: boo
     found: dict[int, str] = {}
     for index, model in enumerate(models):
         readings = [sample[index] for _, sample in held]
-        if len(readings) >= FEWEST:
+        if len(readings) >= FEWEST_SAMPLES:
             for place, channel in enumerate(model.channels):
                 values = np.array([reading.values[place] for reading in readings])
                 for number in outliers(values, model.resolution or resolution([values])).tolist():
@@ -112,7 +112,7 @@ def require_agreement(result: PositionResult, accepted: Sequence[PositionResult]
                 raise Unsettled(f"{temperature:g} °C {source}, and {other:g} °C {whose}: one of them is wrong")
 
 
-def require_living(
+def require_not_stuck(
     sensor: ConnectedSensor, result: PositionResult, accepted: Sequence[PositionResult], *, last: bool
 ) -> None:
     """Refuse a channel that reads one value, never another, where something else has changed.

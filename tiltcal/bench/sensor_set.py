@@ -164,8 +164,8 @@ class SensorSet:
         """Note a success: failures from here on count anew."""
         self._failures.clear()
 
-    def failed(self, error: SensorError, *, needed: bool = False) -> bool:
-        """Count a failure; whether the session can go on.
+    def can_go_on_after(self, error: SensorError, *, needed: bool = False) -> bool:
+        """Count a failure, and return whether the session can go on.
 
         A sensor that fails :data:`ATTEMPTS` times in a row is given up where others remain, and it is not ``needed``.
         """

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from typing import NamedTuple
 
 from tiltcal.bench.sensor_set import Sample, SensorSet
 from tiltcal.core.detection import is_still
@@ -16,7 +17,7 @@ from tiltcal.drivers.device import Model
 LOOKS, SOAK_LOOKS = 40, 200
 """Readings in one window: to see a movement, and to show that a slow drift is not there."""
 
-FEWEST = 5
+FEWEST_SAMPLES = 5
 """Readings without which nothing can be said of a window."""
 
 NEAR = 2.0
@@ -130,40 +131,47 @@ def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Cal
         if began is None:
             began = judged = now
         held.append((now, sample))
-        while len(held) > FEWEST and now - held[1][0] >= window.seconds * LONG:
+        while len(held) > FEWEST_SAMPLES and now - held[1][0] >= window.seconds * LONG:
             held.popleft()
         if now >= judged + window.seconds / JUDGEMENTS:
             judged = now
-            moving = _still_moving(held, models, window)
-            if moving is None:
+            state = _judged(held, models, window)
+            if state.still:
                 return
-            why = moving or why
+            why = state.why or why
         if now - began > window.patience:
             raise Unsettled(f"not still after {window.patience:.0f} s: {why}")
         look(sample, why)
         clock.sleep(pause)
 
 
-def _still_moving(held: deque[Timed], models: Sequence[Model], window: Window) -> str | None:
-    """Return what still changes; empty where it is too early to judge, None where all is at rest."""
+class _State(NamedTuple):
+    """Whether all is at rest, and what changes where it is not; empty where it is too early to judge."""
+
+    still: bool
+    why: str = ""
+
+
+def _judged(held: deque[Timed], models: Sequence[Model], window: Window) -> _State:
+    """Judge the samples of the last seconds."""
     now, sample = held[-1]
     why = ""
-    if len(held) >= FEWEST and now - held[0][0] >= window.seconds and window.near(sample):
+    if len(held) >= FEWEST_SAMPLES and now - held[0][0] >= window.seconds and window.near(sample):
         start = next(index for index in range(len(held) - 1, -1, -1) if now - held[index][0] >= window.seconds)
-        recent = list(islice(held, min(start, len(held) - FEWEST), None))
+        recent = list(islice(held, min(start, len(held) - FEWEST_SAMPLES), None))
         still = STEADY if window.soaking else STILL
         moving = movement(recent, models, window.temperature_drift, still=still, shown=window.soaking)
         if moving is None and window.soaking:
             moving = _drifting(held, models, SOAKS * window.seconds)
         if moving is None:
-            return None
+            return _State(still=True)
         why = moving
     if window.soaking and now - held[0][0] >= window.seconds * LONG:
         moving = movement(list(held), models, window.temperature_drift, still=STEADY)
         if moving is None:
-            return None
+            return _State(still=True)
         why = moving
-    return why
+    return _State(still=False, why=why)
 
 
 def _drifting(held: deque[Timed], models: Sequence[Model], seconds: float) -> str | None:

@@ -18,7 +18,7 @@ from tiltcal.core.model import Coefficients
 from tiltcal.core.rounding import significant
 from tiltcal.errors import EstimateError
 
-APART = 15.0
+LEAST_ANGLE = 15.0
 """Channels whose directions are closer together are one channel twice, degrees."""
 
 REACTION = 3.0
@@ -85,7 +85,7 @@ def _require_apart(coefficients: Coefficients) -> None:
         if size == 0.0:
             continue
         angle = degrees(acos(min(abs(float(a @ b)) / size, 1.0)))
-        if angle < APART:
+        if angle < LEAST_ANGLE:
             raise EstimateError(f"{first} and {second} answer to gravity alike, {angle:.1f}° apart: {_COPIES}")
 
 

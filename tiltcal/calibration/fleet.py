@@ -18,7 +18,7 @@ from tiltcal.core.uncertainty_budget import COVERAGE
 from tiltcal.errors import InputError
 from tiltcal.files.moments import to_the_second
 
-FEWEST = 3
+FEWEST_SENSORS = 3
 """Sensors of one model that make a distribution."""
 
 
@@ -213,7 +213,7 @@ def _of_model(histories: Sequence[SensorHistory]) -> ModelFleet:
     named = {serial: values(one if reference is None else referred(one, reference)) for serial, one in last.items()}
     names = dict.fromkeys(name for one in named.values() for name in one)
     sets = {name: {serial: one[name] for serial, one in named.items() if name in one} for name in names}
-    sets = {name: found for name, found in sets.items() if len(found) >= FEWEST}
+    sets = {name: found for name, found in sets.items() if len(found) >= FEWEST_SENSORS}
     rate = 1.0 - COVERAGE ** (1.0 / max(1, len(sets)))
     sensor = histories[0].sensor
     return ModelFleet(

@@ -27,7 +27,7 @@ from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, wi
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, require_same_sensor
 from tiltcal.files.records import FitRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertain_coefficients
+from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertainty_inputs
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class _Part:
     def of(cls, record: CalibrationRecord, reference: float | None, weight: float) -> _Part:
         coefficients = record.coefficients
         moved = coefficients if reference is None else referred(coefficients, reference)
-        stated = uncertain_coefficients(record.uncertainty, coefficients)
+        stated = uncertainty_inputs(record.uncertainty, coefficients)
         names, covariance = stated.names, stated.covariance
         dof = {name: degrees_of_freedom(factor) for name, factor in zip(names, stated.factors, strict=True)}
         if reference is not None and moved is not coefficients:

@@ -170,7 +170,7 @@ def _with_nominal(design: Design, procedure: Procedure, nominal: Nominal | None)
 
 
 def _with_base(design: Design, base: CalibrationRecord, *, whole: bool) -> Design:
-    """Put sensitivity and non-linearity of the sensor's own calibration in place, with their stated uncertainty.
+    """Put sensitivity and nonlinearity of the sensor's own calibration in place, with their stated uncertainty.
 
     Their correlations are left out: a procedure that determines no sensitivity moves them little. The ``whole`` of the
     calibration but its offset has its temperature terms too.

@@ -16,7 +16,7 @@ def words(name: str) -> str:
         case ["sensitivity", channel, axis]:
             return f"Sensitivity of {channel} to {axis}"
         case ["nonlinearity", channel, power]:
-            return f"Non-linearity of {channel}, {_SHAPES.get(power, power)}"
+            return f"Nonlinearity of {channel}, {_SHAPES.get(power, power)}"
         case ["temperature", "offset", channel, power]:
             return f"Drift of offset {channel}, ΔT{_raised(power)}"
         case ["temperature", "sensitivity", channel, power]:
@@ -45,15 +45,25 @@ def symbol(name: str) -> tuple[str, str]:
 
 
 def unit_of(name: str, unit: str) -> str:
-    """Return the unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number."""
+    """Return the unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number.
+
+    Raises
+    ------
+    ValueError
+        There is no such coefficient.
+    """
     match name.split("."):
         case ["offset", _]:
             return unit
+        case ["sensitivity", *_]:
+            return f"{unit}/g"
+        case ["mounting", "turn", _]:
+            return "°"
         case ["nonlinearity", *_]:
             return ""
         case ["temperature", kind, _, power]:
             return f"{unit if kind == 'offset' else '1'}/°C{_raised(power)}"
-    return f"{unit}/g"
+    raise ValueError(f"there is no coefficient {name!r}")
 
 
 def _raised(power: str) -> str:

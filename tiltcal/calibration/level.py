@@ -36,7 +36,7 @@ from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.records import NOISE_ALONE, CompletingRun, LevelFit
-from tiltcal.files.uncertainty import Uncertainty, uncertain_coefficients
+from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
 from tiltcal.frozen import frozen
 
 BASE = "base"
@@ -158,7 +158,7 @@ class _Renewal:
         """Compute the offsets from the mean reading of the positions."""
         coefficients, channels = base.coefficients, base.coefficients.channels
         seen = observations_of(measurements, channels)
-        stated = uncertain_coefficients(base.uncertainty, coefficients)
+        stated = uncertainty_inputs(base.uncertainty, coefficients)
         known, covariance, factors = stated.names, stated.covariance, stated.factors
         at_level = _LevelReading(coefficients, seen)
         slopes = at_level.slopes(known)
@@ -194,7 +194,7 @@ class _Renewal:
         before, count = self.base.uncertainty, len(self.offset)
         offsets = self.names[:count]
         factors = dict(zip(offsets, self.budget.factors[:count].tolist(), strict=True))
-        known = uncertain_coefficients(before, self.base.coefficients).names
+        known = uncertainty_inputs(before, self.base.coefficients).names
         order = (*(name for name in offsets if name not in known), *known)
         joint = self.inputs.chosen([self.names.index(name) for name in order])
         u = dict(zip(offsets, self.budget.u[:count].tolist(), strict=True))

@@ -28,7 +28,7 @@ from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.records import CompletingRun, MountingFit
-from tiltcal.files.uncertainty import Uncertainty, uncertain_coefficients
+from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
 
 
 def mount(
@@ -92,7 +92,7 @@ def _joined(
 ) -> UncertaintyInputs:
     """Return the base's coefficients and the turn of the mounting that was found with it, with their covariance."""
     coefficients = replace(base.coefficients, mounting=None)
-    own = uncertain_coefficients(base.uncertainty, coefficients).without_turn
+    own = uncertainty_inputs(base.uncertainty, coefficients).without_turn
     names, covariance, factors = own.names, own.covariance, own.factors
     vector, u = vector_of(coefficients, names), np.sqrt(np.diag(covariance))
     moved = np.zeros((3, len(names)))

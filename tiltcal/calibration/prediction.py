@@ -14,7 +14,7 @@ from tiltcal.calibration.joint_fit import design_of
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.measurement import BenchUncertainty, Nominal
 from tiltcal.core.estimation.design import Design
-from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, Prediction, predicted_covariance
+from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, Prediction, predict_uncertainty
 from tiltcal.core.model import AXES
 from tiltcal.core.mounting_rotation import angle_uncertainty, solve_mounting
 from tiltcal.core.orientation import STRAIGHT, Orientation
@@ -212,7 +212,7 @@ def predict(
     count = samples or procedure.samples
     # A steady reading that is rounded keeps an error that no averaging removes.
     adc = summarise([0.0] * 2, model.resolution).quantisation if scatter < model.resolution / 4 else 0.0
-    prediction = predicted_covariance(
+    prediction = predict_uncertainty(
         design,
         _planned(procedure, orientation, design.reference),
         scatter / sqrt(count),

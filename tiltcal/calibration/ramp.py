@@ -19,7 +19,7 @@ from tiltcal.core.ramp.fit import RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
-from tiltcal.core.thermal_lag import SMOOTHING, ThermalLag
+from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
 from tiltcal.core.uncertainty_budget import Budget, Part
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
@@ -66,7 +66,7 @@ def calibrate_ramp(
     step = design.thermometer or sensor.thermometer or 0.0
     if fit.lag < 0.0:
         # The inverse filter amplifies what is random in the thermometer.
-        step *= 1.0 + 1.0 / SMOOTHING
+        step *= 1.0 + 1.0 / LOG_SMOOTHING
     pace = max(leg.leg.pace for leg in fit.held_out) / 60.0
     uncertain = hypot(step, fit.u_lag * pace if fit.uses_lag else 0.0)
     made = record_of(found, design, replace(sensor, measurements=groups), procedure)

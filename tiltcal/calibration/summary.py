@@ -50,7 +50,7 @@ def _lines(calibration: CalibrationRecord) -> Iterator[str]:
             case ["sensitivity", channel, axis]:
                 label, unit = f"sensitivity {channel}{axis}   ", f" {sensor.unit}/g"
             case ["nonlinearity", channel, power]:
-                label, unit = f"non-linearity {channel}^{power}", ""
+                label, unit = f"nonlinearity {channel}^{power}", ""
             case [_, what, channel, power]:
                 label = f"{what} {channel} over T  "
                 unit = f" {sensor.unit if what == 'offset' else '1'}/°C{'' if power == '1' else f'^{power}'}"

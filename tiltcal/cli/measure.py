@@ -21,7 +21,7 @@ from tiltcal.cli import options
 @options.file_option("-o", "--output", help="The calibration file to write; with --bench a folder.")
 @click.option(
     "--operator",
-    type=options.LEADERS,
+    type=options.OPERATORS,
     default="terminal",
     show_default=True,
     help="Who sets the positions: a person, a program that reads and writes JSON Lines, or the virtual jig.",

@@ -14,7 +14,7 @@ Option = Callable[[Any], Any]
 """What adds an option to a command."""
 
 FILE = click.Path(path_type=Path)
-LEADERS = click.Choice(["terminal", "json", "sim"])
+OPERATORS = click.Choice(["terminal", "json", "sim"])
 
 BASE = (
     "The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, and "

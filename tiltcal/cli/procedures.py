@@ -75,7 +75,7 @@ def _determined(determines: Determines) -> str:
         for name, order in (("offset", determines.drift), ("sensitivity", determines.gain))
         if order
     )
-    bend = ", non-linearity" if determines.nonlinearity else ""
+    bend = ", nonlinearity" if determines.nonlinearity else ""
     return f"offset, {axes}{bend}{orders}{'; not the mounting' if determines.free else ''}"
 
 

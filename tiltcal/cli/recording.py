@@ -115,7 +115,7 @@ def _told_missing(tally: RecordingTally) -> str:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[RecordingTally], None]]:
-    """Return a progress line for a terminal, or nothing."""
+    """Yield what shows the progress: a line on a terminal, nothing elsewhere."""
     shown = 0.0
 
     def tell(tally: RecordingTally) -> None:

@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     help="Standard uncertainty of a set angle. Not stated, the positions count as exact.",
 )
 @options.tilt
-@click.option("--operator", type=options.LEADERS, default="terminal", show_default=True, help="Who sets the positions.")
+@click.option(
+    "--operator", type=options.OPERATORS, default="terminal", show_default=True, help="Who sets the positions."
+)
 @options.samples
 @options.above_zero(
     "--settle",

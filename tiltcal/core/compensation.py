@@ -46,7 +46,7 @@ CLIP_LIMIT = 1.02
 """An arcsine argument up to this is taken for ±90°, g."""
 
 NEWTON_STEPS = 4
-"""Of the non-linearity's inverse: a non-linearity of 5 % needs three to reach double precision."""
+"""Of the nonlinearity's inverse: a nonlinearity of 5 % needs three to reach double precision."""
 
 _CHUNK = 32_768  # rows whose columns stay in the cache from the first step to the last
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
@@ -352,7 +352,7 @@ class Compensation:
         return dt
 
     def _signal(self, u: Array, dt: Array | None) -> Array:
-        """Return the readings without offset, drift and gain: S g with its non-linearity; unit."""
+        """Return the readings without offset, drift and gain: S g with its nonlinearity; unit."""
         signal: Array = u - self._offset[:, None]
         if self._thermal is None or dt is None:
             return signal
@@ -414,7 +414,7 @@ class Compensation:
 
 
 def linearise(signal: Array, coefficients: Coefficients) -> None:
-    """Take the non-linearity out of the signal S_ii B(a) of each channel, in place: S_ii a is left.
+    """Take the nonlinearity out of the signal S_ii B(a) of each channel, in place: S_ii a is left.
 
     Parameters
     ----------

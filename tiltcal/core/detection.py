@@ -1,8 +1,11 @@
 """Detectors of a sensor that is still, moves, is knocked, or is stuck at one value.
 
-These are the only detectors of the project; the bench, recorded logs and the characterisation of noise use them with
-limits of their own. Samples that are all alike are not still: a sensor at rest has noise, and one whose reading does
-not change although its noise is larger than half a step of the reading is stuck.
+They work on arrays; the bench, recorded logs and the characterisation of noise use them with limits of their own. The
+detectors that need positions are in :mod:`tiltcal.bench.sample_checks` and :mod:`tiltcal.logs.static_intervals`, that
+of a turning stage in :mod:`tiltcal.logs.pair_rows`.
+
+Samples that are all alike are not still: a sensor at rest has noise, and one whose reading does not change although its
+noise is larger than half a step of the reading is stuck.
 
 Sources: Tedaldi, Pretto and Menegatti (2014) for the static detector; QARTOD's flat line test for stuck readings.
 """
@@ -15,9 +18,9 @@ from math import erf, inf, log, sqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 
-Mask = NDArray[np.bool_]
 Span = tuple[int, int]
 """First row and the row behind the last."""
 

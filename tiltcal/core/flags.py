@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
-Bits = NDArray[np.bool_]
+Mask = NDArray[np.bool_]
 
 PASS, SUSPECT, FAIL, MISSING = 1, 3, 4, 9
 """QARTOD flags, worst last."""
@@ -42,14 +42,14 @@ class FlaggedRows(Protocol):
     def reason(self) -> Bytes: ...
 
 
-def mark(out: FlaggedRows, rows: Bits, flag: int, reason: int) -> None:
+def mark(out: FlaggedRows, rows: Mask, flag: int, reason: int) -> None:
     """Add a reason to ``rows``, and raise their flag to ``flag`` where it is lower."""
     if rows.any():
         out.reason[rows] |= np.uint8(reason)
         out.flag[rows] = np.maximum(out.flag[rows], np.uint8(flag))
 
 
-def mark_columns(table: Mapping[str, NDArray[Any]], rows: Bits | np.bool_, flag: int, reason: int) -> dict[str, Any]:
+def mark_columns(table: Mapping[str, NDArray[Any]], rows: Mask | np.bool_, flag: int, reason: int) -> dict[str, Any]:
     """Return the columns of a result in which some rows are marked; rows that are missing stay as they are.
 
     Parameters

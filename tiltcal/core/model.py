@@ -7,7 +7,7 @@ For channel i at temperature T, with dT = T - T_ref::
 
 ``g`` is the unit vector that points UP in the sensor frame: the reading of an ideal sensor at rest. Level is (0, 0, 1);
 an axis that points up reads +1 g. ``drift_i``, the temperature drift of the offset, and ``gain_i``, the temperature
-coefficient of the sensitivity, are polynomials without a constant term. ``B_i`` is the non-linearity: the identity
+coefficient of the sensitivity, are polynomials without a constant term. ``B_i`` is the nonlinearity: the identity
 unless a procedure determined it. ``S_ii`` is the channel's sensitivity to its own axis, so the n are pure numbers.
 """
 
@@ -243,7 +243,7 @@ class ModelDerivatives:
     by_coefficient : ndarray, shape (..., coefficients, n)
     by_signal : ndarray, shape (..., n)
     signal : ndarray, shape (..., n)
-        S g with its non-linearity, unit.
+        S g with its nonlinearity, unit.
     """
 
     by_coefficient: Array
@@ -260,7 +260,7 @@ class ChannelModel:
     axes : tuple of str
         Columns of the sensitivity.
     drift, gain, nonlinearity : int
-        Orders: of the temperature polynomials, and how many powers from the square on the non-linearity has.
+        Orders: of the temperature polynomials, and how many powers from the square on the nonlinearity has.
     """
 
     name: str
@@ -281,7 +281,7 @@ class ChannelModel:
         )
 
     def split(self, theta: Array) -> tuple[Array, Array, Array, Array]:
-        """Return sensitivity, drift, gain and non-linearity of vectors of coefficients, shape (..., coefficients)."""
+        """Return sensitivity, drift, gain and nonlinearity of vectors of coefficients, shape (..., coefficients)."""
         first = 1 + len(self.axes)
         second = first + self.drift
         third = second + self.gain
@@ -293,7 +293,7 @@ class ChannelModel:
         Parameters
         ----------
         theta : ndarray, shape (coefficients,)
-            Or shape (..., channels, coefficients), of channels that have no non-linearity and are alike but for their
+            Or shape (..., channels, coefficients), of channels that have no nonlinearity and are alike but for their
             names.
         gravity : ndarray, shape (n, 3)
             Up in the sensor frame, g; shape (..., n, 3) with several channels.

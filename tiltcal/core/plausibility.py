@@ -21,7 +21,7 @@ POSE = sin(radians(1.5))
 MATCHED, ODD = 5.0, 8.0
 """Standard deviations from which a reading is refused: where another position fits better, and where none does."""
 
-SAME = radians(5.0)
+SAME_TILT = radians(5.0)
 """Attitudes closer than this are one attitude taken again."""
 
 CROSS_SPREAD = 0.03
@@ -154,7 +154,7 @@ class ExpectedReadings:
         own = np.array(self._in_g(reading))
         for name, before in readings.items():
             other = np.array(self._in_g(before))
-            if float(own @ other) > cos(SAME) * float(np.linalg.norm(own) * np.linalg.norm(other)):
+            if float(own @ other) > cos(SAME_TILT) * float(np.linalg.norm(own) * np.linalg.norm(other)):
                 return f"this is the attitude of {name} again: hold the sensor in a different attitude"
         return None
 

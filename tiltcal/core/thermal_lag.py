@@ -8,8 +8,8 @@ T being the thermometer's. Where the thermometer is later than the element, τ <
 
     E = T + |τ| dT/dt
 
-whose derivative is that of a first-order filter of the time constant ``SMOOTHING`` |τ|: it is exact on a steady ramp,
-and amplifies the noise of the thermometer by no more than 1 + 1 / SMOOTHING.
+whose derivative is that of a first-order filter of the time constant ``LOG_SMOOTHING`` |τ|: it is exact on a steady
+ramp, and amplifies the noise of the thermometer by no more than 1 + 1 / LOG_SMOOTHING.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
-SMOOTHING = 0.1
+LOG_SMOOTHING = 0.1
 """Time constant of the derivative where the thermometer is later, as a part of its lag."""
 
 
@@ -39,7 +39,7 @@ class ThermalLag:
         Of the derivative, as a part of a negative lag; a fit, which averages afterwards, takes less.
     """
 
-    def __init__(self, lag: float, smoothing: float = SMOOTHING) -> None:
+    def __init__(self, lag: float, smoothing: float = LOG_SMOOTHING) -> None:
         self._lag = lag
         self._smoothing = smoothing
         self._constant = lag if lag > 0.0 else -smoothing * lag

@@ -211,14 +211,14 @@ def _nonlinearity(
     """Return the shares of the square and the cube by channel; refuse a reading that has several angles."""
     table = _padded(curves, channels)
     if table.shape[1] > NONLINEAR_TERMS:
-        raise node.error(f"a non-linearity has at most {NONLINEAR_TERMS} terms, the square and the cube")
+        raise node.error(f"a nonlinearity has at most {NONLINEAR_TERMS} terms, the square and the cube")
     if any(channel not in axes for channel in channels):
-        raise node.error("a non-linearity needs every channel's sensitivity to its own axis")
+        raise node.error("a nonlinearity needs every channel's sensitivity to its own axis")
     for channel, row in zip(channels, table, strict=True):
         # The derivative 1 + 2 n2 a + 3 n3 a² is smallest at an end of the range or at its own turning point.
         square, cube = np.pad(row, (0, NONLINEAR_TERMS - len(row)))
         turning = -square / (3.0 * cube) if cube else 1.0
         places = [-1.0, 1.0, *([turning] if abs(turning) < 1.0 else [])]
         if min(1.0 + 2.0 * square * a + 3.0 * cube * a * a for a in places) < STEEP:
-            raise node.error(f"the non-linearity of {channel} is so large that one reading has several angles")
+            raise node.error(f"the nonlinearity of {channel} is so large that one reading has several angles")
     return table

@@ -44,7 +44,7 @@ def _order(order: int, node: Node, context: Context) -> int:
 
 def _bend(order: int, node: Node, context: Context) -> int:
     if order > 2:
-        raise node.error("a non-linearity is 1, the square, or 2, the square and the cube")
+        raise node.error("a nonlinearity is 1, the square, or 2, the square and the cube")
     return order
 
 

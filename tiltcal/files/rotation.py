@@ -24,7 +24,7 @@ from tiltcal.files.declaration import Context, Converted, Integer, ListOf, Numbe
 from tiltcal.files.node import Node
 from tiltcal.frozen import frozen
 
-FEWEST = int(FEWEST_TURNS)
+FEWEST_WHOLE_TURNS = int(FEWEST_TURNS)
 MOST = 1_000_000
 """Turns."""
 
@@ -84,7 +84,7 @@ class Rotation:
         Text(), "the operator's sentence", default="Let the stage turn steadily, with its axis inclined."
     )
     turns: int = entry(
-        Converted(Integer(), _turns, more={"minimum": FEWEST, "maximum": MOST}),
+        Converted(Integer(), _turns, more={"minimum": FEWEST_WHOLE_TURNS, "maximum": MOST}),
         "the most that are made; `--turns` takes its place",
         default=100,
     )
@@ -120,8 +120,10 @@ def require_turns(turns: int) -> int:
     UsageError
         Too few, or more than anyone waits for.
     """
-    if not FEWEST <= turns <= MOST:
-        raise UsageError(f"{turns} turns are impossible: at least {FEWEST} are needed, and at most {MOST} counted")
+    if not FEWEST_WHOLE_TURNS <= turns <= MOST:
+        raise UsageError(
+            f"{turns} turns are impossible: at least {FEWEST_WHOLE_TURNS} are needed, and at most {MOST} counted"
+        )
     return turns
 
 

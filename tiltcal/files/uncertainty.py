@@ -256,12 +256,17 @@ def stated_uncertainty(
     )
 
 
-def uncertain_coefficients(uncertainty: Uncertainty, coefficients: Coefficients) -> UncertaintyInputs:
-    """Return the same inputs as :func:`stated_uncertainty`; none where no uncertainty is stated."""
-    try:
-        return stated_uncertainty(uncertainty, coefficients).inputs
-    except EstimateError:
+def uncertainty_inputs(uncertainty: Uncertainty, coefficients: Coefficients) -> UncertaintyInputs:
+    """Return the inputs of :func:`stated_uncertainty`, and empty ones where no uncertainty is stated.
+
+    Raises
+    ------
+    EstimateError
+        The covariance is none.
+    """
+    if not _joint(uncertainty)[0]:
         return UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0))
+    return stated_uncertainty(uncertainty, coefficients).inputs
 
 
 def known_coefficients(
@@ -269,7 +274,7 @@ def known_coefficients(
 ) -> dict[str, KnownCoefficient]:
     """Return the uncertainty of each coefficient at a reference temperature, °C; empty where none is stated."""
     exact = {name: KnownCoefficient(0.0) for name, u in uncertainty.items() if u == 0.0}
-    stated = uncertain_coefficients(uncertainty, coefficients).without_turn
+    stated = uncertainty_inputs(uncertainty, coefficients).without_turn
     return exact | known(coefficients, stated.names, stated.covariance, stated.factors, reference)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.compensation import Compensated, Compensation
-from tiltcal.core.flags import NO_TEMPERATURE, SUSPECT, Bits, mark
+from tiltcal.core.flags import NO_TEMPERATURE, SUSPECT, Mask, mark
 from tiltcal.core.model import Array
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.core.uncertainty_columns import uncertainty_columns, with_shares
@@ -81,7 +81,7 @@ class ElementTemperature:
     def __init__(self, lag: float) -> None:
         self._lag = ThermalLag(lag) if lag else None
 
-    def __call__(self, values: RoleValues) -> tuple[RoleValues, Bits | None]:
+    def __call__(self, values: RoleValues) -> tuple[RoleValues, Mask | None]:
         """Return the rows with the element's temperature, and which have the thermometer's; None where none is late."""
         temperature = values.temperature
         if self._lag is None or temperature is None:

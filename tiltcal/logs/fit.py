@@ -36,12 +36,12 @@ from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, sti
 from tiltcal.logs.static_intervals import (
     RecordedReadings,
     StaticInterval,
-    holds_of,
-    holds_of_table,
+    intervals_of,
+    intervals_of_table,
     oriented,
     placed,
-    read_record,
-    read_timed_record,
+    recorded_readings,
+    timed_readings,
 )
 from tiltcal.logs.streams import sha256_of
 from tiltcal.stated_numbers import is_number
@@ -307,7 +307,7 @@ class FitSource:
         chosen, tried = find_still(record.readings, windows)
         say(choice_table(chosen, tried, sensor.unit))
         found = still_segments(chosen)
-        holds = holds_of(record, found, file=record.name)
+        holds = intervals_of(record, found, file=record.name)
         attitudes = directions([hold.summaries for hold in holds])
         for hold, (x, y, z) in zip(holds, attitudes.tolist(), strict=True):
             rows = [segment for segment in found if segment.name == hold.position]
@@ -331,22 +331,22 @@ class FitSource:
     def _given(self, sensor: SensorIdentity, soak: float = 0.0) -> tuple[list[StaticInterval], Provenance]:
         """Return what the sensor read in the segments or the table that were given, and where these come from."""
         if self.segments is None:
-            holds = holds_of_table(read_positions(_path_or_rows(self.data, "the table"), sensor.channels))
+            holds = intervals_of_table(read_positions(_path_or_rows(self.data, "the table"), sensor.channels))
             return holds, self._provenance()
         segments = read_segments(_path_or_rows(self.segments, "the segments"))
         record = self._record(sensor, timed=soak > 0.0)
-        holds = holds_of(record, segments, file=self._name, soak=soak)
+        holds = intervals_of(record, segments, file=self._name, soak=soak)
         return holds, self._provenance(record, _origin(self.segments, SegmentsRecord))
 
     def _whole(self, sensor: SensorIdentity, procedure: Procedure) -> tuple[list[StaticInterval], Provenance]:
         """What the sensor read in the one position of a procedure, which is the whole log."""
         record = self._record(sensor)
         whole = [Segment(procedure.positions[0].name, 0, record.rows, None, None)]
-        return holds_of(record, whole, file=record.name), self._provenance(record)
+        return intervals_of(record, whole, file=record.name), self._provenance(record)
 
     def _record(self, sensor: SensorIdentity, *, timed: bool = False) -> RecordedReadings:
         named = named_columns(self.columns, sensor.channels)
-        read = read_timed_record if timed else read_record
+        read = timed_readings if timed else recorded_readings
         return read(self.data, sensor.channels, named, sensor.unit, self.progress)
 
     def _provenance(self, record: RecordedReadings | None = None, segments: SegmentsRecord | None = None) -> Provenance:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tiltcal.core.noise.characterise import FEWEST, ChannelNoise, Characteriser
+from tiltcal.core.noise.characterise import FEWEST_SAMPLES, ChannelNoise, Characteriser
 from tiltcal.core.noise.disturbances import RowRange
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.logs.uniform_sampling import SamplingInterval, UniformLog
@@ -22,15 +22,15 @@ class NoiseLog:
         Values that are missing in the log's own rows, per channel that lacks some.
     moved : sequence of RowRange
         Where the sensor was moved; rows at an even pace, missing ones counted.
-    hung : RowRange or None
-        Where its reading hung.
+    stuck : RowRange or None
+        Where no channel changed.
     """
 
     pace: SamplingInterval
     channels: Mapping[str, ChannelNoise]
     missing: Mapping[str, int]
     moved: Sequence[RowRange]
-    hung: RowRange | None
+    stuck: RowRange | None
 
     def seconds(self, rows: RowRange) -> tuple[float, float]:
         """Return the times at which rows begin and end, seconds from the beginning of the log."""
@@ -58,7 +58,7 @@ class NoiseLog:
             "missing": dict(self.missing),
             "bad_rows": self.pace.faulty,
             "moved": [list(self.seconds(rows)) for rows in self.moved],
-            "hung": None if self.hung is None else list(self.seconds(self.hung)),
+            "hung": None if self.stuck is None else list(self.seconds(self.stuck)),
             "remarks": self.remarks(),
         }
 
@@ -72,8 +72,8 @@ class NoiseLog:
                 f"it was not still: moved or knocked from {begin:.4g} to {end:.4g} s{more}; the numbers are of noise "
                 "and motion together: take a record at rest, or its rows at rest"
             )
-        if self.hung is not None:
-            begin, end = self.seconds(self.hung)
+        if self.stuck is not None:
+            begin, end = self.seconds(self.stuck)
             said.append(f"the readings hung from {begin:.4g} to {end:.4g} s: no channel changed, as if it were stuck")
         if self.pace.gaps:
             said.append(f"{_counted(self.pace.gaps, 'gap')} in its times, {_counted(self.pace.lost, 'row')} long")
@@ -121,7 +121,7 @@ def characterise_log(
         noises,
         {channel: count for channel, count in missing.items() if count},
         found.moved([noise.step for noise in noises.values()]),
-        found.hung,
+        found.stuck,
     )
 
 
@@ -129,8 +129,10 @@ def _require_noise(found: Characteriser, place: int, channel: str, file: str) ->
     count, value = found.counts[place], found.constant(place)
     if not count:
         raise InputError(f"column {channel!r} has no value in any row: is {channel} connected?", file=file)
-    if count < FEWEST:
-        raise EstimateError(f"{file}: {channel} has {count} samples; nothing is said of noise from fewer than {FEWEST}")
+    if count < FEWEST_SAMPLES:
+        raise EstimateError(
+            f"{file}: {channel} has {count} samples; nothing is said of noise from fewer than {FEWEST_SAMPLES}"
+        )
     if value is not None:
         raise InputError(
             f"{channel} reads {value:g} in all {count} samples: identical samples are not still, they are stuck (or "

@@ -17,8 +17,9 @@ from math import cos, inf, radians, sqrt
 
 import numpy as np
 
-from tiltcal.core.detection import Mask, Span, runs, stillest, stuck_rows, window_scatter
+from tiltcal.core.detection import Span, runs, stillest, stuck_rows, window_scatter
 from tiltcal.core.estimation.ellipsoid import UNKNOWNS, Ellipsoid, fit_ellipsoid
+from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.statistics import BLOCKS
 from tiltcal.errors import EstimateError
@@ -33,7 +34,7 @@ MULTIPLES = (1.4, 1.7, 2.0, 2.4, 2.8, 3.4, 4.0, 5.0, 6.0, 8.0, 10.0)
 STUCK = 25
 """Rows that are identical in all channels, one after the other, where the noise would have changed them."""
 
-SAME = cos(radians(0.5))
+SAME_DIRECTION_COSINE = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
 
 
@@ -222,7 +223,7 @@ def _merged(readings: Array, spans: Sequence[Span]) -> list[list[Span]]:
     holds: list[list[Span]] = []
     first = directions[0]
     for span, direction in zip(spans, directions, strict=True):
-        if holds and direction @ first >= SAME:
+        if holds and direction @ first >= SAME_DIRECTION_COSINE:
             holds[-1].append(span)
         else:
             holds.append([span])

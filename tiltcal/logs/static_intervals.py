@@ -26,7 +26,7 @@ from tiltcal.logs.columns import TEMPERATURE, TIME, locate_readings
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import Progress
 
-FEWEST = 2
+FEWEST_ROWS = 2
 """Samples that a segment needs for a standard deviation."""
 
 FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
@@ -80,7 +80,7 @@ class StaticInterval:
     Attributes
     ----------
     name : str
-        Of the position; another one for each hold.
+        Of the position; another one for each interval.
     position : str
         As the file names it; the same where the sensor was put there again.
     gravity : tuple of float or None
@@ -107,23 +107,23 @@ class StaticInterval:
     where: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_timed_record(
+def timed_readings(
     log: object,
     channels: Sequence[str],
     named: Mapping[str, str],
     unit: str,
     progress: Progress | None = None,
 ) -> RecordedReadings:
-    """Read the readings of a log with its times, where it has any; the arguments are those of :func:`read_record`."""
+    """Read the readings of a log with its times, where it has any, by the arguments of :func:`recorded_readings`."""
     try:
-        return read_record(log, channels, named, unit, progress, (TIME,))
+        return recorded_readings(log, channels, named, unit, progress, (TIME,))
     except InputError:
         if TIME in named:
             raise
-        return read_record(log, channels, named, unit, progress)
+        return recorded_readings(log, channels, named, unit, progress)
 
 
-def read_record(
+def recorded_readings(
     log: object,
     channels: Sequence[str],
     named: Mapping[str, str],
@@ -162,7 +162,7 @@ def read_record(
     return RecordedReadings(reader.name, tuple(where), values)
 
 
-def holds_of(
+def intervals_of(
     record: RecordedReadings, segments: Sequence[Segment], *, file: str, soak: float = 0.0
 ) -> list[StaticInterval]:
     """Return what the sensor read in each segment.
@@ -170,7 +170,7 @@ def holds_of(
     Parameters
     ----------
     segments : sequence of Segment
-        Segments of one name that follow each other are parts of one hold.
+        Segments of one name that follow each other are parts of one interval.
     file : str
         Where the segments stand, for messages.
     soak : float
@@ -184,19 +184,19 @@ def holds_of(
     parts = [list(group) for _, group in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
     names = _distinct([part[0].name for part in parts])
     step = resolution(values for role, values in record.columns.items() if role not in (TEMPERATURE, TIME))
-    holds = [_hold(record, step, part, name, file) for part, name in zip(parts, names, strict=True)]
+    intervals = [_interval(record, step, part, name, file) for part, name in zip(parts, names, strict=True)]
     if soak and TEMPERATURE in record.columns:
         ends = [0, *(part[-1].end for part in parts)]
         before = [max((end for end in ends if end <= part[0].start), default=0) for part in parts]
-        holds = [
-            replace(hold, warming=max(hold.warming, _rise_before(record, part, first, soak), key=abs))
-            for hold, part, first in zip(holds, parts, before, strict=True)
+        intervals = [
+            replace(interval, warming=max(interval.warming, _rise_before(record, part, first, soak), key=abs))
+            for interval, part, first in zip(intervals, parts, before, strict=True)
         ]
-    _require_alive(holds, step, file)
-    return holds
+    _require_not_stuck(intervals, step, file)
+    return intervals
 
 
-def holds_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterval]:
+def intervals_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterval]:
     """Return what a table of positions states of each."""
     names = _distinct([position.name for position in positions])
     return [
@@ -213,7 +213,7 @@ def holds_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterval]:
     ]
 
 
-def placed(holds: Sequence[StaticInterval], procedure: Procedure, *, file: str) -> list[Measurement]:
+def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: str) -> list[Measurement]:
     """Holds in known directions.
 
     Parameters
@@ -231,75 +231,75 @@ def placed(holds: Sequence[StaticInterval], procedure: Procedure, *, file: str) 
     """
     known = {position.name: position for position in procedure.positions}
     if procedure.determines.drift or procedure.determines.gain:
-        for hold in holds:
-            _require_steady(hold, procedure, file)
-        _require_temperatures(holds, file)
-    measurements = [_placed(hold, _place(hold, known, procedure, file)) for hold in holds]
-    _require_moved(measurements, file)
+        for interval in intervals:
+            _require_steady(interval, procedure, file)
+        _require_temperatures(intervals, file)
+    measurements = [_placed(interval, _place(interval, known, procedure, file)) for interval in intervals]
+    _require_not_stuck_everywhere(measurements, file)
     return measurements
 
 
-def oriented(holds: Sequence[StaticInterval], attitudes: Array) -> list[Measurement]:
+def oriented(intervals: Sequence[StaticInterval], attitudes: Array) -> list[Measurement]:
     """Holds in the directions that a fit has found.
 
     Parameters
     ----------
-    attitudes : ndarray, shape (holds, 3)
+    attitudes : ndarray, shape (intervals, 3)
         Unit vectors, up in the sensor frame.
     """
     return [
-        Measurement(hold.name, (x, y, z), None, hold.temperature, hold.summaries, hold.where)
-        for hold, (x, y, z) in zip(holds, attitudes.tolist(), strict=True)
+        Measurement(interval.name, (x, y, z), None, interval.temperature, interval.summaries, interval.where)
+        for interval, (x, y, z) in zip(intervals, attitudes.tolist(), strict=True)
     ]
 
 
-def _place(hold: StaticInterval, known: Mapping[str, Position], procedure: Procedure, file: str) -> Position:
+def _place(interval: StaticInterval, known: Mapping[str, Position], procedure: Procedure, file: str) -> Position:
     """Return the position of a still interval."""
-    if hold.gravity is not None:
-        heading = known[hold.position].heading if hold.position in known else None
-        return Position(hold.position, "", hold.gravity, heading=heading)
-    if hold.position in known:
-        return known[hold.position]
-    near = get_close_matches(hold.position, known, n=1)
+    if interval.gravity is not None:
+        heading = known[interval.position].heading if interval.position in known else None
+        return Position(interval.position, "", interval.gravity, heading=heading)
+    if interval.position in known:
+        return known[interval.position]
+    near = get_close_matches(interval.position, known, n=1)
     raise InputError(
-        f"{procedure.name} has no position {hold.position!r}"
+        f"{procedure.name} has no position {interval.position!r}"
         + (f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(known)}")
         + ", and no gx, gy, gz are given for it",
         file=file,
-        line=hold.line,
+        line=interval.line,
     )
 
 
-def _placed(hold: StaticInterval, position: Position) -> Measurement:
-    temperature = position.temperature if hold.temperature is None else hold.temperature
+def _placed(interval: StaticInterval, position: Position) -> Measurement:
+    temperature = position.temperature if interval.temperature is None else interval.temperature
     return Measurement(
-        hold.name,
+        interval.name,
         position.gravity,
         position.tilt,
         temperature,
-        hold.summaries,
-        hold.where,
+        interval.summaries,
+        interval.where,
         position.heading,
         position.stage,
     )
 
 
-def _require_steady(hold: StaticInterval, procedure: Procedure, file: str) -> None:
+def _require_steady(interval: StaticInterval, procedure: Procedure, file: str) -> None:
     """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
-    if abs(hold.warming) > procedure.soak_drift:
+    if abs(interval.warming) > procedure.soak_drift:
         raise InputError(
-            f"segment {hold.name}: the temperature drifts by {hold.warming:+.2f} °C up to its end, more than the "
-            f"{procedure.soak_drift:g} °C that {procedure.name} allows: thermometer and sensor are apart while they "
-            "change; take rows where both stand still, or go slower",
+            f"segment {interval.name}: the temperature drifts by {interval.warming:+.2f} °C up to its end, more than "
+            f"the {procedure.soak_drift:g} °C that {procedure.name} allows: thermometer and sensor are apart while "
+            "they change; take rows where both stand still, or go slower",
             file=file,
-            line=hold.line,
+            line=interval.line,
         )
 
 
-def _require_temperatures(holds: Sequence[StaticInterval], file: str) -> None:
-    """Refuse holds of which only some have a temperature: the procedure's is no stand-in for one that was lost."""
-    measured = [hold for hold in holds if hold.temperature is not None]
-    silent = next((hold for hold in holds if hold.temperature is None), None)
+def _require_temperatures(intervals: Sequence[StaticInterval], file: str) -> None:
+    """Refuse intervals of which only some have a temperature: the procedure's is no stand-in for one that was lost."""
+    measured = [interval for interval in intervals if interval.temperature is not None]
+    silent = next((interval for interval in intervals if interval.temperature is None), None)
     if measured and silent is not None:
         raise InputError(
             f"segment {silent.name}: there is no temperature in its rows, and {measured[0].name} has one; choose rows "
@@ -309,26 +309,26 @@ def _require_temperatures(holds: Sequence[StaticInterval], file: str) -> None:
         )
 
 
-def _require_alive(holds: Sequence[StaticInterval], step: float, file: str) -> None:
+def _require_not_stuck(intervals: Sequence[StaticInterval], step: float, file: str) -> None:
     """Refuse a channel that stood at one value where its own noise would have moved it.
 
     The noise is that of all segments before rounding: a converter that is coarser than the noise stands still, too.
     """
-    for channel in holds[0].summaries:
-        scatter = float(np.mean([hold.summaries[channel].std ** 2 for hold in holds]))
+    for channel in intervals[0].summaries:
+        scatter = float(np.mean([interval.summaries[channel].std ** 2 for interval in intervals]))
         noise = noise_under_rounding(scatter, step) if step else sqrt(scatter)
-        for hold in holds:
-            summary = hold.summaries[channel]
+        for interval in intervals:
+            summary = interval.summaries[channel]
             if summary.std == 0.0 and not identical_by_chance(summary.n, noise, step):
                 raise InputError(
-                    f"segment {hold.position}: all samples of {channel} are identical, and elsewhere they scatter by "
-                    f"{noise:.3g}: it was stuck, not still; choose other rows",
+                    f"segment {interval.position}: all samples of {channel} are identical, and elsewhere they scatter "
+                    f"by {noise:.3g}: it was stuck, not still; choose other rows",
                     file=file,
-                    line=hold.line,
+                    line=interval.line,
                 )
 
 
-def _require_moved(measurements: Sequence[Measurement], file: str) -> None:
+def _require_not_stuck_everywhere(measurements: Sequence[Measurement], file: str) -> None:
     """Refuse a channel that reads the same however far its axis is tilted."""
     for axis, channel in enumerate(AXES):
         reach = {one.gravity[axis] for one in measurements if channel in one.summaries}
@@ -339,7 +339,7 @@ def _require_moved(measurements: Sequence[Measurement], file: str) -> None:
             )
 
 
-def _hold(record: RecordedReadings, step: float, parts: Sequence[Segment], name: str, file: str) -> StaticInterval:
+def _interval(record: RecordedReadings, step: float, parts: Sequence[Segment], name: str, file: str) -> StaticInterval:
     samples = {role: _samples(record, role, parts) for role in record.columns}
     temperature = samples.pop(TEMPERATURE, None)
     samples.pop(TIME, None)
@@ -397,8 +397,8 @@ def _samples(record: RecordedReadings, role: str, parts: Iterable[Segment]) -> A
 def _require_readings(record: RecordedReadings, segment: Segment, channels: Iterable[str], file: str) -> None:
     if segment.end > record.rows:
         raise _refusal(segment, f"ends at row {segment.end}; {record.name} has {record.rows} rows", file)
-    if segment.end - segment.start < FEWEST:
-        raise _refusal(segment, f"has {segment.end - segment.start} row; at least {FEWEST} are needed", file)
+    if segment.end - segment.start < FEWEST_ROWS:
+        raise _refusal(segment, f"has {segment.end - segment.start} row; at least {FEWEST_ROWS} are needed", file)
     for channel in channels:
         lost = np.flatnonzero(~np.isfinite(record.columns[channel][segment.start : segment.end]))
         if len(lost):

@@ -18,7 +18,7 @@ from tiltcal.core.model import Array
 if TYPE_CHECKING:
     import polars as pl
 
-    from tiltcal.core.flags import Bits
+    from tiltcal.core.flags import Mask
 
 MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 
@@ -28,7 +28,7 @@ _MOMENT = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z"
 _ZONE = r"T.*(?:Z|[+-]\d\d:?\d\d)$"
 
 
-def numbers(cells: pl.Series) -> tuple[Array, Bits | None]:
+def numbers(cells: pl.Series) -> tuple[Array, Mask | None]:
     """Parse the cells of one column.
 
     Returns

@@ -13,7 +13,7 @@ from tiltcal.report.provenance import period
 
 
 @dataclass(frozen=True)
-class ChangeRow:
+class CoefficientChangeRow:
     """One coefficient before and after."""
 
     words: str
@@ -38,7 +38,7 @@ class ChangeSection:
 
     since: str
     verdict: str
-    rows: Sequence[ChangeRow]
+    rows: Sequence[CoefficientChangeRow]
 
 
 def change_section(before: CalibrationRecord, name: str, after: CalibrationRecord) -> ChangeSection:
@@ -51,7 +51,9 @@ def change_section(before: CalibrationRecord, name: str, after: CalibrationRecor
     ratios = column("" if one.ratio is None else f"{one.ratio:.2f}" for one in found)
     unit = after.sensor.unit
     rows = [
-        ChangeRow(words(one.name), symbol(one.name), *texts, unit_of(one.name, unit), one.name in verdict.changed)
+        CoefficientChangeRow(
+            words(one.name), symbol(one.name), *texts, unit_of(one.name, unit), one.name in verdict.changed
+        )
         for one, texts in zip(found, zip(old, new, moved, ratios, strict=True), strict=True)
     ]
     when = period(before.provenance)

@@ -99,7 +99,7 @@ def _sentences(fit: FitRecord, unit: str) -> Iterator[str]:
             f"The largest residual is {plain(worst.residual, 4)} {unit}, of channel {worst.channel} in "
             f"{worst.position}."
         )
-    yield from _benches(fit)
+    yield from _bench_sentences(fit)
     if fit.misfit_rms_mg is not None:
         where = "" if fit.distinct_attitudes is None else f" in {fit.distinct_attitudes} attitudes"
         yield f"The misfit of the length of gravity is {plain(fit.misfit_rms_mg, 3)} mg rms{where}."
@@ -109,7 +109,7 @@ def _sentences(fit: FitRecord, unit: str) -> Iterator[str]:
 
 
 def _judged(fit: FitRecord) -> Iterator[str]:
-    """Return the verdict of chi-square, or the reason why there is none."""
+    """Yield the verdict of chi-square, or the reason why there is none."""
     dof = fit.degrees_of_freedom
     if dof is None:
         return
@@ -126,7 +126,7 @@ def _judged(fit: FitRecord) -> Iterator[str]:
         yield (f"{dof} degrees of freedom are left. No jig was stated: the uncertainties come from the residuals.")
 
 
-def _benches(fit: FitRecord) -> Iterator[str]:
+def _bench_sentences(fit: FitRecord) -> Iterator[str]:
     shows = fit.jig_estimated_degrees
     if fit.jig_degrees is not None:
         yield f"Stated standard uncertainty of a set angle: {fit.jig_degrees:g}°."

@@ -29,7 +29,7 @@ class SensorRow:
 
 
 @dataclass(frozen=True)
-class ChangeRow:
+class CalibrationChangeRow:
     """One calibration beside the one before it."""
 
     serial: str
@@ -108,9 +108,9 @@ def _sensor_row(history: FleetHistory, one: SensorHistory) -> SensorRow:
     )
 
 
-def _change_rows(history: SensorHistory) -> Iterator[ChangeRow]:
+def _change_rows(history: SensorHistory) -> Iterator[CalibrationChangeRow]:
     for before, after, found in zip(history.calibrations, history.calibrations[1:], history.comparisons, strict=False):
-        yield ChangeRow(
+        yield CalibrationChangeRow(
             history.sensor.serial,
             f"{after.date:%Y-%m-%d}",
             after.name,

@@ -49,7 +49,7 @@ def _plot(figure: Figure, calibration: CalibrationRecord, thermal: Thermal) -> N
         names = [f"offset.{channel}", *(f"temperature.offset.{channel}.{k + 1}" for k in range(thermal.drift.shape[1]))]
         powers = np.vander(t - thermal.reference, len(names), increasing=True)
         _curve(panels[0, column], t, curve, _half_width(calibration, names, powers), channel)
-        _positions(panels[0, column], calibration, thermal, column)
+        _plot_positions(panels[0, column], calibration, thermal, column)
         panels[0, column].set_ylabel(f"offset of {channel} [{calibration.sensor.unit}]")
         if gains:
             gain = polynomial(thermal.gain[column], t - thermal.reference)
@@ -71,8 +71,8 @@ def _curve(panel: Axes, t: Array, curve: Array, half: Array | None, channel: str
     panel.plot(t, curve, color=colour, linewidth=1.1)
 
 
-def _positions(panel: Axes, calibration: CalibrationRecord, thermal: Thermal, column: int) -> None:
-    """Return the curve at the temperature of each position, plus its residual."""
+def _plot_positions(panel: Axes, calibration: CalibrationRecord, thermal: Thermal, column: int) -> None:
+    """Plot the curve at the temperature of each position, plus its residual."""
     channel = calibration.coefficients.channels[column]
     fitted: dict[str, tuple[float, float]] = {}
     for record in calibration.positions:

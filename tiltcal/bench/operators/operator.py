@@ -89,7 +89,7 @@ class OperatorAnswer:
 
 
 class Operator(Protocol):
-    """The end of a session, which every operator reviews and gets."""
+    """The questions that every operator is asked, and the end of a session."""
 
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         """Answer ``yes``: the calibration files may be written.

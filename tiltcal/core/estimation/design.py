@@ -157,7 +157,7 @@ def require_sound(sensors: Sequence[SensorObservations]) -> None:
     ------
     EstimateError
         Nothing to estimate from, a missing temperature, a position twice, benches that differ, a channel whose
-        non-linearity has no own axis.
+        nonlinearity has no own axis.
     """
     if not sensors:
         raise EstimateError("no sensor, nothing to estimate")
@@ -173,7 +173,7 @@ def require_sound(sensors: Sequence[SensorObservations]) -> None:
         if twice is not None:
             raise EstimateError(f"position {twice} is there twice: name each one differently")
         if design.nonlinearity and not set(design.channels) <= set(design.axes):
-            raise EstimateError("a non-linearity is counted along each channel's own axis: determine that axis too")
+            raise EstimateError("a nonlinearity is counted along each channel's own axis: determine that axis too")
         for observation in sensor.observations:
             if design.thermal and observation.temperature is None:
                 raise EstimateError(

@@ -25,7 +25,7 @@ from tiltcal.core.model import Array
 from tiltcal.core.uncertainty_budget import coverage_factor
 from tiltcal.errors import EstimateError
 
-APART = 5.0
+DIFFERENT_ATTITUDE = 5.0
 """Attitudes closer than this are one attitude taken again, degrees."""
 
 STEPS = 50
@@ -64,7 +64,7 @@ class Ellipsoid:
 
     @property
     def distinct(self) -> int:
-        """Number of attitudes that differ from each other by at least :data:`APART`."""
+        """Number of attitudes that differ from each other by at least :data:`DIFFERENT_ATTITUDE`."""
         return count_distinct(self.attitudes)
 
     @property
@@ -94,7 +94,7 @@ class Ellipsoid:
 
 
 def count_distinct(attitudes: Array) -> int:
-    """Count the attitudes that differ by at least :data:`APART` from each one that was counted before.
+    """Count the attitudes that differ by at least :data:`DIFFERENT_ATTITUDE` from each one that was counted before.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def count_distinct(attitudes: Array) -> int:
     """
     kept: list[Array] = []
     for attitude in attitudes:
-        if all(float(attitude @ other) < cos(radians(APART)) for other in kept):
+        if all(float(attitude @ other) < cos(radians(DIFFERENT_ATTITUDE)) for other in kept):
             kept.append(attitude)
     return len(kept)
 

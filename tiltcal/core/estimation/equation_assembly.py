@@ -16,7 +16,7 @@ from tiltcal.errors import EstimateError
 UNKNOWN_TABLE = 5.0
 """Standard uncertainty of a lean of which nothing was said, degrees: no table that anyone works at leans more."""
 
-SAME = 1e-6
+SAME_DIRECTION = 1e-6
 """How far the directions that two sensors give for one position may differ, g."""
 
 TOGETHER = 8
@@ -80,7 +80,7 @@ def _places(sensors: Sequence[SensorObservations]) -> tuple[dict[str, int], Arra
                 headings.append(heading)
                 held = observation.held and before is not None
                 settings.append(settings[before] if held and before is not None else max(settings, default=-1) + 1)
-            elif np.max(np.abs(direction - gravity[number])) > SAME or heading != headings[number]:
+            elif np.max(np.abs(direction - gravity[number])) > SAME_DIRECTION or heading != headings[number]:
                 raise EstimateError(
                     f"position {observation.position}: two sensors of the fixture name different directions for it; "
                     "check their axes"

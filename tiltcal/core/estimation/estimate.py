@@ -309,7 +309,7 @@ def _start(system: System) -> Array:
     set_right = system.as_if_perfect()
     free = set_right.holding(set_right.assumed)
     z = set_right.start()
-    # Gain and non-linearity have no effect before a sensitivity is known: they join in the second round.
+    # Gain and nonlinearity have no effect before a sensitivity is known: they join in the second round.
     insensitive = free.assumed.copy()
     for block in free.at(z).blocks:
         insensitive[block.unknowns] = ~np.any(block.jacobian[:, : block.readings], axis=1)

@@ -86,7 +86,7 @@ class Prediction:
         return dict(zip(self.names, self.budget.u.tolist(), strict=True))
 
 
-def predicted_covariance(
+def predict_uncertainty(
     design: Design,
     positions: Sequence[PlannedPosition],
     noise: float | Sequence[float],

@@ -16,7 +16,7 @@ from tiltcal.core.noise.quantisation import Quantisation
 from tiltcal.core.statistics import rounding_left
 from tiltcal.errors import EstimateError
 
-FEWEST = 64
+FEWEST_SAMPLES = 64
 """Samples of a channel below which nothing is said of its noise."""
 
 _FEWEST_AVERAGES = 5
@@ -154,9 +154,9 @@ class Characteriser:
         return self._unrest.moved(np.array(steps))
 
     @property
-    def hung(self) -> RowRange | None:
-        """The rows in which the reading hung, where it did."""
-        return self._unrest.hung()
+    def stuck(self) -> RowRange | None:
+        """The rows in which the reading stuck, where it did."""
+        return self._unrest.stuck()
 
     def channel(self, place: int, interval: float) -> ChannelNoise:
         """Return what is known of one channel.

@@ -1,4 +1,4 @@
-"""Disturbances of a record at rest: motion, and a reading that hangs.
+"""Disturbances of a record at rest: motion, and a reading that is stuck.
 
 Means of short blocks differ from their neighbours by the noise, and by what it wanders from one to the next; in a block
 that differs by far more, or scatters by far more within, the sensor was moved. How much is usual the median says, which
@@ -78,7 +78,7 @@ class Disturbances:
         found = jumps(blocks.mean, rounding) | bursts(blocks.scatter, rounding)
         return [RowRange(start * self._size, end * self._size) for start, end in runs(np.any(found, axis=1))]
 
-    def hung(self) -> RowRange | None:
+    def stuck(self) -> RowRange | None:
         """Return the longest run of rows that are identical in all channels, if it is longer than chance makes one."""
         length = self._longest.end - self._longest.start
         others = max(self._repeats - length + 1, 1) / max(self._rows - length, 2)

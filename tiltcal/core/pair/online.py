@@ -38,7 +38,7 @@ MEMORY = 100.0
 """Turns after which a row counts 1/e."""
 _SETTLED = 1e-3
 """In-phase residual, relative, below which the loop of p lets the loop of q begin."""
-_PATIENCE = 20 * SECTORS
+_SECTORS_TO_SETTLE = 20 * SECTORS
 """Sectors after which it begins anyway: noise may not let the residual be that small."""
 _LOST = 1e-2
 """Residual, relative, above which a loop that had settled runs with its full gains again."""
@@ -96,11 +96,11 @@ class Controller:
         return correction
 
     def forget(self) -> None:
-        """Return the errors so far, after a gap."""
+        """Drop the errors so far; called after a gap."""
         self._errors.clear()
 
 
-class Loops:
+class TrimmingLoops:
     """The two loops of the source: p first, then q.
 
     Parameters
@@ -166,7 +166,7 @@ class Loops:
         if not -_FARTHEST / (1.0 - _FARTHEST) < p < _FARTHEST:
             raise EstimateError(f"p runs to {p:.2f}: {self._pair.second} cannot be matched to {self._pair.first}")
         self.p = p
-        self._trims_q |= (len(self._settled) == SECTORS and all(self._settled)) or self._sectors > _PATIENCE
+        self._trims_q |= (len(self._settled) == SECTORS and all(self._settled)) or self._sectors > _SECTORS_TO_SETTLE
         if self._trims_q:
             self.q -= rest / quadrature * self._trims[1](self.quadrature)
 
@@ -310,7 +310,7 @@ class Online:
         self, pair: Pair, channels: Sequence[str], gains: LoopGains | None = None, memory: float = MEMORY
     ) -> None:
         self.stream = SectorStream(len(channels))
-        self.loops = Loops(pair, channels, gains)
+        self.loops = TrimmingLoops(pair, channels, gains)
         self.recursive = Recursive(pair, channels, memory)
         self.course: list[OnlineHistory] = []
         self.refused = ""

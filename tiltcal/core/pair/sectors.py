@@ -17,12 +17,12 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import harmonic_columns
 from tiltcal.core.pair.encoder import AngleTracker
 
 Rows = NDArray[np.int64]
-Bits = NDArray[np.bool_]
 
 STANDS = "the stage stands still"
 GAP = "the stream has a gap"
@@ -150,7 +150,7 @@ class SectorStream:
         first, self.rows = self.rows, self.rows + len(theta)
         known = np.flatnonzero(np.isfinite(theta)).astype(np.int64)
         turns = self._stage.follow(theta[known])
-        whole: Bits = np.asarray(np.isfinite(readings).all(axis=1))
+        whole: Mask = np.asarray(np.isfinite(readings).all(axis=1))
         self.missing += len(theta) - int(np.count_nonzero(whole[known]))
         found: list[Sector | Notice] = []
         start = 0
@@ -163,7 +163,7 @@ class SectorStream:
         return found
 
     def _forwards(
-        self, start: int, turns: Array, rows: Rows, readings: Array, whole: Bits, found: list[Sector | Notice]
+        self, start: int, turns: Array, rows: Rows, readings: Array, whole: Mask, found: list[Sector | Notice]
     ) -> int:
         """Go on to the end, or to where the stage runs backwards."""
         highest = np.maximum.accumulate(np.maximum(turns[start:], self._highest))
@@ -208,7 +208,7 @@ class SectorStream:
         self._open = _Open(row, self._size, None if self._number is not None and not gap else "begun in its middle")
         self._number = number
 
-    def _add(self, turns: Array, rows: Rows, readings: Array, whole: Bits) -> None:
+    def _add(self, turns: Array, rows: Rows, readings: Array, whole: Mask) -> None:
         sector = self._open
         if sector is None or sector.why_not is not None or not whole.any():
             return

@@ -22,7 +22,7 @@ SMALLEST_RANGE = 2.0
 OVERLAP = 0.5
 """Part of the whole range that the ways up and the ways down must both cover."""
 
-FEWEST = 32
+FEWEST_ROWS = 32
 """Rows of a record."""
 
 
@@ -97,7 +97,7 @@ class RecordAverager:
         EstimateError
             There are too few rows.
         """
-        if self._rows < FEWEST:
+        if self._rows < FEWEST_ROWS:
             raise EstimateError(f"the record has {self._rows} rows with time, temperature and readings: too few")
         means = self._sums / self._size
         noise = np.sqrt(self._squares / (2.0 * max(self._rows - 1, 1)))

@@ -32,7 +32,7 @@ from tiltcal.logs.text_to_numbers import is_cut, numbers, seconds
 if TYPE_CHECKING:
     import polars as pl
 
-Positions = NDArray[np.intp]
+Offsets = NDArray[np.intp]
 
 _LF, _COMMA, _QUOTE, _CR, _NUL, _POINT, _ZERO, _NINE = b'\n,"\r\0.09'
 _PIECE = 1 << 16  # bytes: as many as stay in the cache with what is made of them
@@ -283,7 +283,7 @@ def _plain_faults(data: bytes, fields: int, unended: bool) -> dict[int, str]:
     return faults
 
 
-def _field_counts(commas: Positions, ends: Positions, fields: int) -> Positions | None:
+def _field_counts(commas: Offsets, ends: Offsets, fields: int) -> Offsets | None:
     """Fields of each row; None where every row has ``fields``, which takes no search to see."""
     rows = len(ends)
     if len(commas) == rows * (fields - 1):

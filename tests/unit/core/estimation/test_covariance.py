@@ -17,7 +17,7 @@ from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured,
 from tiltcal.core.derived_quantities import cross_axis, derived, misalignment
 from tiltcal.core.estimation.design import Design, Observation
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
-from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predicted_covariance
+from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.intrinsic_parameters import intrinsic, separated
@@ -308,7 +308,7 @@ class TestPrediction:
     def test_it_is_what_the_estimate_then_states(self) -> None:
         """The plan alone, and the same bench measured: within the per cent by which a part differs from nominal."""
         rng = np.random.default_rng(50)
-        predicted = predicted_covariance(Design(XYZ, XYZ, jig=0.1), self.FACES, 1e-3)
+        predicted = predict_uncertainty(Design(XYZ, XYZ, jig=0.1), self.FACES, 1e-3)
         plan = plan_of(6, noise=1e-3, jig=0.1)
         found = estimate_jointly(fixture(measured(rng, plan, [part(rng)]), design(plan, jig=0.1)))[0]
         np.testing.assert_allclose(predicted.budget.u, found.budget.u, rtol=0.1)
@@ -316,39 +316,39 @@ class TestPrediction:
 
     def test_a_pair_by_hand(self) -> None:
         tilts = [PlannedPosition(f"{a}", gravity_from_tilt({"x": float(a)})) for a in (30, -30)]
-        predicted = predicted_covariance(Design(("x",), ("x",), jig=0.0), tilts, 0.1, sensitivity=819.0)
+        predicted = predict_uncertainty(Design(("x",), ("x",), jig=0.0), tilts, 0.1, sensitivity=819.0)
         assert predicted.uncertainty()["sensitivity.x.x"] == pytest.approx(0.1 * sqrt(2), rel=1e-9)
 
     def test_level_and_45_know_little_apart(self) -> None:
         """{0°, 45°}: nothing left over, and the other side would help most."""
         plan = [PlannedPosition("level", (0.0, 0.0, 1.0)), PlannedPosition("x-45", gravity_from_tilt({"x": 45.0}))]
-        predicted = predicted_covariance(Design(("x",), ("x",), jig=0.3), plan, 0.1, sensitivity=819.0)
+        predicted = predict_uncertainty(Design(("x",), ("x",), jig=0.3), plan, 0.1, sensitivity=819.0)
         assert predicted.dof == 0
         assert predicted.worth_adding[0][0] == "+x straight down"
 
     def test_strong_correlations_are_named(self) -> None:
         """Level and two small tilts to one side: what is added to the sensitivity is taken from the offset."""
         plan = [PlannedPosition(f"{a}", gravity_from_tilt({"x": float(a)})) for a in (40, 45, 50)]
-        predicted = predicted_covariance(Design(("x",), ("x",), jig=0.1), plan, 0.1, sensitivity=819.0)
+        predicted = predict_uncertainty(Design(("x",), ("x",), jig=0.1), plan, 0.1, sensitivity=819.0)
         first, second, correlation = predicted.correlations[0]
         assert {first, second} == {"offset.x", "sensitivity.x.x"}
         assert correlation < -0.99
 
     def test_three_faces_are_refused_with_what_to_add(self) -> None:
         with pytest.raises(EstimateError, match="add the position"):
-            predicted_covariance(Design(XYZ, XYZ, jig=0.1), self.FACES[::2], 1e-3)
+            predict_uncertainty(Design(XYZ, XYZ, jig=0.1), self.FACES[::2], 1e-3)
 
     def test_one_temperature_is_refused_with_another_to_add(self) -> None:
         plan = [PlannedPosition(f"{a}", gravity_from_tilt({"x": float(a)}), 24.0) for a in (0, 45)]
         with pytest.raises(EstimateError, match=r"temperature\.offset\.x\.1.*temperature"):
-            predicted_covariance(Design(("x",), ("x",), drift=1, jig=0.1), plan, 0.1)
+            predict_uncertainty(Design(("x",), ("x",), drift=1, jig=0.1), plan, 0.1)
 
     def test_free_positions_that_do_not_do_are_refused(self) -> None:
         with pytest.raises(EstimateError, match="at least nine positions"):
-            predicted_covariance(Design(XYZ, XYZ, jig=np.inf), self.FACES, 1e-3)
+            predict_uncertainty(Design(XYZ, XYZ, jig=np.inf), self.FACES, 1e-3)
         flat = [
             PlannedPosition(f"{a}", (float(np.cos(np.radians(a))), float(np.sin(np.radians(a))), 0.0))
             for a in range(0, 360, 20)
         ]
         with pytest.raises(EstimateError, match="do not determine"):
-            predicted_covariance(Design(XYZ, XYZ, jig=np.inf), flat, 1e-3)
+            predict_uncertainty(Design(XYZ, XYZ, jig=np.inf), flat, 1e-3)

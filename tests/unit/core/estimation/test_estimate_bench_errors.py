@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import LEAN_NOT_SHOWN, Estimate, estimate
 from tiltcal.core.estimation.hysteresis import largest_loops, with_hysteresis
-from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predicted_covariance
+from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.pooling import (
     TIMES,
     _by_correlation_time,
@@ -91,7 +91,7 @@ class TestLean:
 
     def test_plan_counts_it_and_says_what_a_heading_brings(self) -> None:
         positions = [PlannedPosition(f"p{k}", gravity_from_tilt(tilt)) for k, tilt in enumerate(PLANE)]
-        plan = predicted_covariance(Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2), positions, NOISE)
+        plan = predict_uncertainty(Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2), positions, NOISE)
         by_lean = radians(0.2) * (1 + cos(radians(30))) / 2
         assert plan.uncertainty()["offset.x"] == pytest.approx(by_lean, rel=0.12)
         name, _, share = plan.worth_adding[0]

@@ -247,19 +247,19 @@ class TestUnrest:
     def test_a_reading_that_hangs(self) -> None:
         samples = np.round(coloured.white(rng(), 5000, 2.0))
         samples[1500:1700] = samples[1500]
-        hung = self.unrest(samples, 77).hung()
-        assert hung is not None
-        assert hung.start <= 1500 < 1700 <= hung.end
-        assert hung.end - hung.start < 210
+        stuck = self.unrest(samples, 77).stuck()
+        assert stuck is not None
+        assert stuck.start <= 1500 < 1700 <= stuck.end
+        assert stuck.end - stuck.start < 210
 
     def test_coarse_rounding_does_not_hang(self) -> None:
-        assert self.unrest(np.round(coloured.white(rng(), 50_000, 0.25))).hung() is None
-        assert self.unrest(coloured.white(rng(), 5000, 1.0)).hung() is None
+        assert self.unrest(np.round(coloured.white(rng(), 50_000, 0.25))).stuck() is None
+        assert self.unrest(coloured.white(rng(), 5000, 1.0)).stuck() is None
 
     def test_rows_are_counted_across_the_parts(self) -> None:
         samples = np.round(coloured.white(rng(3), 300, 50.0))
         samples[90:130] = 7.0
-        assert self.unrest(samples, 1).hung() == RowRange(90, 130)
+        assert self.unrest(samples, 1).stuck() == RowRange(90, 130)
 
 
 class TestSteps:
