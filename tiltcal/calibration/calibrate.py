@@ -126,7 +126,7 @@ def _fitted(
 
 def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:
     """Keep in the record of positions what the table states, and nothing else."""
-    stated = any(summary.u > 0 for one in measurements for summary in one.summaries.values())
+    stated = any(summary.u > summary.quantisation for one in measurements for summary in one.summaries.values())
     if not stated and not calibration.fit.degrees_of_freedom:
         raise EstimateError(
             "the table states no uncertainties (ux, uy, uz) and has no position more than there are unknowns: nothing "

@@ -58,7 +58,11 @@ class TabledRow(Direction):
     x: float | None = entry(Number(), "mean reading, unit; needed where the sensor has the channel", default=None)
     y: float | None = entry(Number(), "likewise", default=None)
     z: float | None = entry(Number(), "likewise", default=None)
-    ux: float | None = entry(_U, "standard uncertainty of the mean, unit; in every row or in none", default=None)
+    ux: float | None = entry(
+        _U,
+        "standard uncertainty of the mean, unit; in every row or in none, where rounding to the last digit counts",
+        default=None,
+    )
     uy: float | None = entry(_U, "likewise", default=None)
     uz: float | None = entry(_U, "likewise", default=None)
     n: int | None = entry(Integer(minimum=1), "number of samples behind the means", default=None)

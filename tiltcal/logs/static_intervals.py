@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from difflib import get_close_matches
 from itertools import groupby
 from math import sqrt
@@ -198,13 +199,14 @@ def intervals_of(
 
 def intervals_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterval]:
     """Return what a table of positions states of each."""
+    step = 10.0 ** -max(_digits(mean) for position in positions for mean in position.mean.values())
     names = _distinct([position.name for position in positions])
     return [
         StaticInterval(
             name,
             position.name,
             position.gravity,
-            _tabled(position),
+            _tabled(position, step),
             position.temperature,
             position.line,
             where={} if position.line is None else {"line": position.line},
@@ -410,13 +412,18 @@ def _refusal(segment: Segment, why: str, file: str) -> InputError:
     return InputError(f"segment {segment.name}: {why}", file=file, line=segment.line)
 
 
-def _tabled(position: TabledPosition) -> dict[str, SampleSummary]:
-    """Summaries as far as a table gives them: what it leaves out is zero here, and not recorded."""
-    n = position.n or 1
-    u = position.u or dict.fromkeys(position.mean, 0.0)
-    return {
-        channel: SampleSummary(mean, u[channel] * sqrt(n), n, u[channel]) for channel, mean in position.mean.items()
-    }
+def _tabled(position: TabledPosition, step: float) -> dict[str, SampleSummary]:
+    """Summaries as far as a table gives them: without a stated uncertainty, means are known to its last digit."""
+    means, n, rounding = position.mean.items(), position.n or 1, step / sqrt(12)
+    if position.u is None:
+        return {name: SampleSummary(mean, 0.0, n, rounding, rounding, resolution=step) for name, mean in means}
+    return {name: SampleSummary(mean, position.u[name] * sqrt(n), n, position.u[name]) for name, mean in means}
+
+
+def _digits(number: float) -> int:
+    """Return how many digits a number has behind the point."""
+    exponent = Decimal(repr(float(number))).normalize().as_tuple().exponent
+    return max(0, -exponent) if isinstance(exponent, int) else 0
 
 
 def _distinct(names: Sequence[str]) -> list[str]:

@@ -105,3 +105,19 @@ def test_a_base_with_a_mounting_is_refused(base: Path) -> None:
 def test_numbers_out_of_range_are_refused(options: dict[str, Any], why: str, base: Path) -> None:
     with pytest.raises(tiltcal.UsageError, match=why):
         tiltcal.fit("reversal", **recorded("reversal", (2.5, 2.4)), base=base, **SENSOR, **options)
+
+
+@pytest.mark.parametrize("jig", [0.0, None])
+def test_intervals_hold_what_a_rounded_table_hides(jig: float | None) -> None:
+    """Means are rounded to 0.01 m/s² and nothing is said of them: rounding is their only error."""
+    draw, faces, held = np.random.default_rng(3), np.vstack([np.eye(3), -np.eye(3)]), []
+    names = ["x-up", "y-up", "z-up", "x-down", "y-down", "z-down"]
+    for _ in range(25):
+        offset, matrix = draw.normal(0.0, 0.1, 3), 9.81 * np.eye(3) + draw.normal(0.0, 0.1, (3, 3))
+        means = np.round(offset + faces @ matrix.T, 2)
+        table = {"position": names, **dict(zip("xyz", means.T.tolist(), strict=True))}
+        found = tiltcal.fit("six-face", table, serial="S-1", unit="m/s2", jig=jig)
+        for k, channel in enumerate("xyz"):
+            reach = found.uncertainty.coverage_factor.get(f"offset.{channel}", 1.96)
+            held.append(abs(found.offset[channel] - offset[k]) <= reach * found.uncertainty[f"offset.{channel}"])
+    assert 0.87 < np.mean(held) <= 1.0  # 75 offsets, 0.95 expected; without the rounding none holds
