@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import field
-from math import radians
+from math import isclose, radians, sqrt
 from typing import Any
 
 import numpy as np
@@ -47,7 +47,7 @@ _POLYNOMIALS = ByChannel(
     ListOf(FROM_ZERO, most=ORDER_LIMIT, says=f"a polynomial has at most {ORDER_LIMIT} coefficients, found {{found}}"),
     of="channels",
 )
-_ROUNDED = 0.01  # an eigenvalue of the correlations that is below zero by more is no matter of digits
+_ROUNDED = 0.01  # an eigenvalue of the correlations below zero, or a difference, that is larger is no matter of digits
 
 
 @frozen(kw_only=True)
@@ -163,9 +163,16 @@ class UncertaintySection:
 def _of_section(found: UncertaintySection, node: Node, context: Context) -> Uncertainty:
     """Return the section with its standard uncertainties by dotted name."""
     shaped = {key: value for key, value in _SECTION.write(found).items() if key in SHAPED}
-    return Uncertainty(
-        dict(_named(shaped)), found.single_reading, found.coverage_factor, found.covariance, found.alignment
-    )
+    standard = dict(_named(shaped))
+    if found.covariance is not None:
+        for k, name in enumerate(found.covariance.parameters):
+            u = sqrt(found.covariance.matrix[k][k])
+            if not isclose(standard.get(name, u), u, rel_tol=_ROUNDED):
+                raise node.entries()["covariance"].error(
+                    f"the variance of {name} is that of a standard uncertainty of {u:.4g}, and {standard[name]:g} is "
+                    "stated: change both, or leave the covariance out"
+                )
+    return Uncertainty(standard, found.single_reading, found.coverage_factor, found.covariance, found.alignment)
 
 
 def _section_of(uncertainty: Uncertainty) -> UncertaintySection:
@@ -214,7 +221,7 @@ def stated_uncertainty(
     Raises
     ------
     EstimateError
-        No uncertainty of any coefficient is stated, or the covariance is none.
+        No uncertainty of any coefficient is stated.
     """
     names, covariance = _joint(uncertainty)
     if not names:
@@ -241,7 +248,6 @@ def stated_uncertainty(
         remarks.append(
             "the file has no uncertainty of a reading: only that of the calibration counts (state --reading-noise)"
         )
-    _require_covariance(covariance)
     factors, usual = uncertainty.coverage_factor, NORMAL_FACTOR
     return StatedUncertainty(
         UncertaintyInputs(
@@ -257,13 +263,7 @@ def stated_uncertainty(
 
 
 def uncertainty_inputs(uncertainty: Uncertainty, coefficients: Coefficients) -> UncertaintyInputs:
-    """Return the inputs of :func:`stated_uncertainty`, and empty ones where no uncertainty is stated.
-
-    Raises
-    ------
-    EstimateError
-        The covariance is none.
-    """
+    """Return the inputs of :func:`stated_uncertainty`, and empty ones where no uncertainty is stated."""
     if not _joint(uncertainty)[0]:
         return UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0))
     return stated_uncertainty(uncertainty, coefficients).inputs
@@ -321,16 +321,6 @@ def _with_turn(
     return (*names, *(f"{TURN}{axis}" for axis in AXES)), joint
 
 
-def _require_covariance(covariance: Array) -> None:
-    u = np.sqrt(np.diag(covariance))
-    scale = np.where(u > 0.0, u, 1.0)
-    if np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0] < -_ROUNDED:
-        raise EstimateError(
-            "uncertainty.covariance is no covariance: its correlations contradict one another; take it from the file "
-            "that the calibration wrote"
-        )
-
-
 def _symmetric(found: Covariance, node: Node, context: Context) -> Covariance:
     section, names, matrix = node.entries(), found.parameters, found.matrix
     if len(set(names)) < len(names):
@@ -347,4 +337,12 @@ def _symmetric(found: Covariance, node: Node, context: Context) -> Covariance:
             scale = max(abs(matrix[i][j]), abs(matrix[j][i]))
             if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * scale:
                 raise place.error(f"the matrix is not symmetric in {names[i]} and {names[j]}")
+    stated = np.array(matrix, dtype=float).reshape(size, size)
+    deviations = np.sqrt(np.diag(stated))
+    scales = np.where(deviations > 0.0, deviations, 1.0)
+    if np.linalg.eigvalsh(stated / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
+        raise section["matrix"].error(
+            "this is no covariance: its correlations contradict one another; take it from the file that the "
+            "calibration wrote"
+        )
     return found

@@ -120,6 +120,8 @@ def test_two_channels_may_have_a_z_column() -> None:
         ("roll: 180", "rol: 180", 13, "calibration.mounting.rol", "did you mean 'roll'"),
         ("{x: 0.1, y: 0.1}", "{x: -0.1}", 15, "uncertainty.offset.x", "at least 0"),
         ("[1e-8, 0.01]]", "[2e-8, 0.01]]", 16, "uncertainty.covariance.matrix[1]", "not symmetric"),
+        ("[[0.01, 1e-8], [1e-8", "[[0.01, 0.02], [0.02", 16, "uncertainty.covariance.matrix", "no covariance"),
+        ("{x: 0.1, y: 0.1}", "{x: 0.3, y: 0.1}", 16, "uncertainty.covariance", "uncertainty of 0.1, and 0.3 is stated"),
         (", [1e-8, 0.01]]", "]", 16, "uncertainty.covariance.matrix", "2 rows of 2"),
         ("offset.y], matrix", "offset.x], matrix", 16, "uncertainty.covariance.parameters", "twice"),
         (
