@@ -110,10 +110,11 @@ def heading(folder: Path) -> None:
 
 def between(folder: Path) -> None:
     """Fleets of 20 units with calibrations at 0, 300, 700 and 1000 days; nine times between the last two."""
-    draw, days = np.random.default_rng(2), np.array([0.0, 300.0, 700.0, 1000.0])
+    days = np.array([0.0, 300.0, 700.0, 1000.0])
     at = np.linspace(700.0, 1000.0, 11)[1:-1]
     every = np.sort(np.concatenate([days, at]))
-    for truth in ("walk", "line"):
+    for truth in ("line", "walk"):
+        draw = np.random.default_rng([2, len(truth)])
         held: dict[float, list[np.ndarray]] = {}
         for fleet in range(40):
             u = (0.25, 1.0, 2.0)[fleet % 3]

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.core.ramp.loops import Loops, error_of_play, loops
+from tiltcal.core.ramp.loops import Loops, error_of_hysteresis, loops
 from tiltcal.core.ramp.means import BLOCKS, SMOOTHING, FittedMeans
 from tiltcal.core.ramp.noise import noise_covariance
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
@@ -150,13 +150,16 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     used = (
         bool(better.all() and np.all(after[lagged] <= (1.0 + WORSE) * before[polynomial]))
         and abs(told) > RESOLVED * u_told
-        and found.error < error_of_play(means, lagged, scale)
+        and found.error < error_of_hysteresis(means, lagged, scale)
     )
     order = lagged if used else polynomial
     lag, coefficients, covariance = _estimate(means, told if used else 0.0, order, with_lag=used)
     if used:
         covariance = covariance + _of_a_second_lag(record, legs, found, scale, reference)
     left = loops(means, lag, coefficients.T)
+    if not used and left.variance.any():
+        coefficients, covariance = _midway(means, order)
+        left = loops(means, lag, coefficients.T)
     plain = _solve(means, everything, lagged, none, scale)
     explained = loops(means, 0.0, plain.coefficients).explained_by(loops(means, found.lag, found.coefficients))
     spread = np.diag(covariance)[:-1].reshape(coefficients.shape)[:, 0]
@@ -267,6 +270,23 @@ def _estimate(means: FittedMeans, lag: float, order: int, *, with_lag: bool) -> 
         if abs(change[-1]) < _CONVERGED * sqrt(covariance[-1, -1]):
             break
     return lag, np.asarray(coefficients.T), covariance
+
+
+def _midway(means: FittedMeans, order: int) -> tuple[Array, Array]:
+    """Return coefficients between the ways and their covariance: both ways weigh alike, and so do all temperatures.
+
+    Weights by the noise would take the loop for noise that wanders, and follow one way here and the other there.
+    """
+    x, y = means.powers(0.0, order), means.readings
+    rising = np.array([leg.rising for leg in means.legs])[means.leg]
+    weights = np.where(rising, 1.0 / np.sum(rising), 1.0 / np.sum(~rising))
+    solve = np.linalg.solve(x.T @ (weights[:, None] * x), x.T * weights)
+    channels, p = y.shape[1], order + 1
+    covariance = np.zeros((channels * p + 1, channels * p + 1))
+    for c in range(channels):
+        own = slice(c * p, (c + 1) * p)
+        covariance[own, own] = solve @ noise_covariance(means, x, y[:, c]) @ solve.T
+    return np.asarray((solve @ y).T), covariance
 
 
 def _of_a_second_lag(record: RampRecord, legs: list[Leg], found: _Solution, scale: Array, reference: float) -> Array:

@@ -99,20 +99,23 @@ def loops(means: FittedMeans, lag: float, coefficients: Array) -> Loops:
     return Loops(np.array(places), np.array(differences), np.sqrt(variance), bool(scatter))
 
 
-def error_of_play(means: FittedMeans, order: int, scale: Array) -> float:
+def error_of_hysteresis(means: FittedMeans, order: int, scale: Array) -> float:
     """Return the sum of squares that the best hysteresis without time leaves, over the variance ``scale`` squared.
 
-    At one pace a play of the temperature makes the loop that a lag makes; only the turns differ.
+    Two forms are tried. A play of the temperature makes, at one pace, the loop that a lag makes; only the turns differ.
+    Rayleigh's loop (1887) grows from both turns: its two ways are parabolas between them.
     """
+
+    def error(x: Array) -> float:
+        left = means.readings - x @ np.linalg.lstsq(x, means.readings, rcond=None)[0]
+        return float(np.sum((left / scale) ** 2))
+
     widest = max(leg.high - leg.low for leg in means.legs) / 2.0
-    low, high, least = widest / 1000.0, widest, np.inf
+    low, high = widest / 1000.0, widest
+    least = error(np.column_stack([means.powers(0.0, order), means.between_turns]))
     for _ in range(_REFINEMENTS):
         widths = np.geomspace(low, high, _WIDTHS)
-        errors = []
-        for width in widths.tolist():
-            x = means.played(width, order)
-            left = means.readings - x @ np.linalg.lstsq(x, means.readings, rcond=None)[0]
-            errors.append(float(np.sum((left / scale) ** 2)))
+        errors = [error(means.played(width, order)) for width in widths.tolist()]
         best = int(np.argmin(errors))
         least = min(least, errors[best])
         low, high = widths[max(best - 1, 0)], widths[min(best + 1, _WIDTHS - 1)]

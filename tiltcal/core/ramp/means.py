@@ -68,6 +68,14 @@ class FittedMeans:
             follows[k] = place
         return np.vander(self._mean(follows) - self._reference, order + 1, increasing=True)
 
+    @property
+    def between_turns(self) -> Array:
+        """Return the distance from both turns, °C², above zero on the way up and below it on the way down."""
+        element = self.element(0.0) + self._reference
+        low, high = (np.array([getattr(leg, end) for leg in self.legs])[self.leg] for end in ("low", "high"))
+        way = np.where(np.array([leg.rising for leg in self.legs])[self.leg], 1.0, -1.0)
+        return np.asarray(way * (element - low) * (high - element))
+
     def by_lag(self, lag: float, coefficients: Array) -> Array:
         """Return the derivative of the readings by the lag, unit/s, shape (means, channels).
 
