@@ -65,7 +65,7 @@ def page() -> str:
 def table(name: str) -> str:
     """Return the table of a section: its keys and those of the sections in it, their defaults and meaning."""
     rows = _top() if name == "calibration-file" else _rows(TABLES[name])
-    return "\n".join(["| key | | |", "|---|---|---|", *rows, ""])
+    return "\n".join(["| key | needed or default | meaning |", "|---|---|---|", *rows, ""])
 
 
 def _top() -> Iterator[str]:

@@ -11,7 +11,8 @@ from tiltcal.bench.operators.operator import TEMPERATURES
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.settle import Timed, Unsettled
-from tiltcal.core.detection import outliers, resolution
+from tiltcal.core.detection import outliers
+from tiltcal.core.quantisation import resolution
 from tiltcal.drivers.device import Model, Reading
 
 FEWEST_SAMPLES = 8

@@ -17,12 +17,12 @@ from math import degrees, inf
 
 import numpy as np
 
+from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor, welch_satterthwaite
 from tiltcal.core.derivatives import central_differences
 from tiltcal.core.instrumental_drift import RandomWalk
 from tiltcal.core.model import Array, Coefficients, Limits, Mounting, overlap, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
 from tiltcal.core.named_coefficients import degrees_of_freedom, referred, values
-from tiltcal.core.uncertainty_budget import NORMAL_FACTOR, coverage_factor, welch_satterthwaite
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, require_same_sensor

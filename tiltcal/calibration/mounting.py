@@ -11,6 +11,7 @@ import numpy as np
 from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.compensation import Compensation
+from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
 from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, UNKNOWN_FACTOR, mounting_matrix
 from tiltcal.core.mounting_rotation import (
@@ -22,7 +23,6 @@ from tiltcal.core.mounting_rotation import (
     solve_mounting,
 )
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.uncertainty_budget import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord

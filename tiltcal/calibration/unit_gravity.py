@@ -10,11 +10,11 @@ from math import acos, cos, degrees, radians
 import numpy as np
 
 from tiltcal.calibration.measurement import MeasuredSensor, Measurement
+from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.estimation.ellipsoid import UNKNOWNS, count_distinct, fit_ellipsoid, misfits
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.rounding import significant
 from tiltcal.core.statistics import SampleSummary
-from tiltcal.core.uncertainty_budget import NORMAL_FACTOR
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure

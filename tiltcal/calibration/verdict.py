@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.named_coefficients import CoefficientChange
-from tiltcal.core.uncertainty_budget import COVERAGE
 from tiltcal.frozen import frozen
 
 

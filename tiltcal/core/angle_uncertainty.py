@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
+from tiltcal.core.coverage_factor import NEGLIGIBLE, NORMAL_FACTOR, coverage_factors
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE, Bytes
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.tilt_angles import DIRECTIONS
-from tiltcal.core.uncertainty_budget import NEGLIGIBLE, NORMAL_FACTOR, coverage_factors
 from tiltcal.core.uncertainty_columns import round_up, uncertainty_columns
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError

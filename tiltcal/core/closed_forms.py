@@ -227,7 +227,7 @@ def full_compensation(readings: Array, offset: Array, sensitivity: Array) -> Arr
 
     Notes
     -----
-    What eq. 6 is the first order of: it leaves an error of S_XY S_YX / (S_XX S_YY), this leaves none.
+    Eq. 6 is the first-order form of this solution: it leaves an error of S_XY S_YX / (S_XX S_YY), and this leaves none.
     """
     signal = np.asarray(readings, dtype=float) - offset
     try:

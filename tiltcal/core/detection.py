@@ -12,7 +12,7 @@ Sources: Tedaldi, Pretto and Menegatti (2014) for the static detector; QARTOD's 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from math import erf, inf, log, sqrt
 
 import numpy as np
@@ -23,9 +23,6 @@ from tiltcal.core.model import Array
 
 Span = tuple[int, int]
 """First row and the row behind the last."""
-
-ARITHMETIC = 1e-12
-"""Differences below this share of the values come from arithmetic, and are no step of the reading."""
 
 CHANCE = 1e-6
 """Probability of identical samples below which they are no chance."""
@@ -112,30 +109,6 @@ def stuck_rows(samples: Array, shortest: int) -> Mask:
     steps = np.array([np.min(column[column > 0.0], initial=inf) for column in change.T])
     # Noise of half a step changes every other reading: a run of identical ones is then no chance.
     return stuck if np.any(noise >= steps / 2) else np.zeros(len(samples), dtype=bool)
-
-
-def resolution(channels: Iterable[Array]) -> float:
-    """Return the step of a recorded reading: the smallest difference between two values of a channel that differ.
-
-    Nobody states the step of a log. One converter reads all channels, and one that stands still shows no step of its
-    own; so the smallest step of any channel counts.
-
-    Parameters
-    ----------
-    channels : iterable of ndarray, shape (n,)
-        NaN where a value is missing.
-
-    Returns
-    -------
-    float
-        In the unit of the readings; 0 where all values are alike.
-    """
-    steps = []
-    for values in channels:
-        different = np.unique(values[np.isfinite(values)])
-        gaps = np.diff(different)
-        steps += gaps[gaps > ARITHMETIC * np.max(np.abs(different), initial=0.0)].tolist()
-    return min(steps, default=0.0)
 
 
 def identical_by_chance(count: int, noise: float, step: float) -> bool:

@@ -26,8 +26,8 @@ from math import inf
 
 import numpy as np
 
+from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.model import Array
-from tiltcal.core.uncertainty_budget import COVERAGE
 
 _GRID = 200
 _REACH = 1e6  # of the grid of rates about the largest and the smallest that the data may mean

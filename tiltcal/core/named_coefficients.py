@@ -8,8 +8,9 @@ from math import inf, sqrt
 
 import numpy as np
 
+from tiltcal.core.coverage_factor import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR, welch_satterthwaite
 from tiltcal.core.model import Array, Coefficients, polynomial, vector_of, with_vector
-from tiltcal.core.uncertainty_budget import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR, Budget, propagated, welch_satterthwaite
+from tiltcal.core.uncertainty_budget import Budget, propagated
 from tiltcal.frozen import frozen
 
 

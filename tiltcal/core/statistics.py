@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import exp, fsum, inf, pi, sqrt
+from math import fsum, inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.quantisation import rounding_left
 from tiltcal.frozen import frozen
 
 BLOCKS = 10
@@ -78,22 +79,6 @@ def summarise(samples: Sequence[float] | NDArray[np.float64], resolution: float 
     noise, dof, correlation = _type_a(listed, std)
     step = rounding_left(std, resolution)
     return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
-
-
-def rounding_left(std: float, resolution: float) -> float:
-    """Standard uncertainty that rounding leaves in a mean of noisy samples, however many (Widrow's first harmonic).
-
-    Parameters
-    ----------
-    std : float
-        Standard deviation of the samples, rounding included.
-    resolution : float
-        The step of the reading; 0 where it is continuous.
-    """
-    if resolution == 0.0:
-        return 0.0
-    noise = sqrt(max(std**2 - resolution**2 / 12, 0.0))
-    return resolution / sqrt(12) * exp(-2 * (pi * noise / resolution) ** 2)
 
 
 def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import KnownCoefficient, known, values
-from tiltcal.core.uncertainty_budget import NORMAL_FACTOR
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT

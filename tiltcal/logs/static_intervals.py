@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.core.detection import identical_by_chance, resolution
-from tiltcal.core.estimation.pooling import noise_under_rounding
+from tiltcal.core.detection import identical_by_chance
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
+from tiltcal.core.quantisation import noise_under_rounding, resolution
 from tiltcal.core.statistics import SampleSummary, drift, summarise
 from tiltcal.errors import InputError
 from tiltcal.files.positions import TabledPosition

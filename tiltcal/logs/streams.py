@@ -296,7 +296,7 @@ class LiveStream:
 
     @contextmanager
     def ended_by_ctrl_c(self) -> Iterator[None]:
-        """While this lasts Ctrl-C ends the stream and leaves what was read of it; a file it stops as it stops all."""
+        """Let Ctrl-C end a stream and leave what was read of it; it interrupts the command where a file is read."""
         before = signal.getsignal(signal.SIGINT)
         if not self.endless or before is not signal.default_int_handler:
             yield

@@ -23,6 +23,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
+from math import pi
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any, ClassVar, NamedTuple, Protocol
@@ -140,7 +141,7 @@ class Sca103t:
     common: float = 3.4
     offset: tuple[float, ...] = (0.0008,)
     sensitivity: tuple[tuple[float, ...], ...] = ((1.004, 0.012, 0.0),)
-    noise: float = 0.0004 * 3.14159 / 180 * 28**0.5
+    noise: float = 0.0004 * pi / 180 * 28**0.5
     corner: float = 18.0
     jig: float = 0.01
     seed: int = 1

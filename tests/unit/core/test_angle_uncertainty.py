@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from tiltcal.core.angle_uncertainty import AngleUncertainty, CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
+from tiltcal.core.coverage_factor import CoverageFactors
 from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
-from tiltcal.core.uncertainty_budget import CoverageFactors
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.errors import EstimateError
 

@@ -15,7 +15,6 @@ from tiltcal.core.detection import (
     jumps,
     outliers,
     repeated,
-    resolution,
     runs,
     stuck_rows,
     stuck_runs,
@@ -62,10 +61,6 @@ class TestStuck:
         most = int(np.log(1e-6) / np.log(share))
         assert identical_by_chance(most, noise, step)
         assert not identical_by_chance(most + 1, noise, step)
-
-    def test_resolution_is_the_smallest_step_of_any_channel(self) -> None:
-        assert resolution([np.array([3.0, 3.0]), np.array([1.0, 1.5, np.nan, 4.0])]) == 0.5
-        assert resolution([np.array([0.3, 0.1 + 0.2])]) == 0.0
 
 
 def test_variance_in_a_window_is_that_of_numpy() -> None:

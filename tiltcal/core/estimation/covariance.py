@@ -13,11 +13,12 @@ from math import isfinite
 
 import numpy as np
 
+from tiltcal.core.coverage_factor import welch_satterthwaite
 from tiltcal.core.estimation.elimination import LinearSolution, shared_table
 from tiltcal.core.estimation.joint_equations import ADC, HEADING, JIG, NOISE, PRIOR, TABLE, THERMOMETER, EquationBlock
 from tiltcal.core.estimation.variance_components import VarianceComponents
 from tiltcal.core.model import Array
-from tiltcal.core.uncertainty_budget import Budget, welch_satterthwaite
+from tiltcal.core.uncertainty_budget import Budget
 
 KENWARD_ROGER = 2.0
 

@@ -20,9 +20,9 @@ from math import cos, inf, radians, sqrt
 
 import numpy as np
 
+from tiltcal.core.coverage_factor import coverage_factor
 from tiltcal.core.estimation.unit_gravity import directions_from_readings
 from tiltcal.core.model import Array
-from tiltcal.core.uncertainty_budget import coverage_factor
 from tiltcal.errors import EstimateError
 
 DIFFERENT_ATTITUDE = 5.0

@@ -24,6 +24,7 @@ from math import inf, sqrt
 import numpy as np
 
 from tiltcal.core.model import Array
+from tiltcal.core.quantisation import noise_under_rounding, rounding_variance
 from tiltcal.core.statistics import BLOCKS, SampleSummary
 
 STEPS = 50
@@ -59,8 +60,6 @@ ENOUGH = 5.0
 
 LOGARITHMS = np.linspace(-15.0, 25.0, 161)
 """Of the variable of integration for the mean of a ratio: the integrand is smooth in it, and nothing is beyond."""
-
-HARMONICS = np.arange(1, 1001)
 
 COARSE = 0.5
 """Noise below this share of the reading's step leaves a rounding error in a mean."""
@@ -187,7 +186,7 @@ def _coarse_rounding(summaries: Sequence[SampleSummary]) -> Array | None:
     noise = noise_under_rounding(scatter, step)
     if noise >= COARSE * step:
         return None
-    return np.asarray(sqrt(_rounding_variance(noise, step)) * np.sqrt(_alike(summaries, step)))
+    return np.asarray(sqrt(rounding_variance(noise, step)) * np.sqrt(_alike(summaries, step)))
 
 
 def _alike(summaries: Sequence[SampleSummary], step: float) -> Array:
@@ -197,30 +196,6 @@ def _alike(summaries: Sequence[SampleSummary], step: float) -> Array:
     """
     means = np.array([summary.mean for summary in summaries])
     return np.asarray(np.sum(np.abs(means[:, None] - means) < step / 2.0, axis=1), dtype=np.float64)
-
-
-def noise_under_rounding(scatter: float, step: float) -> float:
-    """Find the noise of readings before they were rounded.
-
-    Parameters
-    ----------
-    scatter : float
-        Mean variance of the rounded readings within positions that lie anyhow between two steps, unit².
-    step : float
-        Of the reading, unit.
-    """
-    low, high = 0.0, sqrt(scatter) + step
-    for _ in range(60):
-        noise = (low + high) / 2.0
-        expected = noise**2 + step**2 / 12.0 - _rounding_variance(noise, step)
-        low, high = (noise, high) if expected < scatter else (low, noise)
-    return (low + high) / 2.0
-
-
-def _rounding_variance(noise: float, step: float) -> float:
-    """Compute the mean square of the rounding error in the mean of many readings, unit²."""
-    power = np.exp(-((2.0 * np.pi * HARMONICS * noise / step) ** 2)) / HARMONICS**2
-    return float(step**2 / (2.0 * np.pi**2) * power.sum())
 
 
 def pooled(variance: Array, dof: Array) -> tuple[Array, Array]:

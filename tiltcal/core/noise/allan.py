@@ -19,8 +19,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.model import Array
-from tiltcal.core.uncertainty_budget import COVERAGE
 
 Kind = Literal["white", "flicker", "walk"]
 """Noise whose deviation falls with the root of τ, does not change, or grows with the root of τ."""

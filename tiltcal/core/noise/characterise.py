@@ -12,8 +12,7 @@ from tiltcal.core.noise.allan import Octaves, limits
 from tiltcal.core.noise.allan_fit import AllanFit, terms_of
 from tiltcal.core.noise.averages import Averager, decades
 from tiltcal.core.noise.disturbances import Disturbances, RowRange
-from tiltcal.core.noise.quantisation import Quantisation
-from tiltcal.core.statistics import rounding_left
+from tiltcal.core.quantisation import StepFinder, rounding_left
 from tiltcal.errors import EstimateError
 
 FEWEST_SAMPLES = 64
@@ -115,7 +114,7 @@ class Characteriser:
         self._count = np.zeros(channels, dtype=np.int64)
         self.rows = 0
         self._octaves, self._unrest = Octaves(channels), Disturbances(channels)
-        self._steps = [Quantisation() for _ in range(channels)]
+        self._steps = [StepFinder() for _ in range(channels)]
         self._averagers = [Averager(size, channels) for size in sorted({*decades(_LARGEST, 1), *sizes})]
 
     def add(self, samples: Array) -> None:

@@ -10,9 +10,9 @@ from math import sqrt
 
 import numpy as np
 
+from tiltcal.core.coverage_factor import COVERAGE, NORMAL_FACTOR
 from tiltcal.core.model import Array
 from tiltcal.core.ramp.means import FittedMeans
-from tiltcal.core.uncertainty_budget import COVERAGE, NORMAL_FACTOR
 
 _RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])
 """Variance of the process over that of the white noise."""

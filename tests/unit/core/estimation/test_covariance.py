@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from support.accuracy_study import Regime, planned, simulate, sweep, two_temperatures
 from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of
 
+from tiltcal.core.coverage_factor import coverage_factor, welch_satterthwaite
 from tiltcal.core.derived_quantities import cross_axis, derived, misalignment
 from tiltcal.core.estimation.design import Design, Observation
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
@@ -23,7 +24,7 @@ from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.intrinsic_parameters import intrinsic, separated
 from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.uncertainty_budget import coverage_factor, propagated, welch_satterthwaite
+from tiltcal.core.uncertainty_budget import propagated
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.errors import EstimateError
 

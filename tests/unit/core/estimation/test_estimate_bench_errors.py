@@ -14,23 +14,17 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
+from tiltcal.core.coverage_factor import coverage_factor
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import LEAN_NOT_SHOWN, Estimate, estimate
 from tiltcal.core.estimation.hysteresis import largest_loops, with_hysteresis
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predict_uncertainty
-from tiltcal.core.estimation.pooling import (
-    TIMES,
-    _by_correlation_time,
-    correlated_noise,
-    noise_of_means,
-    noise_under_rounding,
-)
+from tiltcal.core.estimation.pooling import TIMES, _by_correlation_time, correlated_noise, noise_of_means
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.mounting_rotation import solve_mounting
 from tiltcal.core.statistics import SampleSummary, summarise
-from tiltcal.core.uncertainty_budget import coverage_factor
 
 Array = NDArray[np.float64]
 
@@ -181,12 +175,6 @@ class TestCoarseConverter:
             hits.append(np.mean(np.abs([one.mean for one in summaries] - truth) <= half))
         assert np.mean(hits) >= 0.93 - 3 * np.std(hits) / sqrt(40)
         assert np.isfinite(dof).all()
-
-    @pytest.mark.parametrize("noise", [0.15, 0.4, 1.5])
-    def test_the_noise_before_rounding(self, noise: float) -> None:
-        rng = np.random.default_rng(8)
-        readings = np.rint(rng.uniform(0.0, 100.0, (4000, 1)) + noise * rng.standard_normal((4000, 50)))
-        assert noise_under_rounding(float(np.mean(np.var(readings, axis=1, ddof=1))), 1.0) == pytest.approx(noise, 0.03)
 
 
 def test_the_largest_loop_of_a_sweep() -> None:

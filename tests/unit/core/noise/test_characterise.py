@@ -15,7 +15,6 @@ from tiltcal.core.noise.allan import AllanVariance, Kind, Octaves, degrees_of_fr
 from tiltcal.core.noise.averages import Averager, decades
 from tiltcal.core.noise.characterise import ChannelNoise, Characteriser
 from tiltcal.core.noise.disturbances import Disturbances, RowRange
-from tiltcal.core.noise.quantisation import Quantisation
 from tiltcal.core.noise.sample_size import advise
 
 DT = 0.01
@@ -260,21 +259,6 @@ class TestUnrest:
         samples = np.round(coloured.white(rng(3), 300, 50.0))
         samples[90:130] = 7.0
         assert self.unrest(samples, 1).stuck() == RowRange(90, 130)
-
-
-class TestSteps:
-    def step(self, samples: coloured.Samples) -> float:
-        steps = Quantisation()
-        steps.add(samples)
-        return steps.result()
-
-    def test_a_converter(self) -> None:
-        volts = np.round(coloured.white(rng(), 3000, 0.01) / 187.5e-6) * 187.5e-6
-        assert self.step(np.round(volts, 7)) == pytest.approx(187.5e-6, rel=1e-3)
-
-    def test_a_continuous_reading(self) -> None:
-        assert self.step(coloured.white(rng(), 3000, 1.0)) == 0.0
-        assert self.step(coloured.white(rng(), 30_000, 1.0)) == 0.0
 
 
 class TestAdvice:

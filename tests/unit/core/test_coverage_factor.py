@@ -1,11 +1,11 @@
-"""The budget of an uncertainty: effective degrees of freedom."""
+"""Effective degrees of freedom."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from tiltcal.core.uncertainty_budget import welch_satterthwaite
+from tiltcal.core.coverage_factor import welch_satterthwaite
 
 
 def test_the_example_of_the_guide() -> None:

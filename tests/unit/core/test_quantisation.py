@@ -1,0 +1,36 @@
+"""The step of rounded readings, and what rounding hides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support import coloured_noise as coloured
+
+from tiltcal.core.quantisation import StepFinder, noise_under_rounding, resolution
+
+
+def test_resolution_is_the_smallest_step_of_any_channel() -> None:
+    assert resolution([np.array([3.0, 3.0]), np.array([1.0, 1.5, np.nan, 4.0])]) == 0.5
+    assert resolution([np.array([0.3, 0.1 + 0.2])]) == 0.0
+
+
+@pytest.mark.parametrize("noise", [0.15, 0.4, 1.5])
+def test_the_noise_before_rounding(noise: float) -> None:
+    rng = np.random.default_rng(8)
+    readings = np.rint(rng.uniform(0.0, 100.0, (4000, 1)) + noise * rng.standard_normal((4000, 50)))
+    assert noise_under_rounding(float(np.mean(np.var(readings, axis=1, ddof=1))), 1.0) == pytest.approx(noise, 0.03)
+
+
+class TestSteps:
+    def step(self, samples: coloured.Samples) -> float:
+        steps = StepFinder()
+        steps.add(samples)
+        return steps.result()
+
+    def test_a_converter(self) -> None:
+        volts = np.round(coloured.white(np.random.default_rng(1), 3000, 0.01) / 187.5e-6) * 187.5e-6
+        assert self.step(np.round(volts, 7)) == pytest.approx(187.5e-6, rel=1e-3)
+
+    def test_a_continuous_reading(self) -> None:
+        assert self.step(coloured.white(np.random.default_rng(1), 3000, 1.0)) == 0.0
+        assert self.step(coloured.white(np.random.default_rng(1), 30_000, 1.0)) == 0.0

@@ -1,0 +1,130 @@
+"""The coverage factor of a 95 % interval, from effective degrees of freedom.
+
+Source: *Guide to the expression of uncertainty in measurement* (GUM), 6.2 and annex G.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+
+from tiltcal.core.model import Array
+
+COVERAGE = 0.95
+"""Probability that a stated interval contains the truth."""
+
+NORMAL_FACTOR = 1.959963984540054
+"""The coverage factor of a variance that is known: the normal distribution is within so many deviations in 95 %."""
+
+FACTOR_STEPS = 1 << 14
+"""Of the table of coverage factors: four digits of a factor."""
+
+NEGLIGIBLE = 1e-3
+"""A part of a variance below this changes no factor that anyone would see."""
+
+
+def coverage_factor(dof: Array) -> Array:
+    """Return the coverage factors of 95 % intervals: Student's t, 1.96 where the degrees of freedom are infinite.
+
+    Parameters
+    ----------
+    dof : ndarray, shape (k,)
+        Effective degrees of freedom; below 1 they count as 1.
+    """
+    factors, estimated = np.full(dof.shape, NORMAL_FACTOR), np.isfinite(dof)
+    if estimated.any():
+        from scipy.special import stdtrit
+
+        factors[estimated] = stdtrit(np.maximum(dof[estimated], 1.0), 0.5 + COVERAGE / 2.0)
+    return factors
+
+
+def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float | Array]]) -> Array:
+    """Effective degrees of freedom of a sum of variances (GUM, eq. G.2b).
+
+    Parameters
+    ----------
+    variance : ndarray, shape (k,)
+        The sums.
+    parts : sequence of (ndarray of shape (k,), float or ndarray of shape (k,))
+        The parts, each with its degrees of freedom; infinite where it was not estimated.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        Infinite where no part was estimated.
+    """
+    weighted = np.zeros_like(variance)
+    for part, dof in parts:
+        weighted += part**2 / dof
+    # A part so small that the quotient is no number is none.
+    counts = weighted > variance**2 * np.finfo(float).tiny
+    return np.divide(variance**2, weighted, out=np.full_like(weighted, np.inf), where=counts)
+
+
+class CoverageFactors:
+    """Coverage factors of sums of an estimated and a known variance, for millions of values at a time.
+
+    The estimated part of a variance has Student's t as its factor; the other part is known. Their sum has effective
+    degrees of freedom (GUM, eq. G.2b), which give the factor. Both functions have one argument and are smooth, so they
+    are looked up in tables.
+    """
+
+    def __init__(self) -> None:
+        from scipy.special import stdtrit
+
+        upper = 0.5 + COVERAGE / 2.0
+        self.normal = NORMAL_FACTOR
+        at = (np.arange(FACTOR_STEPS) + 0.5) / FACTOR_STEPS
+        self._factors = np.asarray(stdtrit(1.0 / at, upper))
+        """By one over the degrees of freedom, from 0 to 1."""
+        whole = np.concatenate([[self.normal], self._factors, [float(stdtrit(1.0, upper))]])
+        self._inverse_dof = np.interp(self.normal / np.sqrt(at), whole, np.concatenate([[0.0], at, [1.0]]))
+        """One over the degrees of freedom, by the square of the normal factor over Student's."""
+
+    def factor(self, estimated: Array, widened: Array, known: Array) -> Array:
+        """Return what the standard uncertainty is multiplied with for an interval of 95 %.
+
+        Parameters
+        ----------
+        estimated : ndarray, shape (n,)
+            The part of the variance that was estimated.
+        widened : ndarray, shape (n,)
+            The same part with what Student's t stretches it by: its square of half an interval over that of 1.96.
+        known : ndarray, shape (n,)
+            The other part.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            NaN where an argument is, or where nothing is uncertain.
+
+        Notes
+        -----
+        A part that its factor narrows, because errors come with the residuals that show their size, is narrowed by
+        itself.
+        """
+        total = estimated + known
+        with np.errstate(invalid="ignore", divide="ignore"):
+            inverse_dof = _looked_up(self._inverse_dof, estimated / widened)
+            inverse_dof *= (estimated / total) ** 2
+        factor = _looked_up(self._factors, inverse_dof)
+        narrow = widened <= estimated * (1.0 + NEGLIGIBLE) ** 2
+        if narrow.any():
+            factor[narrow] = self.normal * np.sqrt((widened + known)[narrow] / total[narrow])
+        return factor
+
+
+@cache
+def coverage_factors() -> CoverageFactors:
+    """Return the tables, which are made once."""
+    return CoverageFactors()
+
+
+def _looked_up(table: Array, argument: Array) -> Array:
+    """Return the table's values at arguments from 0 to 1, and the first one where there is no number."""
+    with np.errstate(invalid="ignore"):
+        place = (argument * len(table)).astype(np.int32)
+    return np.take(table, place, mode="clip")

@@ -1,0 +1,124 @@
+"""Quantisation: the step of readings that are rounded, and the share of an uncertainty that rounding has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import exp, pi, sqrt
+
+import numpy as np
+
+from tiltcal.core.model import Array
+
+ARITHMETIC = 1e-12
+"""Differences below this share of the values come from arithmetic, and are no step of the reading."""
+
+HARMONICS = np.arange(1, 1001)
+"""Of the rounding error as a function of the reading, whose period is a step."""
+
+MOST_VALUES = 4096
+"""Different values beyond which a reading counts as continuous."""
+
+_REPEATED = 4.0
+"""How often a rounded reading takes each value, on average, at the least."""
+
+_EVEN = 0.02
+"""How far the distances of values may be off whole steps, in steps: readings are written with so many digits."""
+
+
+def resolution(channels: Iterable[Array]) -> float:
+    """Return the step of a recorded reading: the smallest difference between two values of a channel that differ.
+
+    Nobody states the step of a log. One converter reads all channels, and one that stands still shows no step of its
+    own; so the smallest step of any channel counts.
+
+    Parameters
+    ----------
+    channels : iterable of ndarray, shape (n,)
+        NaN where a value is missing.
+
+    Returns
+    -------
+    float
+        In the unit of the readings; 0 where all values are alike.
+    """
+    steps = []
+    for values in channels:
+        different = np.unique(values[np.isfinite(values)])
+        gaps = np.diff(different)
+        steps += gaps[gaps > ARITHMETIC * np.max(np.abs(different), initial=0.0)].tolist()
+    return min(steps, default=0.0)
+
+
+class StepFinder:
+    """Finds the step of one channel from its different values, sample by sample.
+
+    Attributes
+    ----------
+    values : ndarray or None
+        Those seen so far, rising; None where there are too many.
+    """
+
+    def __init__(self) -> None:
+        self.values: Array | None = np.empty(0)
+        self._samples = 0
+
+    def add(self, samples: Array) -> None:
+        """Take more samples, none of them missing, shape (n,)."""
+        self._samples += len(samples)
+        if self.values is None:
+            return
+        self.values = np.union1d(self.values, samples)
+        if len(self.values) > MOST_VALUES:
+            self.values = None
+
+    def result(self) -> float:
+        """Return the step; 0 where the reading is continuous, as far as the readings show."""
+        values = self.values
+        if values is None or len(values) < 2 or self._samples < _REPEATED * len(values):
+            return 0.0
+        distances = np.diff(values)
+        smallest = float(distances.min())
+        whole = np.round(distances / smallest)
+        if np.any(np.abs(distances / smallest - whole) > _EVEN * whole):
+            return 0.0
+        return float(distances.sum() / whole.sum())
+
+
+def rounding_left(std: float, resolution: float) -> float:
+    """Standard uncertainty that rounding leaves in a mean of noisy samples, however many (Widrow's first harmonic).
+
+    Parameters
+    ----------
+    std : float
+        Standard deviation of the samples, rounding included.
+    resolution : float
+        The step of the reading; 0 where it is continuous.
+    """
+    if resolution == 0.0:
+        return 0.0
+    noise = sqrt(max(std**2 - resolution**2 / 12, 0.0))
+    return resolution / sqrt(12) * exp(-2 * (pi * noise / resolution) ** 2)
+
+
+def noise_under_rounding(scatter: float, step: float) -> float:
+    """Find the noise of readings before they were rounded.
+
+    Parameters
+    ----------
+    scatter : float
+        Mean variance of the rounded readings within positions that lie anyhow between two steps, unit².
+    step : float
+        Of the reading, unit.
+    """
+    low, high = 0.0, sqrt(scatter) + step
+    for _ in range(60):
+        noise = (low + high) / 2.0
+        expected = noise**2 + step**2 / 12.0 - rounding_variance(noise, step)
+        low, high = (noise, high) if expected < scatter else (low, noise)
+    return (low + high) / 2.0
+
+
+def rounding_variance(noise: float, step: float) -> float:
+    """Compute the mean square of the rounding error in the mean of many readings, unit²."""
+    power = np.exp(-((2.0 * np.pi * HARMONICS * noise / step) ** 2)) / HARMONICS**2
+    return float(step**2 / (2.0 * np.pi**2) * power.sum())
