@@ -26,7 +26,7 @@ CLASSES = {"offset": OFFSET, "own": OWN, "cross": CROSS}
 METHODS = ("joint", "jig not stated", "least squares", "six faces", "unit gravity")
 
 BOUNDS = 40
-"""Sessions over which the bound is averaged: it differs by a per cent from part to part."""
+"""Most sessions over which the bound is averaged: it differs by a per cent from part to part."""
 
 REACH = 0.05
 """The share of the bound's variance that second powers may add where the bound counts as attainable."""
@@ -51,8 +51,10 @@ class Result:
     attainable: Mapping[str, float]
 
 
-def simulate(regime: Regime, calibrations: int, seed: int, methods: Sequence[str] = METHODS) -> Result:
-    """Many calibrations of one bench."""
+def simulate(
+    regime: Regime, calibrations: int, seed: int, methods: Sequence[str] = METHODS, bounds_of: int = BOUNDS
+) -> Result:
+    """Many calibrations of one bench; the bound is the mean of the first ``bounds_of`` sessions."""
     rng = np.random.default_rng([seed, round(100 * regime.jig), regime.count, regime.sensors])
     plan = plan_of(regime.count, noise=regime.noise, jig=regime.jig)
     squares: dict[str, list[Array]] = {}
@@ -60,7 +62,7 @@ def simulate(regime: Regime, calibrations: int, seed: int, methods: Sequence[str
     for session in range(max(calibrations // regime.sensors, 2)):
         parts = [part(rng) for _ in range(regime.sensors)]
         observations = measured(rng, plan, parts)
-        if session < BOUNDS:
+        if session < bounds_of:
             bounds.append(bound_of(plan, parts))
             beyond.append(beyond_bound(plan, parts, seed=session))
         for method, errors in _errors(plan, parts, observations, methods).items():
