@@ -89,7 +89,8 @@ class CombinedSession:
         met = [one.temperature for one in self.record.positions if one.temperature is not None]
         if not met:
             return None
-        return float(np.mean(met)), hypot(float(np.std(met)), fit.thermometer_celsius or 0.0)
+        stated = fit.thermometer_celsius
+        return float(np.mean(met)), hypot(float(np.std(met)), stated or fit.thermometer_estimated_celsius or 0.0)
 
     @property
     def gravity(self) -> Array | None:

@@ -145,6 +145,9 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         jig_degrees=None if design.free else design.jig,
         jig_estimated_degrees=None if found.estimated_jig is None else significant(found.estimated_jig, SHARE_DIGITS),
         thermometer_celsius=design.thermometer or None,
+        thermometer_estimated_celsius=None
+        if found.estimated_thermometer is None
+        else significant(found.estimated_thermometer, SHARE_DIGITS),
         budget=budget_record(found.budget, found.names),
         notes=tuple(found.notes),
     )

@@ -27,7 +27,8 @@ from tiltcal.files.records import PositionSet, ProcedureRecord
 OF_BASE = "of the base calibration"
 """What a sensitivity is that stands in from the sensor's own calibration."""
 
-EXACT_TEMPERATURES = "the thermometer's uncertainty is not stated: temperatures count as exact (--thermometer)"
+NO_THERMOMETER = "the thermometer's uncertainty is not stated (--thermometer)"
+EXACT_TEMPERATURES = f"{NO_THERMOMETER}: temperatures count as exact"
 
 
 def fit_jointly(
@@ -77,7 +78,7 @@ def record_of(
     return CalibrationRecord(
         sensor=replace(sensor.sensor, channels=design.channels),
         coefficients=rounded(found),
-        uncertainty=uncertainty_of(found, _reading(sensor.measurements, design)),
+        uncertainty=uncertainty_of(found, _reading(sensor.measurements, design, found.estimated_thermometer)),
         limits=_limits(design, sensor, found.coefficients.thermal is not None),
         derived=derived_record(found, _assumed(design, sensor), mounted=not design.free),
         fit=fit_record(found, design, _largest_noise(sensor.measurements, design.channels)),
@@ -100,7 +101,9 @@ def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: 
     if correlated is not None and correlated.certain:
         notes.append(correlated.note)
     if design.thermal and not design.thermometer:
-        notes.append(EXACT_TEMPERATURES)
+        shown = found.estimated_thermometer
+        counted = f": the residuals show {shown:.2g} °C, which counts" if shown else None
+        notes.append(EXACT_TEMPERATURES if counted is None else NO_THERMOMETER + counted)
     return replace(found, notes=tuple(notes))
 
 
@@ -146,7 +149,7 @@ def design_of(
         inf if determines.free else bench.jig,
         table=bench.table,
         heading=bench.heading or 0.0,
-        thermometer=bench.thermometer or 0.0,
+        thermometer=bench.thermometer,
         nonlinearity=determines.nonlinearity,
     )
     if determines.axes:
@@ -233,7 +236,7 @@ def _largest_noise(measurements: Sequence[Measurement], channels: Sequence[str])
     return max(measurement.summaries[channel].u for measurement in measurements for channel in channels)
 
 
-def _reading(measurements: Sequence[Measurement], design: Design) -> dict[str, float]:
+def _reading(measurements: Sequence[Measurement], design: Design, shown: float | None) -> dict[str, float]:
     """Return the uncertainty of a single reading: the scatter within the positions, and that of rounding."""
     known: dict[str, float] = {}
     for channel in design.channels:
@@ -242,8 +245,9 @@ def _reading(measurements: Sequence[Measurement], design: Design) -> dict[str, f
         if dof:
             scatter = fsum((summary.n - 1) * summary.std**2 for summary in summaries) / dof
             known[channel] = sqrt(scatter + max(summary.quantisation for summary in summaries) ** 2)
-    if known and design.thermometer and (design.drift or design.gain):
-        known["temperature"] = design.thermometer
+    thermometer = design.thermometer or shown
+    if known and thermometer and design.thermal:
+        known["temperature"] = thermometer
     return known
 
 

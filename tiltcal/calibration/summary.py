@@ -85,10 +85,13 @@ def objections(fit: FitRecord) -> list[str]:
     found = []
     p = _probability(fit)
     if p is not None and p < INCREDIBLE:
-        shown = "below 1e-9" if p < 1e-9 else f"{p:.1g}"
+        shown, warm = "below 1e-9" if p < 1e-9 else f"{p:.1g}", fit.thermometer_estimated_celsius
+        cause = "noise, jig or thermometer are worse than stated, and the uncertainties are too small"
+        if warm is not None:
+            cause = f"temperatures are off by {warm:g} °C, which counts, or noise or jig are worse than stated"
         found.append(
             f"chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom (probability {shown}) is "
-            "not credible: noise, jig or thermometer are worse than stated, and the uncertainties are too small"
+            f"not credible: {cause}"
         )
     if fit.suspect_positions:
         named = [f"{position} ({one.off_degrees:g}°)" for position, one in fit.suspect_positions.items()]

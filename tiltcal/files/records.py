@@ -170,6 +170,11 @@ class FitRecord:
         default=None,
         formerly="jig_that_shows_degrees",
     )
+    thermometer_estimated_celsius: float | None = entry(
+        FROM_ZERO,
+        "where a jig but no thermometer was stated: the standard deviation of a temperature that residuals show, °C",
+        default=None,
+    )
     thermometer_celsius: float | None = entry(FROM_ZERO, "the standard uncertainty of a temperature, °C", default=None)
     budget: Mapping[str, Mapping[str, float]] = entry(
         ByName(ByName(Number())),

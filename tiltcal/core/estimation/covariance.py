@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 
 import numpy as np
 
@@ -23,19 +23,24 @@ from tiltcal.core.uncertainty_budget import Budget
 KENWARD_ROGER = 2.0
 
 
-def stated_budgets(near: LinearSolution, bias: Array | None = None) -> list[Budget]:
+def stated_budgets(near: LinearSolution, bias: Array | None = None, thermometer_dof: float = inf) -> list[Budget]:
     """Return the uncertainty of each sensor's coefficients where noise and bench are as they were stated.
 
     Parameters
     ----------
     bias : ndarray, shape (coefficients,), optional
         What was taken off for the squares of the attitudes' errors.
+    thermometer_dof : float
+        Degrees of freedom of the thermometer's variance, where it was estimated.
     """
     shares = _shares(near)
-    return [
-        Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), [(shares.estimated[own], 1.0)]))
-        for own, covariance, variance in _by_sensor(near, shares.variance, bias)
-    ]
+    budgets = []
+    for own, covariance, variance in _by_sensor(near, shares.variance, bias):
+        estimated = [(shares.estimated[own], 1.0)]
+        if isfinite(thermometer_dof):
+            estimated.append((variance[THERMOMETER], thermometer_dof))
+        budgets.append(Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), estimated)))
+    return budgets
 
 
 def scaled_budgets(near: LinearSolution, scale: float, dof: float) -> list[Budget]:

@@ -81,8 +81,9 @@ class Design:
         of it: positions at several headings then show it, and at one heading it goes into the offsets unseen.
     heading : float
         Standard uncertainty of each heading, degrees.
-    thermometer : float
-        Standard uncertainty of each temperature, °C.
+    thermometer : float or None
+        Standard uncertainty of each temperature, °C. None: not stated, and estimated from the residuals where a stated
+        jig leaves more of them than it explains.
     nonlinearity : int
         0 for a straight line, 1 for a square, 2 for a square and a cube.
     priors : mapping of str to Prior
@@ -97,7 +98,7 @@ class Design:
     jig: float | None = None
     table: float | None = None
     heading: float = 0.0
-    thermometer: float = 0.0
+    thermometer: float | None = 0.0
     nonlinearity: int = 0
     priors: Mapping[str, Prior] = field(default_factory=dict)
 

@@ -58,7 +58,7 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
         table=radians(UNKNOWN_TABLE if design.table is None else design.table),
         table_stated=design.table is not None,
         heading=radians(design.heading),
-        thermometer=design.thermometer if any(sensor.design.thermal for sensor in sensors) else 0.0,
+        thermometer=(design.thermometer or 0.0) if any(sensor.design.thermal for sensor in sensors) else 0.0,
     )
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import degrees, inf, radians
+from math import degrees, inf, radians, sqrt
 
 import numpy as np
 
@@ -44,7 +44,10 @@ LARGEST_JIG = radians(45.0)
 """Standard deviation of a set angle above which the positions are not those that were set, radians."""
 
 CLOSE = 1e-4
-"""A relative change of the jig below which it is found."""
+"""A relative change of the jig, or of chi-square, below which it is found."""
+
+SMALLEST_THERMOMETER, LARGEST_THERMOMETER = 1e-3, 5.0
+"""Standard uncertainties of a temperature that the residuals may show, °C."""
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
 BELOW_NOISE = "the residuals are smaller than the noise of the readings, by chance: the noise counts"
@@ -104,6 +107,8 @@ class Estimate(DeterminedCoefficients):
         One a position, where the jig is stated; empty otherwise.
     estimated_jig : float or None
         Standard deviation of a set angle that the residuals show where the jig is not stated, degrees.
+    estimated_thermometer : float or None
+        Standard deviation of a temperature that they show where a jig, but no thermometer is stated, °C.
     notes : tuple of str
         What the reader of the numbers should know.
     """
@@ -117,6 +122,7 @@ class Estimate(DeterminedCoefficients):
     stated: bool
     attitudes: tuple[AttitudeError, ...] = ()
     estimated_jig: float | None = None
+    estimated_thermometer: float | None = None
     notes: tuple[str, ...] = ()
 
     def suspects(self, significance: float = 0.01) -> list[AttitudeError]:
@@ -175,15 +181,29 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
     """Estimate with all errors of the bench as unknowns, whose uncertainty is stated."""
     z = _minimum(system, _start(system))
     near = linearised(system, z)
-    bias = second_order_bias(near, z) if system.jig > 0 else None
-    budgets = stated_budgets(near, bias)
     dof = system.degrees_of_freedom(near.unobservable_leans)
     chi_square = near.equations.cost if dof else None
+    shown = None
+    if chi_square is not None and sensors[0].design.thermometer is None:
+        shown = _thermometer(system, z, chi_square, dof)
+    if shown is not None:
+        system, z = shown.system, shown.z
+        near = linearised(system, z)
+    bias = second_order_bias(near, z) if system.jig > 0 else None
+    budgets = stated_budgets(near, bias, inf if shown is None else shown.dof)
     if bias is not None:
         z = z.copy()
         z[: system.coefficients] -= bias
     attitudes = _attitudes(sensors, system, z, near) if system.jig > 0 else ()
-    found = _Found(z, budgets, dof, chi_square, True, notes=() if dof else (NO_FREEDOM,))
+    found = _Found(
+        z,
+        budgets,
+        dof,
+        chi_square,
+        True,
+        estimated_thermometer=None if shown is None else system.thermometer,
+        notes=() if dof else (NO_FREEDOM,),
+    )
     return _estimates(sensors, system, found, attitudes)
 
 
@@ -222,7 +242,7 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
         z = z.copy()
         z[: known.coefficients] -= bias
     residual = known.unexplained(known.as_set(z)) / system.sigma
-    found = _Found(z, budgets, dof, float(residual @ residual), False, degrees(components.angle), tuple(notes))
+    found = _Found(z, budgets, dof, float(residual @ residual), False, degrees(components.angle), notes=tuple(notes))
     return _estimates(sensors, known, found)
 
 
@@ -254,6 +274,39 @@ def _components(system: System, z: Array, dof: int) -> VarianceComponents:
     return variance_components(
         singular, left.T @ right, near.elimination.residual_squares, dof, _largest_sensitivity(near)
     )
+
+
+@dataclass(frozen=True)
+class _Thermometer:
+    """The system with the thermometer that the residuals show, its minimum, and that variance's degrees of freedom."""
+
+    system: System
+    z: Array
+    dof: float
+
+
+def _thermometer(system: System, z: Array, chi_square: float, dof: int) -> _Thermometer | None:
+    """Find the thermometer's uncertainty with which chi-square is as large as its degrees of freedom.
+
+    None where exact temperatures leave no more than that, or where no thermometer explains what they leave.
+
+    Source: R. C. Paule, J. Mandel, *Consensus values and weighting factors*, J. Res. NBS 87 (1982) 377.
+    """
+    if chi_square <= dof or not system.own_temperatures + system.shared_temperatures:
+        return None
+    known, variance = system, SMALLEST_THERMOMETER**2
+    for _ in range(ROUNDS):
+        last, known = known, replace(system, thermometer=sqrt(variance))
+        z = _minimum(known, z, last)
+        cost, errors = known.at(z).cost, z[known.temperature_errors]
+        slope = float(errors @ errors) / variance**2
+        if abs(cost - dof) <= CLOSE * dof:
+            return _Thermometer(known, z, (variance * slope) ** 2 / dof)
+        # One over chi-square is nearly a straight line of the variance.
+        variance = max(variance + cost * (cost - dof) / (dof * slope), variance / 4.0) if slope > 0.0 else inf
+        if not SMALLEST_THERMOMETER**2 / 16.0 < variance < LARGEST_THERMOMETER**2:
+            return None
+    return None
 
 
 def _largest_sensitivity(near: LinearSolution) -> float:
@@ -301,6 +354,7 @@ class _Found:
     chi_square: float | None
     stated: bool
     estimated_jig: float | None = None
+    estimated_thermometer: float | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -395,6 +449,7 @@ def _estimates(
                 stated=found.stated,
                 attitudes=tuple(one for one in attitudes if one.position in here),
                 estimated_jig=found.estimated_jig,
+                estimated_thermometer=found.estimated_thermometer,
                 notes=found.notes,
             )
         )

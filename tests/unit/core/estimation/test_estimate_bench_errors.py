@@ -11,6 +11,7 @@ from math import cos, radians, sqrt
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import stats
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -31,6 +32,38 @@ Array = NDArray[np.float64]
 PLANE = tuple({axis: sign * 30.0} for axis in "xy" for sign in (1, -1))
 NOISE = 1e-4
 LEVEL = np.array([0.0, 0.0, 1.0])
+
+
+def at_temperatures(errors: Array, *, slope: float = 2.5) -> tuple[Array, list[Observation]]:
+    """One channel at level: temperatures, and readings at temperatures that are off by some errors, °C."""
+    told = np.linspace(-20.0, 40.0, len(errors))
+    read = 1024.0 + slope * (told + errors) + 0.05 * np.random.default_rng(4).standard_normal(len(told))
+    u = np.array([0.05])
+    return told, [Observation(f"{t}", LEVEL, np.array([one]), u, t) for t, one in zip(told, read, strict=True)]
+
+
+def test_a_thermometer_that_is_not_stated_is_shown_by_the_residuals() -> None:
+    """All positions weigh alike: the textbook's straight line, whose residuals have Student's t of 10 for 12 points."""
+    told, observations = at_temperatures(0.2 * np.random.default_rng(3).standard_normal(12))
+    wanted = Design(("x",), (), drift=1, jig=0.0, thermometer=None)
+    found = estimate(observations, wanted)
+    line = stats.linregress(told, [one.mean[0] for one in observations])
+    name = "temperature.offset.x.1"
+    assert found.uncertainty()[name] == pytest.approx(line.stderr, rel=0.01)
+    assert found.coverage_factors()[name] == pytest.approx(stats.t.ppf(0.975, 10), rel=0.01)
+    left = [one.mean[0] for one in observations] - (line.intercept + line.slope * told)
+    assert found.estimated_thermometer == pytest.approx(sqrt(left @ left / 10 - 0.05**2) / line.slope, rel=0.01)
+    exact = estimate(observations, replace(wanted, thermometer=0.0))
+    assert found.chi_square == exact.chi_square == pytest.approx(left @ left / 0.05**2, rel=1e-6)
+
+
+@pytest.mark.parametrize(("slope", "noise"), [(2.5, 1.5), (1e-3, 0.1)], ids=["noise alone", "no drift"])
+def test_a_thermometer_that_explains_nothing_is_not_invented(slope: float, noise: float) -> None:
+    """Residuals smaller than the noise, or ten times as large with so little drift that no thermometer makes them."""
+    _, observations = at_temperatures(np.zeros(12), slope=slope)
+    observations = [replace(one, u=noise * one.u) for one in observations]
+    found = estimate(observations, Design(("x",), (), drift=1, jig=0.0, thermometer=None))
+    assert found.estimated_thermometer is None
 
 
 def plane(
