@@ -44,7 +44,7 @@ def session(procedure: str = "plane", **options: float) -> Session:
         single("sca100t-d02", "S-1", "sim:?twin=twin.yaml"),
         [Path("S-1.yaml")],
         Path("S-1.journal.jsonl"),
-        lead="sim",
+        operator="sim",
         **options,  # type: ignore[arg-type]
     )
     return Session(plan, Path("S-1.journal.jsonl"))

@@ -133,7 +133,7 @@ def measure(
     """
     if resume is not None and Path(resume).exists():
         session = _resumed(Path(resume), None if output is None else Path(output), remark)
-        operator = operator or session.plan.lead
+        operator = operator or session.plan.operator
     else:
         operator = operator or "terminal"
         if base is not None and bench is None and Path(base).is_file():
@@ -159,7 +159,7 @@ def measure(
         path = Path(resume or journal or free_journal(beside, remark))
         plan = plan_session(
             *(steps, sensors, outputs, path),
-            lead=operator if isinstance(operator, str) else "json",
+            operator=operator if isinstance(operator, str) else "json",
             samples=samples,
             settle=settle,
             bases=bases,

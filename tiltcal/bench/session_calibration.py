@@ -119,7 +119,7 @@ def session_provenance(plan: SessionPlan, ending: SessionEnd) -> dict[str, Any]:
     """Return what every calibration file states of its session."""
     return {
         "made_by": VIRTUAL if plan.virtual else "measurement",
-        "operator": plan.person or plan.lead,
+        "operator": plan.person or plan.operator,
         "software": plan.software,
         "started": stamp(plan.started),
         "ended": stamp(ending.ended),

@@ -40,8 +40,8 @@ class SessionPlan:
     ----------
     jig : float or None
         Standard uncertainty of a set angle, degrees.
-    lead : str
-        Who leads: ``terminal``, ``json`` or ``sim``.
+    operator : str
+        Who sets the positions: ``terminal``, ``json`` or ``sim``.
     person : str or None
         Who stands at the bench.
     started : datetime
@@ -62,7 +62,7 @@ class SessionPlan:
     sensors: tuple[DeviceSetup, ...]
     settings: SessionSettings
     jig: float | None
-    lead: str
+    operator: str
     person: str | None
     started: datetime
     software: str
@@ -91,7 +91,7 @@ class SessionPlan:
             "journal": self.journal,
             "started": stamp(self.started),
             "virtual": self.virtual,
-            "operator": self.lead,
+            "operator": self.operator,
             **({} if self.person is None else {"person": self.person}),
             "sensors": [device.record() for device in self.sensors],
             **({} if self.thermometer is None else {"thermometer": self.thermometer.record()}),
@@ -132,7 +132,7 @@ class SessionPlan:
                 sensors=tuple(DeviceSetup.from_header(sensor) for sensor in header.sensors),
                 settings=SessionSettings(settings.samples, settings.settle, settings.soak),
                 jig=settings.jig,
-                lead=header.operator,
+                operator=header.operator,
                 person=header.person,
                 started=datetime.fromisoformat(header.started),
                 software=header.software,
@@ -154,7 +154,7 @@ def plan_session(
     outputs: Sequence[Path | None],
     journal: Path,
     *,
-    lead: str,
+    operator: str,
     samples: int | None = None,
     settle: float | None = None,
     bases: Mapping[str, BaseFile] | None = None,
@@ -196,7 +196,7 @@ def plan_session(
             samples or procedure.samples, settle or procedure.settle, procedure.soak_seconds * scale
         ),
         jig=bench.jig,
-        lead=lead,
+        operator=operator,
         person=bench.operator,
         started=VIRTUAL_START,
         software=f"tiltcal {tiltcal.__version__}",

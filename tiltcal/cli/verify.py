@@ -79,7 +79,7 @@ def command(
     judged = read_calibration(calibration)
     if resume is not None:
         session = Session.of_journal(resume, options.remark)
-        operator = session.plan.lead if options.left_at_default("operator") else operator
+        operator = session.plan.operator if options.left_at_default("operator") else operator
     elif address is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
     else:
@@ -89,7 +89,7 @@ def command(
         if steps.determines.free:
             raise UsageError(f"{steps.name} sets no positions to verify with: name another procedure")
         steps.require_positions()
-        session = Session(plan_session(steps, bench, [None], path, lead=operator, samples=samples, settle=settle), path)
+        session = Session(plan_session(steps, bench, [None], path, operator=operator, samples=samples, settle=settle), path)
     session.preflight()
     with (
         session.resumable(f"verify {calibration}", options.remark),
