@@ -89,7 +89,9 @@ def command(
         if steps.determines.free:
             raise UsageError(f"{steps.name} sets no positions to verify with: name another procedure")
         steps.require_positions()
-        session = Session(plan_session(steps, bench, [None], path, operator=operator, samples=samples, settle=settle), path)
+        session = Session(
+            plan_session(steps, bench, [None], path, operator=operator, samples=samples, settle=settle), path
+        )
     session.preflight()
     with (
         session.resumable(f"verify {calibration}", options.remark),

@@ -7,6 +7,7 @@ from math import asin, degrees
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.arriving_pieces import ArrivingPieces
 
 from tiltcal.core.closed_forms import sensitivity_from_upright_pair
 from tiltcal.drivers import find_model
@@ -23,26 +24,6 @@ from tiltcal.errors import BusError, DeviceFault, UsageError
 ADXL202, ADXL210 = find_model("adxl202"), find_model("adxl210")
 
 
-class Says:
-    """A line on which these pieces arrive one by one; then there is silence."""
-
-    letter = "r"
-
-    def __init__(self, *pieces: bytes) -> None:
-        self._pieces = list(pieces)
-
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        assert not out, "nothing is ever sent to this device"
-        if not count:
-            return b""
-        if not self._pieces:
-            raise BusError("silent")
-        return self._pieces.pop(0)
-
-    def close(self) -> None:
-        assert not self._pieces, "pieces that the driver never took"
-
-
 def framed(body: str) -> bytes:
     """A sentence with its checksum, by the letter of NMEA 0183."""
     parity = 0
@@ -56,7 +37,7 @@ def sentence(number: int, t1x: float = 500, t1y: float = 500, t2: float = 1000) 
 
 
 def sentences(*pieces: bytes) -> Adxl202Sentences:
-    return Adxl202Sentences(Says(*pieces), VirtualClock())
+    return Adxl202Sentences(ArrivingPieces(*pieces), VirtualClock())
 
 
 def read_all(driver: Adxl202Sentences) -> list[float]:
@@ -89,6 +70,14 @@ def test_vectors_of_the_fact_sheet(t1: float, t2: float, g: float, tilt: float |
         if tilt is not None:
             assert degrees(asin(g_of(duty))) == pytest.approx(tilt, abs=5e-5)
     assert reading.temperature is None
+
+
+def test_nothing_is_ever_sent_to_the_microcontroller() -> None:
+    line = ArrivingPieces(*(sentence(number) for number in range(1, 4)))
+    driver = Adxl202Sentences(line, VirtualClock())
+    driver.read()
+    driver.read()
+    assert line.heard == []
 
 
 def test_a_calibrated_part_of_the_fact_sheet() -> None:
@@ -257,7 +246,7 @@ def test_lost_edges_are_counted_and_spoil_no_period(first: int, count: int) -> N
 
 
 def test_edges_are_numbered_anew_once_the_lines_are_had_again() -> None:
-    class Replugged(Says):
+    class Replugged(ArrivingPieces):
         def exchange(self, out: bytes, count: int = 0) -> bytes:
             answer = super().exchange(out, count)
             if answer == b"unplugged":
@@ -299,7 +288,7 @@ def test_a_dead_line_and_two_sensors_are_named() -> None:
         )
     ]
     for edges, why in ((renumbered, "x pulses and y does not"), (strangers, "both lines of one sensor")):
-        driver = Adxl202Edges(Says(pack_edges(edges)), VirtualClock())
+        driver = Adxl202Edges(ArrivingPieces(pack_edges(edges)), VirtualClock())
         with pytest.raises(DeviceFault, match=why):
             driver.read()
 

@@ -7,6 +7,7 @@ from math import asin, degrees, isfinite
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.arriving_pieces import ArrivingPieces
 
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
@@ -19,35 +20,10 @@ from tiltcal.errors import BusError, DeviceFault, UsageError
 SERIAL_COLUMNS, DFROBOT = find_model("serial-columns"), find_model("dfrobot-sca100t")
 
 
-class Says:
-    """A line on which these pieces arrive one by one (an empty one: it is unplugged); then there is silence."""
-
-    letter = "r"
-
-    def __init__(self, *pieces: bytes) -> None:
-        self._pieces = list(pieces)
-        self.heard: list[bytes] = []
-
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        if out:
-            self.heard.append(out)
-        if not count:
-            return b""
-        if not self._pieces:
-            raise BusError("silent")
-        if not self._pieces[0]:
-            self._pieces.pop(0)
-            raise BusError("unplugged")
-        return self._pieces.pop(0)
-
-    def close(self) -> None:
-        assert not self._pieces
-
-
 def printing(options: str, *pieces: bytes) -> Sensor:
     model = SERIAL_COLUMNS.at(parse_address(f"serial:///dev/ttyUSB0?{options}"))
     # The first line may be the tail of one whose head nobody heard, and is never used.
-    return model.driver(Says(b"0.99\r\n", *pieces), VirtualClock())
+    return model.driver(ArrivingPieces(b"0.99\r\n", *pieces), VirtualClock())
 
 
 @pytest.mark.parametrize(
@@ -180,7 +156,7 @@ FRAME = bytes.fromhex("55 AA 04 02 04 09 A4 50")
 
 
 def test_the_published_frame() -> None:
-    driver = DfrobotSca100t(link := Says(FRAME), VirtualClock())
+    driver = DfrobotSca100t(link := ArrivingPieces(FRAME), VirtualClock())
     reading = driver.read()
 
     assert link.heard == [bytes.fromhex("55 AA 02 FD")]
@@ -196,7 +172,9 @@ def test_published_checksums(payload: str, stated: int) -> None:
 
 
 def test_a_damaged_answer_is_counted_and_asked_for_again() -> None:
-    driver = DfrobotSca100t(Says(FRAME.replace(b"\x09", b"\x0b"), b"\x55" + FRAME[:4], FRAME[4:]), VirtualClock())
+    driver = DfrobotSca100t(
+        ArrivingPieces(FRAME.replace(b"\x09", b"\x0b"), b"\x55" + FRAME[:4], FRAME[4:]), VirtualClock()
+    )
     assert driver.read().values == (1026.0, 1033.0)
     assert driver.link_statistics() == {"answers": 1, "damaged": 1}
 
@@ -216,10 +194,10 @@ def test_one_changed_byte_is_no_answer(place: int, change: int) -> None:
 def test_faults_of_the_module() -> None:
     with pytest.raises(DeviceFault, match="x reads 5 count"):
         DfrobotSca100t(
-            Says(bytes([0x55, 0xAA, 0, 5, 4, 9, 0xA4, checksum(b"\x00\x05\x04\x09\xa4")])), VirtualClock()
+            ArrivingPieces(bytes([0x55, 0xAA, 0, 5, 4, 9, 0xA4, checksum(b"\x00\x05\x04\x09\xa4")])), VirtualClock()
         ).read()
     with pytest.raises(BusError, match=r"10 requests .* 6e 6f 20 73 65 6e 73 6f"):
-        DfrobotSca100t(Says(*[b"no sensor"] * 10), VirtualClock()).read()
+        DfrobotSca100t(ArrivingPieces(*[b"no sensor"] * 10), VirtualClock()).read()
     with pytest.raises(UsageError, match="option 'baudrate' is missing"):
         DFROBOT.at(parse_address("serial:///dev/ttyUSB0"))
 

@@ -10,6 +10,7 @@ from math import asin, degrees
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.scripted_link import Script
 
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.clock import VirtualClock
@@ -19,33 +20,9 @@ from tiltcal.errors import BusError, DeviceFault, UsageError
 D01, D02 = find_model("sca100t-d01"), find_model("sca100t-d02")
 
 
-class Script:
-    """A link that expects these frames in this order, and notes how long chip select was high before each."""
-
-    letter = "s"
-
-    def __init__(self, clock: VirtualClock, *frames: str) -> None:
-        self._clock = clock
-        self._frames = [frame.replace("xx", "3d").split(" / ") for frame in frames]
-        self._last_ns = 0
-        self.rests: list[float] = []
-
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        self.rests.append((self._clock.now_ns() - self._last_ns) / 1e9)
-        self._last_ns = self._clock.now_ns()
-        expected, answer = self._frames.pop(0)
-        assert out == bytes.fromhex(expected)
-        if answer == "unplugged":
-            raise BusError("unplugged")
-        return bytes.fromhex(answer)
-
-    def close(self) -> None:
-        assert not self._frames, "frames that the driver never sent"
-
-
 def driver(*frames: str) -> tuple[Sca100t, Script]:
     clock = VirtualClock()
-    script = Script(clock, *frames)
+    script = Script("s", clock, *frames)
     return Sca100t(script, clock), script
 
 

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.emulated.bench import Sca3000 as PartFacts
 from support.sca3000_part import Sca3000Part
+from support.scripted_link import Script
 
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
@@ -30,25 +31,8 @@ I2C = find_model("sca3000-i2c")
 EVERY = (D01, E02, E04, E05, I2C)
 
 
-class Script:
-    """A link that expects these transactions in this order; ``09 +6`` on I2C writes 09 and reads six bytes."""
-
-    def __init__(self, letter: str, *transactions: str) -> None:
-        self.letter = letter
-        self._transactions = [one.replace("xx", "3d").split(" / ") for one in transactions]
-
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        expected, answer = self._transactions.pop(0)
-        written, _, length = expected.partition("+")
-        assert (out, count) == (bytes.fromhex(written), int(length or 0))
-        return bytes.fromhex(answer)
-
-    def close(self) -> None:
-        assert not self._transactions, "transactions that the driver never made"
-
-
 def scripted(model: Model, letter: str, *transactions: str) -> tuple[Sensor, Script]:
-    script = Script(letter, *transactions)
+    script = Script(letter, VirtualClock(), *transactions)
     return model.driver(script, VirtualClock()), script
 
 
