@@ -26,7 +26,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.efficiency_study import CLASSES, METHODS, REACH, Regime, Result, simulate
+from support.efficiency_study import CLASSES, METHODS, REACH, EfficiencyRegime, Result, simulate
 
 JIGS, COUNTS, SENSORS = (0.0, 0.02, 0.5), (6, 12, 18, 26), (1, 6)
 
@@ -36,7 +36,7 @@ HEAD = (
 )
 
 
-def line(regime: Regime, result: Result) -> str:
+def line(regime: EfficiencyRegime, result: Result) -> str:
     """Return one regime in numbers."""
     cells = []
     for method in METHODS:
@@ -50,7 +50,7 @@ def line(regime: Regime, result: Result) -> str:
     return f"{regime.jig:5.2f}  {regime.count:9}  {regime.sensors:7}  " + "".join(cells)
 
 
-def below(results: Mapping[Regime, Result]) -> list[str]:
+def below(results: Mapping[EfficiencyRegime, Result]) -> list[str]:
     """Return where the estimator is below 0.95 by over twice the Monte Carlo error, and the bound is attainable."""
     return [
         f"{regime}: {name} {result.ratio['joint'][name]:.3f}"
@@ -67,7 +67,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    regimes = [Regime(*one, options.noise) for one in product(JIGS, COUNTS, SENSORS)]
+    regimes = [EfficiencyRegime(*one, options.noise) for one in product(JIGS, COUNTS, SENSORS)]
     results = {}
     print(f"Cramér-Rao bound over mean square error, noise {1e3 * options.noise:g} mg a position", *HEAD, sep="\n")
     with ProcessPoolExecutor(options.jobs) as pool:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.command import measure
-from support.json_program import GONE, Event, Session, lead
+from support.json_program import GONE, Event, ProgramSession, lead
 
 from tiltcal.bench.operators.json_lines import parsed
 from tiltcal.bench.operators.rig import understood
@@ -19,7 +19,7 @@ from tiltcal.files.calibration import read_calibration
 from tiltcal.files.records import PositionSet
 
 
-def table(folder: Path, procedure: str, answer: Callable[[Event, int], object]) -> Session:
+def table(folder: Path, procedure: str, answer: Callable[[Event, int], object]) -> ProgramSession:
     """Be a tilt table's program: answer every ask by a function of it and of its number, counted from 1."""
     asks: list[Event] = []
 

@@ -10,12 +10,12 @@ import pytest
 import yaml
 from support.adxl202_part import Adxl202Part, on_a_pty
 from support.command import Completed, tiltcal
-from support.json_program import Event, Session, lead
+from support.json_program import Event, ProgramSession, lead
 
 pytest.importorskip("serial", reason="the pyserial package is not installed")
 
 
-def led(address: str, folder: Path, take: Callable[[Event], Event]) -> Session:
+def led(address: str, folder: Path, take: Callable[[Event], Event]) -> ProgramSession:
     """Lead ``mavs`` with a part at an address."""
     session = lead(
         *("measure", "mavs", "--sensor", "adxl202", "--serial", "A-1005", "--address", address),

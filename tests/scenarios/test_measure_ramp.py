@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.json_program import Event, Session, lead
+from support.json_program import Event, ProgramSession, lead
 
-from tiltcal.bench.session import Session as BenchSession
+from tiltcal.bench.session import Session
 from tiltcal.files.calibration import read_calibration
 
 TWIN = """\
@@ -45,7 +45,7 @@ def chamber(message: Event) -> Event | None:
 
 
 @pytest.fixture(scope="module")
-def led(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Session]:
+def led(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ProgramSession]:
     folder = tmp_path_factory.mktemp("ramp")
     (folder / "twin.yaml").write_text(TWIN)
     (folder / "quick.yaml").write_text(PROCEDURE)
@@ -53,7 +53,7 @@ def led(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Session]:
     return folder, lead("measure", "quick.yaml", *options, "--jig", "0", cwd=folder, answer=chamber)
 
 
-def test_a_program_leads_through_the_turns(led: tuple[Path, Session]) -> None:
+def test_a_program_leads_through_the_turns(led: tuple[Path, ProgramSession]) -> None:
     _, session = led
     assert session.exit_code == 0, session.errors
     assert [(ask["position"], ask["temperature"]) for ask in session.asks] == [("down", 5), ("up", 40), ("back", 5)]
@@ -61,7 +61,7 @@ def test_a_program_leads_through_the_turns(led: tuple[Path, Session]) -> None:
     assert "a thermal lag of" in session.errors
 
 
-def test_the_lag_and_the_drift_are_those_of_the_twin(led: tuple[Path, Session]) -> None:
+def test_the_lag_and_the_drift_are_those_of_the_twin(led: tuple[Path, ProgramSession]) -> None:
     folder, _ = led
     found = read_calibration(folder / "S-1.yaml")
     thermal = found.coefficients.thermal
@@ -72,8 +72,8 @@ def test_the_lag_and_the_drift_are_those_of_the_twin(led: tuple[Path, Session]) 
     assert found.coefficients.offset == pytest.approx([1030.0, 1018.0], abs=0.5)
 
 
-def test_a_replay_gives_the_same_file(led: tuple[Path, Session]) -> None:
+def test_a_replay_gives_the_same_file(led: tuple[Path, ProgramSession]) -> None:
     folder, _ = led
-    session = BenchSession.of_journal(folder / "S-1.journal.jsonl")
+    session = Session.of_journal(folder / "S-1.journal.jsonl")
     (text,) = session.replay().texts.values()
     assert text == (folder / "S-1.yaml").read_text()

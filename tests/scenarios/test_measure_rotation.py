@@ -15,7 +15,7 @@ import pytest
 from support import FIXTURES
 from support import accelerometer_disk as disk
 from support.command import TILTCAL, tiltcal
-from support.json_program import Event, Session, lead
+from support.json_program import Event, ProgramSession, lead
 from support.stage_part import on_a_pty, printed
 from support.warm_start import Start, warm_start
 
@@ -53,7 +53,7 @@ def serial(path: str) -> str:
     return f"serial://{path}?columns=time,theta,a1,a2,a3,a4&timeout=1"
 
 
-def led(folder: Path, address: str, hear: Callable[[Event], str | None] = lambda said: None) -> Session:
+def led(folder: Path, address: str, hear: Callable[[Event], str | None] = lambda said: None) -> ProgramSession:
     """Lead a session: take what is asked for, hear every event, and say what ``hear`` returns."""
 
     def answer(message: Event) -> object:

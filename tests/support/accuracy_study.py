@@ -55,7 +55,7 @@ SQUARE_OF_TILTS = tuple({"x": sx * 25.0, "y": sy * 25.0} for sx in (1, -1) for s
 
 
 @dataclass(frozen=True)
-class Session:
+class SimulatedSession:
     """What one session measured, the design with everything stated, and the truth.
 
     Attributes
@@ -85,7 +85,7 @@ class Regime:
     """One bench: what it is called, how a session there is drawn, and how many sensors it has."""
 
     name: str
-    draw: Callable[[Generator], Session]
+    draw: Callable[[Generator], SimulatedSession]
     sensors: int = 1
 
     def rng(self, piece: int) -> Generator:
@@ -160,11 +160,11 @@ def simulate(regime: Regime, count: int, seed: int, *, stated: bool) -> Tally:
 # Sessions
 
 
-def planned(rng: Generator, plan: Plan, sensors: int = 1) -> Session:
+def planned(rng: Generator, plan: Plan, sensors: int = 1) -> SimulatedSession:
     """Return a session of a plan, whose noise is known from ten block means a position."""
     parts = [part(rng, plan.drift, len(plan.axes)) for _ in range(sensors)]
     observations = measured(rng, plan, parts, known_noise=False)
-    return Session(observations, design(plan, jig=plan.jig), parts, plan=plan)
+    return SimulatedSession(observations, design(plan, jig=plan.jig), parts, plan=plan)
 
 
 def two_axes(tilts: tuple[dict[str, float], ...], jig: float) -> Plan:
@@ -187,33 +187,33 @@ def sweep(noise: float, jig: float) -> Plan:
     return Plan(gravity, np.concatenate([np.zeros(6), warm]), held, noise, jig, thermometer=0.1, drift=2)
 
 
-def leaning_table(rng: Generator) -> Session:
+def leaning_table(rng: Generator) -> SimulatedSession:
     """Return twelve positions at one heading on a table whose lean is stated."""
     truth, lean = part(rng), np.radians(LEAN) * rng.standard_normal(2)
     mean = truth.reading(_seen(rng, lean, np.zeros(12)), np.zeros(12)) + NOISE * rng.standard_normal((12, 3))
     wanted = replace(design(plan_of(12, noise=NOISE, jig=JIG), jig=JIG), table=LEAN)
-    return Session([_observed(rng, POSITIONS[12], mean, np.zeros(12))], wanted, [truth])
+    return SimulatedSession([_observed(rng, POSITIONS[12], mean, np.zeros(12))], wanted, [truth])
 
 
-def wrong_headings(rng: Generator) -> Session:
+def wrong_headings(rng: Generator) -> SimulatedSession:
     """Return twelve positions at two headings, which are off, on a table of which nothing is said."""
     truth, lean = part(rng), np.radians(5.0 * LEAN) * rng.standard_normal(2)
     headings = np.tile([0.0, 180.0], 6)
     seen = _seen(rng, lean, headings + HEADING * rng.standard_normal(12))
     mean = truth.reading(seen, np.zeros(12)) + NOISE * rng.standard_normal((12, 3))
     wanted = replace(design(plan_of(12, noise=NOISE, jig=JIG), jig=JIG), heading=HEADING)
-    return Session([_observed(rng, POSITIONS[12], mean, headings)], wanted, [truth], lean=tuple(lean))
+    return SimulatedSession([_observed(rng, POSITIONS[12], mean, headings)], wanted, [truth], lean=tuple(lean))
 
 
-def coarse_converter(rng: Generator) -> Session:
+def coarse_converter(rng: Generator) -> SimulatedSession:
     """Return twelve positions sampled by a converter that is coarser than the noise."""
     truth, plan = part(rng), plan_of(12, noise=NOISE, jig=JIG)
     mean = truth.reading(_seen(rng, np.zeros(2), np.zeros(12)), np.zeros(12))
     samples = STEP * np.rint((mean + 0.2 * STEP * rng.standard_normal((SAMPLES, 12, 3))) / STEP)
-    return Session([_summarised(plan, samples, STEP)], design(plan, jig=JIG), [truth], bounded=False)
+    return SimulatedSession([_summarised(plan, samples, STEP)], design(plan, jig=JIG), [truth], bounded=False)
 
 
-def hysteresis_loop(rng: Generator) -> Session:
+def hysteresis_loop(rng: Generator) -> SimulatedSession:
     """Return six faces, then level through a loop of temperatures; the truth is anywhere between its two ways."""
     warm = np.linspace(-20.0, 30.0, 6)
     temperature = np.concatenate([np.zeros(6), warm, warm[-2::-1]])
@@ -223,10 +223,10 @@ def hysteresis_loop(rng: Generator) -> Session:
     loop = LOOP * np.where(way < 0, -between, np.where(way > 0, 1.0 - between, 0.0))
     (observations,) = measured(rng, plan, [truth], known_noise=False)
     observations = [replace(one, mean=one.mean + off) for one, off in zip(observations, loop, strict=True)]
-    return Session([observations], design(plan, jig=JIG), [truth], bounded=False)
+    return SimulatedSession([observations], design(plan, jig=JIG), [truth], bounded=False)
 
 
-def correlated(rng: Generator, memory: float, samples: int) -> Session:
+def correlated(rng: Generator, memory: float, samples: int) -> SimulatedSession:
     """Return twelve positions with a perfect jig and the noise of an autoregressive process of order one."""
     truth, plan = part(rng), plan_of(12, noise=NOISE, jig=0.0)
     mean = truth.reading(plan.gravity, np.zeros(12))
@@ -236,10 +236,10 @@ def correlated(rng: Generator, memory: float, samples: int) -> Session:
     lag = np.arange(1, samples)
     of_mean = (1.0 + 2.0 * np.sum((1.0 - lag / samples) * memory**lag)) / samples / (1.0 - memory**2)
     observations = _summarised(plan, mean + NOISE / sqrt(of_mean) * noise, 0.0)
-    return Session([observations], design(plan, jig=0.0), [truth])
+    return SimulatedSession([observations], design(plan, jig=0.0), [truth])
 
 
-BENCH_ERRORS: dict[str, Callable[[Generator], Session]] = {
+BENCH_ERRORS: dict[str, Callable[[Generator], SimulatedSession]] = {
     f"table leans by {LEAN:g}°": leaning_table,
     f"headings off by {HEADING:g}°": wrong_headings,
     "noise 0.2 of a step": coarse_converter,
@@ -291,7 +291,7 @@ def _summarised(plan: Plan, samples: Array, step: float) -> list[Observation]:
 # Calibrations
 
 
-def _calibrated(rng: Generator, session: Session, bound: Array | None, stated: bool) -> Sums:
+def _calibrated(rng: Generator, session: SimulatedSession, bound: Array | None, stated: bool) -> Sums:
     """Calibrate one session and compare with the truth."""
     wanted = session.design if stated else replace(session.design, jig=None)
     sensors = fixture(session.observations, wanted)
@@ -337,7 +337,7 @@ def _tilt_inside(rng: Generator, plan: Plan, found: Estimate, truth: Part) -> ND
     return np.asarray(np.abs(result.compensated.tilt[0, :2] - [x, y]) <= result.expanded[0, :2])
 
 
-def _bound(session: Session) -> Array:
+def _bound(session: SimulatedSession) -> Array:
     """The Cramér-Rao bound's variances, with everything stated and the noise known, shape (sensors, coefficients)."""
     noise = NOISE if session.plan is None else session.plan.noise
     known = [

@@ -33,7 +33,7 @@ REACH = 0.05
 
 
 @dataclass(frozen=True)
-class Regime:
+class EfficiencyRegime:
     """One bench."""
 
     jig: float
@@ -52,7 +52,7 @@ class Result:
 
 
 def simulate(
-    regime: Regime, calibrations: int, seed: int, methods: Sequence[str] = METHODS, bounds_of: int = BOUNDS
+    regime: EfficiencyRegime, calibrations: int, seed: int, methods: Sequence[str] = METHODS, bounds_of: int = BOUNDS
 ) -> Result:
     """Many calibrations of one bench; the bound is the mean of the first ``bounds_of`` sessions."""
     rng = np.random.default_rng([seed, round(100 * regime.jig), regime.count, regime.sensors])

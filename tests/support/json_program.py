@@ -23,7 +23,7 @@ GONE = object()
 
 
 @dataclass
-class Session:
+class ProgramSession:
     """What the program was told, and how the session ended."""
 
     told: list[Event] = field(default_factory=list)
@@ -43,7 +43,7 @@ def ready(message: Event) -> Event | None:
     return {"answer": "ready"} if "ask" in message else None
 
 
-def lead(*args: str | Path, cwd: Path, answer: Callable[[Event], object] = ready) -> Session:
+def lead(*args: str | Path, cwd: Path, answer: Callable[[Event], object] = ready) -> ProgramSession:
     """Call ``tiltcal`` with ``--operator json`` and answer it to its end.
 
     Parameters
@@ -51,7 +51,7 @@ def lead(*args: str | Path, cwd: Path, answer: Callable[[Event], object] = ready
     answer
         From each message to what the program says: an object, a line of text, ``None`` for nothing, or ``GONE``.
     """
-    session = Session()
+    session = ProgramSession()
     reading, writing = os.pipe()
     answers = _Answers(writing, answer, session.told)
     with open(reading, encoding="utf-8") as stdin, answers, io.StringIO() as stderr:

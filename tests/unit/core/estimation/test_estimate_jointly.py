@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial.transform import Rotation
-from support.efficiency_study import CLASSES, Regime, bound_of, simulate
+from support.efficiency_study import CLASSES, EfficiencyRegime, bound_of, simulate
 from support.simulated_bench import FACES, POSITIONS, XYZ, design, fixture, measured, part, plan_of
 
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
@@ -33,7 +33,7 @@ def vector(found) -> np.ndarray:
 )
 def test_the_mean_square_error_is_the_cramer_rao_bounds(jig, count, sensors, calibrations) -> None:
     """Bound over mean square error at least 0.95 within 2.5 Monte Carlo standard deviations, for every class."""
-    result = simulate(Regime(jig, count, sensors, noise=5e-4), calibrations, 5, ("joint",), bounds_of=12)
+    result = simulate(EfficiencyRegime(jig, count, sensors, noise=5e-4), calibrations, 5, ("joint",), bounds_of=12)
     for name in CLASSES:
         if result.attainable[name] > 0.95:
             assert result.ratio["joint"][name] > 0.95 - 2.5 * result.error[name], name
@@ -42,7 +42,11 @@ def test_the_mean_square_error_is_the_cramer_rao_bounds(jig, count, sensors, cal
 def test_the_simpler_ways_are_far_from_it() -> None:
     """With hand-placed faces and edges, least squares wastes nine tenths of what the readings say of the offsets."""
     ratio = simulate(
-        Regime(0.5, 18, 1, noise=5e-4), 24, 6, ("joint", "jig not stated", "least squares", "six faces"), bounds_of=12
+        EfficiencyRegime(0.5, 18, 1, noise=5e-4),
+        24,
+        6,
+        ("joint", "jig not stated", "least squares", "six faces"),
+        bounds_of=12,
     ).ratio
     assert ratio["least squares"]["offset"] < 0.1
     assert ratio["six faces"]["offset"] < 0.6
