@@ -120,7 +120,7 @@ class CsvReader(LogReader):
             if rows.rest and (ended or len(rows.rest) > _LONGEST_ROW):
                 raise self._error("a quoted field opens here and does not end as it should", self._line)
             self._pending = rows.rest + self._pending
-            if len(rows.lines):
+            if len(rows):
                 empty = False
                 yield rows
         if empty:
@@ -260,8 +260,8 @@ class CsvWriter(LogWriter):
 
     def _write_as_it_stands(self, block: LogBlock, table: Table) -> None:
         rows, line_end = cast("CsvBlock", block), cast("CsvReader", self._log).line_end
-        if isinstance(rows.lines, list):
-            self._sink.write(short_text(rows.lines, table, line_end))
+        if isinstance(rows.text, list):
+            self._sink.write(short_text(rows.text, table, line_end))
             self._sink.flush()
             return
         import polars as pl

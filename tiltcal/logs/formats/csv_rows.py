@@ -48,14 +48,14 @@ class CsvBlock(LogBlock):
     ----------
     faults : dict of int to str
         What is wrong, by row.
-    lines : polars.Series of String, or list of str, length n
-        Each row's text without its line end.
+    text : bytes, polars.Series of String, or list of str, length n
+        Each row's text without its line end; as bytes in UTF-8, the rows as they follow each other, each with a LF.
     starts : sequence of int
         On which line of the bytes each row starts, counted from 0.
     line_count : int
         Lines that these rows take.
     encoding : str
-        ``utf-8``, or ``latin-1`` where the bytes were no UTF-8: encode ``lines`` with it to have the bytes again.
+        ``utf-8``, or ``latin-1`` where the bytes were no UTF-8: encode the text with it to have the bytes again.
     rest : bytes
         A row at the end whose quoted field goes on behind these bytes.
     texts : mapping of int to polars.Series of String, length n
@@ -63,12 +63,17 @@ class CsvBlock(LogBlock):
     """
 
     faults: Mapping[int, str]
-    lines: pl.Series | list[str]
+    text: bytes | pl.Series | list[str]
     starts: Sequence[int]
     line_count: int
     encoding: str
     rest: bytes
     texts: Mapping[int, pl.Series] = field(default_factory=dict)
+
+    @property
+    def lines(self) -> pl.Series:
+        """Each row's text; bytes are split at every call, and only what writes them as they stand needs that."""
+        return _lines(self.text)
 
 
 def parse_rows(
@@ -112,11 +117,11 @@ def parse_rows(
     if faults:
         for column in found.values.values():
             column[list(faults)] = np.nan
-    words = _with_bad_rows(found.texts, found.lines, faults) if found.texts and faults else found.texts
+    words = _with_bad_rows(found.texts, _lines(found.text), faults) if found.texts and faults else found.texts
     return CsvBlock(
         values=found.values,
         faults=faults,
-        lines=found.lines,
+        text=found.text,
         starts=found.starts,
         line_count=found.line_count,
         encoding=encoding,
@@ -129,7 +134,7 @@ def parse_rows(
 class _Rows:
     """Rows that are parsed; see :class:`CsvBlock`."""
 
-    lines: pl.Series
+    text: bytes | pl.Series
     values: dict[int, Array]
     texts: Mapping[int, pl.Series]
     starts: Sequence[int]
@@ -185,7 +190,7 @@ def _sound_rows(
     words = {index: frame[str(index)] for index in texts}
     if quoted:
         words = {index: column.replace("", None) for index, column in words.items()}
-    return _Rows(_plain_lines(data), values, words, range(rows), rows)
+    return _Rows(data, values, words, range(rows), rows)
 
 
 def _typed_columns(
@@ -254,11 +259,11 @@ def _rows_without_quotes(
     numeric = data
     if faults:
         data, numeric = _repaired(data, faults, len(names))
-    lines = _plain_lines(data)
     wanted = sorted({*columns, *texts})
     cells = _engine(numeric, schema={str(index): pl.String for index in range(len(names))}, columns=wanted)
     values = _parse_cells({index: cells[str(index)] for index in columns}, names, faults, time)
-    return _Rows(lines, values, {index: cells[str(index)] for index in texts}, range(len(lines)), len(lines), faults)
+    rows = len(cells)
+    return _Rows(data, values, {index: cells[str(index)] for index in texts}, range(rows), rows, faults)
 
 
 def _plain_faults(data: bytes, fields: int, unended: bool) -> dict[int, str]:
@@ -305,14 +310,16 @@ def _repaired(data: bytes, faults: Mapping[int, str], fields: int) -> tuple[byte
     return "\n".join(lines).encode(), "\n".join(numeric).encode()
 
 
-def _plain_lines(data: bytes) -> pl.Series:
+def _lines(text: bytes | pl.Series | list[str]) -> pl.Series:
     """Return the rows as one text column, which the engine splits fastest: it sees no separator."""
     import polars as pl
 
-    separator = next((mark for mark in _UNUSED if mark.encode() not in data), None)
+    if not isinstance(text, bytes):
+        return pl.Series("", text, dtype=pl.String)
+    separator = next((mark for mark in _UNUSED if mark.encode() not in text), None)
     if separator is None:
-        return _series(data.decode().split("\n")[:-1])
-    return _engine(data, separator=separator, schema={"": pl.String})[""]
+        return _series(text.decode().split("\n")[:-1])
+    return _engine(text, separator=separator, schema={"": pl.String})[""]
 
 
 def _engine(data: bytes, *, quote_char: str | None = None, **options: Any) -> pl.DataFrame:

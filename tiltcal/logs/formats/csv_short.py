@@ -41,7 +41,7 @@ def short_rows(data: bytes, fields: int, columns: Sequence[int], *, unended: boo
     Returns
     -------
     CsvBlock or None
-        Its lines are a list; None where anything about a row is odd.
+        Its text is a list; None where anything about a row is odd.
     """
     if not data.isascii():
         return None
@@ -61,7 +61,7 @@ def short_rows(data: bytes, fields: int, columns: Sequence[int], *, unended: boo
     return CsvBlock(
         values=values,
         faults={},
-        lines=lines,
+        text=lines,
         starts=range(len(lines)),
         line_count=len(lines),
         encoding="utf-8",

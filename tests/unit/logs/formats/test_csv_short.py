@@ -64,7 +64,7 @@ def test_what_is_parsed_is_what_the_engine_parses(
 def test_plain_rows_are_parsed_here() -> None:
     found = short_rows(b"0.01,1024,still\r\n0.02, NaN,\r\n", 3, [0, 1])
     assert found is not None
-    assert found.lines == ["0.01,1024,still", "0.02, NaN,"]
+    assert found.text == ["0.01,1024,still", "0.02, NaN,"]
     np.testing.assert_array_equal(found.values[1], [1024.0, nan])
 
 
