@@ -13,6 +13,7 @@ from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import (
+    UNKNOWN_MODEL,
     CalibrationRecord,
     SensorIdentity,
     calibration_of,
@@ -80,7 +81,7 @@ class Calibration:
     def limits(self) -> Limits:
         """Where the calibration holds, angles in radians; the rails are the model's where the file names none."""
         limits, sensor = self.record.limits, self.sensor
-        if limits.reading:
+        if limits.reading or sensor.model == UNKNOWN_MODEL:
             return limits
         from tiltcal.drivers import find_model
 

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import PurePath
+from select import select
 
 from tiltcal.errors import INTERRUPTED, InputError
 
@@ -28,7 +29,7 @@ BUSY = 8.0
 """Largest processor time of a child with such a file open and without I/O, s."""
 
 _PATIENCE = 3.0  # seconds in which an interrupted child must leave
-_LOOK = 0.05  # seconds between two looks at the child
+_LOOK = 0.05  # seconds between two looks at a child that has not ended
 
 
 def needs_guard(args: Sequence[str]) -> bool:
@@ -48,16 +49,19 @@ def run_guarded(run: Callable[[], int], args: Sequence[str]) -> int:
     """
     interruption = _Interruption()
     before = signal.signal(signal.SIGINT, interruption.note)
+    ended, held = os.pipe()
     child = os.fork()
     if not child:
         signal.signal(signal.SIGINT, before)
         _silence_libraries()
         os._exit(run())
     interruption.child = child
+    os.close(held)  # the child alone holds it now, and `ended` can be read when it has ended
     files = _guarded(args)
     try:
-        code = _watched(child, [name for name in files if _ends(name, MAY_LOOP)], interruption)
+        code = _watched(child, ended, [name for name in files if _ends(name, MAY_LOOP)], interruption)
     finally:
+        os.close(ended)
         signal.signal(signal.SIGINT, before)
     if code >= 0:
         return code
@@ -84,8 +88,11 @@ def _ends(name: str, suffixes: Sequence[str]) -> bool:
     return PurePath(name).suffix.lower() in suffixes
 
 
-def _watched(child: int, loopable: Sequence[str], interruption: _Interruption) -> int:
-    """Wait for a child, and return its exit code, or the negative number of its signal."""
+def _watched(child: int, ended: int, loopable: Sequence[str], interruption: _Interruption) -> int:
+    """Wait for a child, and return its exit code, or the negative number of its signal.
+
+    ``ended`` is a descriptor that can be read when the child has ended.
+    """
     progress: dict[int, _Progress] = {}
     while True:
         done, status = os.waitpid(child, os.WNOHANG)
@@ -100,7 +107,7 @@ def _watched(child: int, loopable: Sequence[str], interruption: _Interruption) -
             for process in (child, *_children(child)):
                 if progress.setdefault(process, _Progress(process, loopable)).stalled():
                     os.kill(process, signal.SIGXCPU)
-        time.sleep(_LOOK)
+        select([ended], [], [], _LOOK)
 
 
 def _children(process: int) -> list[int]:

@@ -42,7 +42,7 @@ ANYWHERE = pi / sqrt(3.0)
 
 _EXACT = 1e-9  # part of a square below which its error changes nothing else
 _DEGREES = 180.0 / pi
-_ROWS = 8192  # of a step: they stay in the cache
+_ROWS = 16384  # of a step: most of them stay in the cache, and the calls cost little against the arithmetic
 _ONE_THREAD = 1 << 18  # multiplications of a matrix product for which the linear algebra starts no threads
 _CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
 
@@ -292,13 +292,15 @@ class Propagation:
 
     # ------------------------------------------------------------------------------------- from errors to components
 
-    def _parameters(self, names: Sequence[str]) -> tuple[list[list[int]], list[list[int]]]:
+    def _parameters(self, names: Sequence[str]) -> tuple[list[slice | list[int]], list[list[int]]]:
         """Return the derivatives that count of each raw output, and the uncertain parameters that they belong to."""
         places = {name: k for k, name in enumerate(names)}
-        chosen, parameters = [], []
+        chosen: list[slice | list[int]] = []
+        parameters = []
         for model in self._models:
             rows = [row for row, name in enumerate(model.coefficients) if name in places]
-            chosen.append(rows)
+            # Neighbours are a slice, which takes no copy.
+            chosen.append(slice(rows[0], rows[-1] + 1) if rows and rows[-1] - rows[0] < len(rows) else rows)
             parameters.append([places.pop(model.coefficients[row]) for row in rows])
         if self._rotated:
             about = [places.pop(TURN + axis) for axis in AXES]
@@ -362,10 +364,13 @@ class Propagation:
             found = model.derivatives(theta, sensed, dt)
             slopes.append(1.0 / found.by_signal)
             table = found.by_coefficient
-            derivatives.append(table if len(chosen) == len(table) else table[chosen])
+            derivatives.append(table[chosen])
             derivatives[-1] *= -slopes[-1]
-            warm = model.by_temperature(theta, found.signal, dt) if self._temperature else np.zeros_like(dt)
-            by_temperature.append(slopes[-1] * (self._temperature * warm))
+            if self._temperature:
+                warm = model.by_temperature(theta, found.signal, dt)
+                by_temperature.append(slopes[-1] * (self._temperature * warm))
+            else:
+                by_temperature.append(np.zeros_like(dt))
         return derivatives, slopes, by_temperature
 
     def _lift(self, compensation: Compensation) -> Array:
