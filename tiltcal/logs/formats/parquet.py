@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
-from tiltcal.logs.streams import refused_by_system
+from tiltcal.logs.streams import read_ahead, refused_by_system
 from tiltcal.logs.text_to_numbers import seconds
 
 if TYPE_CHECKING:
@@ -58,6 +58,10 @@ class ParquetReader(LogReader):
         if not self._rows:
             raise InputError("the log has columns and no rows", file=self.name)
 
+    @property
+    def _reads_ahead(self) -> bool:
+        return bool(self._rows > _ROWS)
+
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         for index in columns:
             if index != time:
@@ -98,8 +102,9 @@ class ParquetWriter(LogWriter):
 
     Notes
     -----
-    The engine packs and writes while the next block is read and compensated. It is handed the blocks one by one: were
-    the kernel handed to it, it would call it on several blocks at once, and a pair's needs theirs in order.
+    The engine packs and writes while a thread of ours compensates the next block; were that done in the call by which
+    the engine asks for it, one of the engine's own threads would wait. It is handed the blocks one by one: were the
+    kernel handed to it, it would call it on several blocks at once, and a pair's needs theirs in order.
     """
 
     frames: ClassVar[bool] = True
@@ -109,7 +114,7 @@ class ParquetWriter(LogWriter):
 
         whole = (_widened(block, table) for block, table in blocks)
         first = next(whole)
-        frames = chain([first], whole)
+        frames = chain([first], read_ahead(whole))
         notes = {**self._log.notes, **({"tiltcal": json.dumps(self._origin)} if self._origin else {})}
         with refused_by_system():
             register_io_source(lambda *_: frames, schema=first.schema).sink_parquet(
