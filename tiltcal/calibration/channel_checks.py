@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from math import acos, degrees
+from math import acos, degrees, inf
 
 import numpy as np
 
@@ -31,12 +31,22 @@ CLEARLY = 2.0
 
 
 def require_own_readings(sensor: MeasuredSensor) -> None:
-    """Refuse two channels that read the same in every position, noise and all.
+    """Refuse readings at a rail, and two channels that read the same in every position, noise and all.
 
     Raises
     ------
     EstimateError
     """
+    known = sensor.base.limits.reading if sensor.nominal is None and sensor.base is not None else {}
+    for channel in () if sensor.ramp is not None else sensor.sensor.channels:
+        low, high = known.get(channel, (-inf, inf)) if sensor.nominal is None else sensor.nominal.rails
+        for one in sensor.measurements:
+            if not low < one.summaries[channel].mean < high:
+                reads = f"{one.summaries[channel].mean:.6g} {sensor.sensor.unit} in {one.position}"
+                raise EstimateError(
+                    f"{channel} reads {reads}, at its rail or beyond ({low:g} to {high:g}): is this the sensor, are "
+                    "these its readings in its unit, and is the angle within its range?"
+                )
     for first, second in combinations(sensor.sensor.channels, 2):
         pairs = [(one.summaries[first], one.summaries[second]) for one in sensor.measurements]
         if any(a.std for a, _ in pairs) and all(a.mean == b.mean and a.std == b.std for a, b in pairs):

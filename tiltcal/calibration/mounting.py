@@ -120,7 +120,9 @@ def _uncertainty(
     own = {name: value for name, value in before.items() if not name.startswith("mounting.")}
     turn, by = joint.covariance[-3:, -3:], angle_derivatives(mounting_matrix(mounting))
     wide = by @ (turn * np.outer(joint.factors[-3:], joint.factors[-3:])) @ by.T
-    factors = dict(zip(ANGLES, np.sqrt(np.diag(wide) / np.diag(by @ turn @ by.T)).tolist(), strict=True))
+    variances = np.diag(by @ turn @ by.T)
+    wider = np.divide(np.diag(wide), variances, out=np.ones(3), where=variances > 0.0)
+    factors = dict(zip(ANGLES, np.sqrt(wider).tolist(), strict=True))
     if locked:
         factors |= dict.fromkeys(("roll", "yaw"), UNKNOWN_FACTOR)
     return Uncertainty(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import tiltcal
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.statistics import SampleSummary
@@ -73,3 +75,35 @@ def test_the_same_readings_twice_are_refused_where_no_sensitivity_is_determined(
     ]
     with pytest.raises(EstimateError, match="x and y read the same in every position"):
         calibrate([MeasuredSensor(SENSOR, measurements)], reversal, BenchUncertainty(0.05))
+
+
+class TestRails:
+    """The SCA100T-D02 counts from 0 to 2047; a reading there may stand for any tilt beyond."""
+
+    @pytest.mark.parametrize("reading", [2047.0, 14340.0])
+    def test_a_position_at_the_rail_is_refused(self, reading: float) -> None:
+        table = {
+            "position": ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"],
+            "x": [reading, 614.0, 1024.0, 1024.0],
+            "y": [1024.0, 1024.0, 1434.0, 614.0],
+        }
+        with pytest.raises(EstimateError, match=f"x reads {reading:g} count in x-tilt1, at its rail or beyond"):
+            tiltcal.fit("plane", table, serial="S-1", sensor="sca100t-d02", jig=0.1)
+
+    def test_the_rails_of_the_base_count_too(self, tmp_path: Path) -> None:
+        (tmp_path / "S-1.yaml").write_text(BASE)
+        with pytest.raises(EstimateError, match=r"x reads 2500 V in level, at its rail or beyond \(0 to 5\)"):
+            tiltcal.fit("level", {"x": [2500.1, 2499.9] * 4, "y": [2450.1, 2449.9] * 4}, base=tmp_path / "S-1.yaml")
+
+
+BASE = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: recorded, serial: S-1, unit: V, channels: [x, y]}
+calibration:
+  offset: {x: 2.5, y: 2.45}
+  sensitivity: {x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}
+uncertainty:
+  offset: {x: 0.001, y: 0.001}
+limits: {reading: [0.0, 5.0]}
+"""
