@@ -21,11 +21,14 @@ from tiltcal.files.declaration import (
     Section,
     entries_of,
 )
+from tiltcal.files.derived_record import DerivedRecord
+from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.journal_header import Header
 from tiltcal.files.pair import PairFile
+from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.positions import TabledRow
 from tiltcal.files.procedure_file import PositionsProcedure
-from tiltcal.files.records import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.rotation import Rotation
 from tiltcal.files.segments import SegmentRow
 from tiltcal.files.twin import DiskSection, TwinFile

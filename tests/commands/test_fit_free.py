@@ -15,7 +15,7 @@ from support import DATA
 from support.command import tiltcal
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.records import PositionRecord
+from tiltcal.files.position_record import PositionRecord
 
 XSENS, MPU = DATA / "xsens_acc.txt", DATA / "mpu9150_imu0.txt"
 

@@ -16,7 +16,7 @@ from tiltcal.bench.operators.json_lines import parsed
 from tiltcal.bench.operators.rig import understood
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.records import PositionSet
+from tiltcal.files.position_record import PositionSet
 
 
 def table(folder: Path, procedure: str, answer: Callable[[Event, int], object]) -> ProgramSession:

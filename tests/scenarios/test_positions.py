@@ -14,9 +14,9 @@ from tiltcal.bench.session_plan import plan_session, single
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
+from tiltcal.files.position_record import PositionSet
 from tiltcal.files.procedure import Position
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.files.records import PositionSet
 
 TWIN = """\
 tiltcal: 1

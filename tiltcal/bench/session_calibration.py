@@ -17,7 +17,7 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, No
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.moments import stamp
-from tiltcal.files.records import VIRTUAL, BenchRecord, FileRecord, Provenance
+from tiltcal.files.provenance_record import VIRTUAL, BenchRecord, FileRecord, Provenance
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ from tiltcal.calibration.unit_gravity import directed, require_no_jig, with_verd
 from tiltcal.core.rounding import round_to
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.position_record import ProcedureRecord
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.records import ProcedureRecord
 
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 

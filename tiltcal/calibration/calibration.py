@@ -20,8 +20,11 @@ from tiltcal.files.calibration import (
     dump_calibration,
     write_calibration,
 )
+from tiltcal.files.derived_record import DerivedRecord
 from tiltcal.files.document import checked_kind, read_document
-from tiltcal.files.records import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.fit_record import FitRecord
+from tiltcal.files.position_record import PositionRecord, ProcedureRecord
+from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
 
 if TYPE_CHECKING:

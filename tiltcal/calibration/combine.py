@@ -20,7 +20,7 @@ from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.core.named_coefficients import values
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, require_same_sensor
-from tiltcal.files.records import NOISE_ALONE
+from tiltcal.files.fit_record import NOISE_ALONE
 
 
 def combine(

@@ -25,7 +25,9 @@ from tiltcal.core.model import Limits
 from tiltcal.core.rounding import significant
 from tiltcal.core.uncertainty_inputs import is_turn, with_turns_scaled
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
-from tiltcal.files.records import NOISE_ALONE, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.fit_record import NOISE_ALONE, FitRecord
+from tiltcal.files.position_record import PositionRecord, ProcedureRecord
+from tiltcal.files.provenance_record import FileRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty
 
 

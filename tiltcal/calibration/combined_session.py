@@ -20,7 +20,7 @@ from tiltcal.core.uncertainty_inputs import UncertaintyInputs, is_turn
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, calibration_of, dump_calibration
 from tiltcal.files.document import checked_kind, parse_document, read_text
-from tiltcal.files.records import NOISE_ALONE
+from tiltcal.files.fit_record import NOISE_ALONE
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.frozen import frozen
 

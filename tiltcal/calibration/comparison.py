@@ -10,7 +10,7 @@ from tiltcal.calibration.verdict import Verdict, judge
 from tiltcal.core.named_coefficients import CoefficientChange
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
-from tiltcal.files.records import NOISE_ALONE
+from tiltcal.files.fit_record import NOISE_ALONE
 from tiltcal.frozen import frozen
 
 _INCOMPLETE = (

@@ -16,18 +16,15 @@ from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
-from tiltcal.files.records import (
-    NOISE_ALONE,
+from tiltcal.files.derived_record import (
     DerivedCoverage,
     DerivedRecord,
     DerivedUncertainty,
-    FitRecord,
     IntrinsicCoverage,
     IntrinsicRecord,
     IntrinsicUncertainty,
-    SuspectPosition,
-    WorstResidual,
 )
+from tiltcal.files.fit_record import NOISE_ALONE, FitRecord, SuspectPosition, WorstResidual
 from tiltcal.files.uncertainty import Covariance, Uncertainty
 
 DIGITS = 4

@@ -26,7 +26,9 @@ from tiltcal.core.named_coefficients import degrees_of_freedom, referred, values
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, require_same_sensor
-from tiltcal.files.records import FitRecord, ProcedureRecord, Provenance
+from tiltcal.files.fit_record import FitRecord
+from tiltcal.files.position_record import ProcedureRecord
+from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertainty_inputs
 
 

@@ -21,8 +21,8 @@ from tiltcal.core.rounding import significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.position_record import PositionSet, ProcedureRecord
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.records import PositionSet, ProcedureRecord
 
 OF_BASE = "of the base calibration"
 """What a sensitivity is that stands in from the sensor's own calibration."""

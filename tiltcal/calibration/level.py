@@ -35,8 +35,9 @@ from tiltcal.core.uncertainty_budget import Budget, Part
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.fit_record import NOISE_ALONE, LevelFit
+from tiltcal.files.position_record import CompletingRun
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.records import NOISE_ALONE, CompletingRun, LevelFit
 from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
 from tiltcal.frozen import frozen
 

@@ -13,7 +13,7 @@ from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model, Population
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.records import PositionRecord
+from tiltcal.files.position_record import PositionRecord
 from tiltcal.frozen import frozen
 from tiltcal.stated_numbers import is_number
 

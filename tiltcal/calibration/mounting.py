@@ -27,7 +27,8 @@ from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, with_turns_
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.records import CompletingRun, MountingFit
+from tiltcal.files.fit_record import MountingFit
+from tiltcal.files.position_record import CompletingRun
 from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
 
 

@@ -11,7 +11,7 @@ from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed
 from tiltcal.files.pair import PairRecord, dump_pair, write_pair
-from tiltcal.files.records import PairProvenance
+from tiltcal.files.provenance_record import PairProvenance
 
 HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
 

@@ -10,7 +10,7 @@ import numpy as np
 from tiltcal.core.named_coefficients import values
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.records import FitRecord
+from tiltcal.files.fit_record import FitRecord
 
 INCREDIBLE = 1e-3
 """A chi-square of which so little is the probability is no chance."""

@@ -24,8 +24,8 @@ from tiltcal.core.model import Array, Thermal
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.fit_record import CrossValidation, Hysteresis
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.records import CrossValidation, Hysteresis
 
 ROOM = 25.0
 """Reference temperature where none was measured, °C."""

@@ -10,7 +10,7 @@ import click
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.document import KINDS, checked_kind, read_document
 from tiltcal.files.journal import read_journal
-from tiltcal.files.records import FileRecord
+from tiltcal.files.provenance_record import FileRecord
 
 
 @click.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")

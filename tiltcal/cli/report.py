@@ -14,7 +14,7 @@ from tiltcal.errors import EstimateError, UsageError
 if TYPE_CHECKING:
     from tiltcal.files.calibration import CalibrationRecord
     from tiltcal.files.pair import PairRecord
-    from tiltcal.files.records import FileRecord
+    from tiltcal.files.provenance_record import FileRecord
     from tiltcal.report.log_section import ReportedLog
     from tiltcal.report.pair_page import Spectrum
 
@@ -172,7 +172,7 @@ def _spectrum(log: str, number: int, calibration: PairRecord, skip_bad_rows: boo
 
 
 def _source(name: str) -> FileRecord:
-    from tiltcal.files.records import FileRecord
+    from tiltcal.files.provenance_record import FileRecord
     from tiltcal.logs.streams import sha256_of
 
     return FileRecord(name=Path(name).name, sha256=sha256_of(name))

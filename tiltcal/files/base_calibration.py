@@ -11,7 +11,7 @@ from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, calibra
 from tiltcal.files.declaration import Section, Text, entry
 from tiltcal.files.document import checked_kind, parse_document, read_text
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.records import FileRecord
+from tiltcal.files.provenance_record import FileRecord
 from tiltcal.frozen import frozen
 
 

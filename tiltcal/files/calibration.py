@@ -29,10 +29,13 @@ from tiltcal.files.declaration import (
     Text,
     entry,
 )
+from tiltcal.files.derived_record import DerivedRecord
 from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.emitter import yaml_text
+from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.node import Node
-from tiltcal.files.records import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.position_record import PositionRecord, ProcedureRecord
+from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import UNCERTAINTY, Uncertainty, known_coefficients
 from tiltcal.frozen import frozen
 

@@ -14,6 +14,9 @@ from tiltcal.files.node import Node
 from tiltcal.frozen import frozen
 
 ORDER_LIMIT = 6
+CHANNELS = ByChannel(Number())
+"""A number for some channels of a sensor."""
+
 ANGLES = ("roll", "pitch", "yaw")
 
 _SINGULAR = 1e-9

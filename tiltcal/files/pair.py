@@ -29,7 +29,7 @@ from tiltcal.files.declaration import (
 from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
-from tiltcal.files.records import PairProvenance
+from tiltcal.files.provenance_record import PairProvenance
 from tiltcal.frozen import frozen
 
 _DIGITS = 4

@@ -26,7 +26,7 @@ from tiltcal.files.node import require_name
 from tiltcal.files.positions import read_positions
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.files.records import FileRecord, LogRecord, Provenance, SegmentsRecord
+from tiltcal.files.provenance_record import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.segments import Segment, read_segments
 from tiltcal.logs.columns import named_columns
 from tiltcal.logs.frames import FrameReader, rows_of

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from tiltcal.calibration.summary import INCREDIBLE, objections
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.records import FitRecord, LevelFit, MountingFit, PositionRecord, PositionSet
+from tiltcal.files.fit_record import FitRecord, LevelFit, MountingFit
+from tiltcal.files.position_record import PositionRecord, PositionSet
 from tiltcal.report.number_format import AlignedNumber, at_place, column, measured, plain, signed
 
 

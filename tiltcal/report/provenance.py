@@ -8,7 +8,8 @@ from typing import Any
 
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.declaration import Section
-from tiltcal.files.records import CompletingRun, FileRecord, PairProvenance, Provenance
+from tiltcal.files.position_record import CompletingRun
+from tiltcal.files.provenance_record import FileRecord, PairProvenance, Provenance
 
 _VIRTUAL = "virtual"
 """The mark of a file that was made without a real sensor."""

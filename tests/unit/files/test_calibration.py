@@ -23,7 +23,9 @@ from tiltcal.files.calibration import (
     write_calibration,
 )
 from tiltcal.files.document import parse_document
-from tiltcal.files.records import FitRecord, PositionRecord, Provenance, WorstResidual
+from tiltcal.files.fit_record import FitRecord, WorstResidual
+from tiltcal.files.position_record import PositionRecord
+from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
 
 EXAMPLE = """\

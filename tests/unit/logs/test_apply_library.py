@@ -16,7 +16,7 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import Array, Thermal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
-from tiltcal.files.records import Provenance
+from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
 
 LEVEL = read_calibration(FIXTURES / "zero-45.yaml")

@@ -17,16 +17,9 @@ from support import FIXTURES
 from support.html_page import Page
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.records import (
-    FileRecord,
-    FitRecord,
-    PositionRecord,
-    PositionSet,
-    ProcedureRecord,
-    Provenance,
-    SegmentsRecord,
-    SuspectPosition,
-)
+from tiltcal.files.fit_record import FitRecord, SuspectPosition
+from tiltcal.files.position_record import PositionRecord, PositionSet, ProcedureRecord
+from tiltcal.files.provenance_record import FileRecord, Provenance, SegmentsRecord
 from tiltcal.report.tilt_page import tilt_page
 
 SOURCE = FileRecord(name="S.yaml", sha256="0" * 64)
