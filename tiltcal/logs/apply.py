@@ -119,6 +119,11 @@ def apply_log(
         A file cannot be opened or written, or the log has a column of a name that the result needs.
     InputError
         The calibration or the log is wrong, or a column is not there; the message names file and line.
+
+    Notes
+    -----
+    A damaged Parquet or NetCDF file can end the process in its library: leave files of doubtful origin to ``tiltcal
+    apply``, which reads them in a child process.
     """
     require_way(log, output)
     options = ApplyOptions(

@@ -113,6 +113,11 @@ def open_log(
         The file is not what its name says, is empty or damaged.
     UsageError
         The file cannot be opened, or the library that its format takes is not there.
+
+    Notes
+    -----
+    A damaged Parquet or NetCDF file can end the process in its library, or keep it there. The command line reads them
+    in a child process (:mod:`tiltcal.cli.child_process`); here nothing guards the caller.
     """
     if not isinstance(log, str | Path):
         from tiltcal.logs.frames import FrameReader
