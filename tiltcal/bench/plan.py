@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +138,16 @@ def plan(
     require_in_range(steps, model)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
-    return predict(
-        *(steps, model), jig=jig, thermometer=thermometer, table_lean=table_lean, noise=noise, samples=samples, base=own
+    known = partial(
+        predict, jig=jig, thermometer=thermometer, table_lean=table_lean, noise=noise, samples=samples, base=own
     )
+    found = known(steps, model)
+    if steps.closes or steps.determines.free or steps.ramp is not None or len(steps.positions) < 2:
+        return found
+    dof = known(steps.with_closing(), model).prediction.dof
+    first, count = steps.positions[0], samples or steps.samples
+    soaked = "" if first.temperature is None else f", a soak at {first.temperature:g} °C"
+    costs = (
+        f"--closing takes {first.name} again at the end{soaked} and {count} samples more; it leaves {dof} degrees of"
+    )
+    return replace(found, closing=f"{costs} freedom, which show what has changed meanwhile")

@@ -41,12 +41,15 @@ class PredictedUncertainty:
     ----------
     noise : float
         Standard deviation of one sample that was counted with, unit.
+    closing : str
+        What a closing visit to the first position takes and brings; empty where there is one.
     """
 
     design: Design
     prediction: Prediction
     noise: float
     unit: str
+    closing: str = ""
 
     @property
     def uncertainty(self) -> dict[str, float]:
@@ -62,6 +65,7 @@ class PredictedUncertainty:
             "degrees_of_freedom": self.prediction.dof,
             "correlations": [list(pair) for pair in self.prediction.correlations],
             "worth_adding": [list(one) for one in self.prediction.worth_adding],
+            "closing": self.closing or None,
         }
 
     def __str__(self) -> str:
@@ -82,6 +86,8 @@ class PredictedUncertainty:
             yield f"  {first} and {second} are hardly separated (correlation {correlation:+.2f})"
         for name, coefficient, share in prediction.worth_adding[:SHOWN]:
             yield f"  adding {name} would bring {coefficient} to {100 * share:.0f} % of its uncertainty"
+        if self.closing:
+            yield f"  {self.closing}"
 
 
 @frozen
