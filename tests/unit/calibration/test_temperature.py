@@ -51,12 +51,12 @@ def sweep(drift: tuple[float, ...], seed: int, loop: float = 0.0) -> tuple[Proce
     ids=["a line", "a parabola", "a cubic"],
 )
 def test_the_order_is_the_parts_own(drift: tuple[float, ...], order: int) -> None:
-    """Over eight noisy sweeps, nearly always."""
+    """Over six noisy sweeps, nearly always."""
     chosen = []
-    for seed in range(8):
+    for seed in range(6):
         procedure, measured = sweep(drift, seed)
         chosen.append(choose_order([MeasuredSensor(SENSOR, measured, NOMINAL)], procedure, BenchUncertainty()).order)
-    assert chosen.count(order) >= 7
+    assert chosen.count(order) >= 5
     assert min(chosen) >= order, "an order that is too low leaves the curve"
 
 

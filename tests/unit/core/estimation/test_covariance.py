@@ -148,12 +148,12 @@ class TestChiSquare:
 @pytest.mark.parametrize(
     ("plan", "sensors", "stated", "sessions"),
     [
-        (plan_of(6, noise=1e-4, jig=0.5), 1, True, 100),
-        (plan_of(6, noise=1e-4, jig=0.5), 1, False, 100),
-        (plan_of(6, noise=1e-4, jig=0.0), 1, False, 100),
+        (plan_of(6, noise=1e-4, jig=0.5), 1, True, 70),
+        (plan_of(6, noise=1e-4, jig=0.5), 1, False, 70),
+        (plan_of(6, noise=1e-4, jig=0.0), 1, False, 70),
         (plan_of(12, noise=1e-4, jig=0.02), 6, True, 20),
-        (two_temperatures(1e-4, 0.5), 1, True, 80),
-        (sweep(1e-4, 0.02), 1, True, 80),
+        (two_temperatures(1e-4, 0.5), 1, True, 60),
+        (sweep(1e-4, 0.02), 1, True, 60),
     ],
     ids=["stated", "not stated", "perfect, not stated", "six sensors", "two temperatures", "sweep"],
 )

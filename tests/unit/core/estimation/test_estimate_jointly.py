@@ -196,7 +196,7 @@ class TestTable:
 
     def test_a_bench_far_worse_than_it_was_stated_to_be_gives_a_result_and_a_verdict(self) -> None:
         """0.3° where the jig was stated to be perfect: the way to the minimum is long, and chi-square says why."""
-        _, sessions = self.reversals(0.3, 60)
+        _, sessions = self.reversals(0.3, 20)
         assert max(estimate(one, self.design(0.0)).p for one in sessions) < 1e-6
 
     def test_what_is_assumed_of_a_sensitivity_is_hardly_corrected(self) -> None:
@@ -209,7 +209,7 @@ class TestTable:
 
     def test_the_residuals_of_a_reversal_say_how_good_its_jig_was(self) -> None:
         """Where it is not stated: the offsets are in 95 % of the intervals, which are not much wider than needed."""
-        offset, sessions = self.reversals(0.05, 120)
+        offset, sessions = self.reversals(0.05, 80)
         found = [estimate(one, self.design(None)) for one in sessions]
         own = [0, 3]
         errors = np.array([one.coefficients.offset - offset for one in found])
