@@ -146,8 +146,6 @@ def plan(
         return found
     dof = known(steps.with_closing(), model).prediction.dof
     first, count = steps.positions[0], samples or steps.samples
-    soaked = "" if first.temperature is None else f", a soak at {first.temperature:g} °C"
-    costs = (
-        f"--closing takes {first.name} again at the end{soaked} and {count} samples more; it leaves {dof} degrees of"
-    )
-    return replace(found, closing=f"{costs} freedom, which show what has changed meanwhile")
+    soaked = "" if first.temperature is None else f"a soak at {first.temperature:g} °C and "
+    costs = f"--closing takes {first.name} again at the end ({soaked}{count} samples)"
+    return replace(found, closing=f"{costs}, and leaves {dof} degrees of freedom, which show what has changed")

@@ -264,7 +264,7 @@ def test_a_closing_visit_is_planned_once_and_replays() -> None:
     assert len(steps.positions) == 5
     assert steps.with_closing() == steps
     costs = plan("plane", sensor="sca100t-d02", jig=0.1, samples=40)
-    assert "--closing takes x-tilt1 again at the end and 40 samples more; it leaves 4 degrees" in str(costs)
+    assert "--closing takes x-tilt1 again at the end (40 samples), and leaves 4 degrees" in str(costs)
     assert "--closing" not in str(plan("plane", sensor="sca100t-d02", jig=0.1, closing=True))
     assert plan("plane", sensor="sca100t-d02", jig=0.1, closing=True).prediction.dof == 4  # type: ignore[union-attr]
     with pytest.raises(UsageError, match="sets no position that could be visited again"):
