@@ -194,6 +194,13 @@ def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
 
 
 def require_name(address: Address, name: str) -> None:
+    """Refuse a column whose name is none, or is nearly ``temperature``.
+
+    Raises
+    ------
+    UsageError
+        With the address.
+    """
     if name != "-" and not _NAME.fullmatch(name):
         address.refuse(f"column {name!r} is neither a name of letters and digits nor - (for one that is skipped)")
     if name != TEMPERATURE and get_close_matches(name.lower(), [TEMPERATURE], cutoff=0.8):

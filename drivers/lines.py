@@ -105,7 +105,7 @@ class LineBuffer:
             endless = self._rest
             self._restart()
             raise BusError(
-                f"{len(endless)} bytes came without a line end, beginning with {shown(endless)}: is the baudrate "
+                f"{len(endless)} bytes came without a line end, beginning with {shown(endless)}: is the baud rate "
                 "right, and does the device send text?"
             )
 

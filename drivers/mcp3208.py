@@ -16,6 +16,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+from tiltcal.drivers.bus.link import require_length
 from tiltcal.drivers.converter import FrontEnd
 from tiltcal.drivers.device import SpiPort, from_twin
 from tiltcal.errors import BusError
@@ -60,11 +61,7 @@ class Mcp3208:
             The transaction failed, or every bit of the answer is the same.
         """
         command = command_frame(number)
-        answer = self._link.exchange(command)
-        if len(answer) != len(command):
-            raise BusError(
-                f"a frame of {len(command)} bytes was answered with {len(answer)}: the SPI adapter is at fault"
-            )
+        answer = require_length(self._link.exchange(command), len(command), "frame")
         _check_data_line(number, answer)
         return decode_code(answer) * self._reference / CODES
 

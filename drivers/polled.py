@@ -21,7 +21,7 @@ Settings = Sequence[tuple[int, int]]
 
 
 class PolledSensor(ABC):
-    """The common part of their drivers.
+    """Base of the drivers of parts that signal a new sample in a status register.
 
     The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
     set up, so a reset shows as samples that do not come.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING, TypeVar
 
+from tiltcal.drivers.bus.link import require_length
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
@@ -47,8 +48,8 @@ class RegisterPort:
             The transaction failed.
         """
         if self.link.letter == "i":
-            return _whole(self.link.exchange(bytes([self.pointer(first)]), count), count)
-        return _whole(self.link.exchange(bytes([self.read_command(first), *bytes(count)])), 1 + count)[1:]
+            return require_length(self.link.exchange(bytes([self.pointer(first)]), count), count)
+        return require_length(self.link.exchange(bytes([self.read_command(first), *bytes(count)])), 1 + count)[1:]
 
     def write(self, register: int, value: int) -> None:
         """Set one register.
@@ -60,12 +61,6 @@ class RegisterPort:
         """
         command = self.pointer if self.link.letter == "i" else self.write_command
         self.link.exchange(bytes([command(register), value]))
-
-
-def _whole(answer: bytes, length: int) -> bytes:
-    if len(answer) != length:
-        raise BusError(f"a transaction of {length} bytes was answered with {len(answer)}: the adapter is at fault")
-    return answer
 
 
 def check_data_line(answers: bytes) -> None:

@@ -17,9 +17,10 @@ from dataclasses import dataclass
 from math import radians, sin, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
+from tiltcal.drivers.bus.link import require_length
 from tiltcal.drivers.device import Model, Population, Reading, SpiPort, from_twin
 from tiltcal.drivers.registers import check_data_line
-from tiltcal.errors import BusError, DeviceFault, UsageError
+from tiltcal.errors import DeviceFault, UsageError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -149,7 +150,7 @@ class Inclinometer:
         answers = []
         for frame in (*((command, 0, 0) for command in self.COMMANDS.values()), (RWTR, 0)):
             self._clock.sleep(self.REFRESH)
-            answers.append(_whole(self._link.exchange(bytes(frame)), len(frame)))
+            answers.append(require_length(self._link.exchange(bytes(frame)), len(frame), "frame"))
         check_data_line(b"".join(answers))
         words = {
             channel: self._checked(channel, answer) for channel, answer in zip(self.COMMANDS, answers, strict=False)
@@ -169,18 +170,11 @@ class Inclinometer:
     def _fresh(self, *frame: int) -> bytes:
         """Exchange a frame that reads a register, after the reload time of the register."""
         self._clock.sleep(self.REFRESH)
-        return _whole(self._link.exchange(bytes(frame)), len(frame))
+        return require_length(self._link.exchange(bytes(frame)), len(frame), "frame")
 
     def _command(self, command: int) -> None:
         self._clock.sleep(self.RECOVERY)
         self._link.exchange(bytes([command]))
-
-
-def _whole(answer: bytes, size: int) -> bytes:
-    """Return an answer that is as long as its frame."""
-    if len(answer) != size:
-        raise BusError(f"a frame of {size} bytes was answered with {len(answer)}: the SPI adapter is at fault")
-    return answer
 
 
 class Sca100t(Inclinometer):

@@ -19,6 +19,7 @@ from functools import partial
 from math import sqrt
 from typing import TYPE_CHECKING
 
+from tiltcal.drivers.bus.link import require_length
 from tiltcal.drivers.device import Model, Reading, SpiPort, from_twin, in_words
 from tiltcal.drivers.registers import check_data_line, choose_range, in_counts
 from tiltcal.drivers.scl3300_frames import (
@@ -331,10 +332,7 @@ class Scl3300:
 
     def _exchange(self, frame: bytes) -> bytes:
         self._clock.sleep(GAP)
-        answer = self._link.exchange(frame)
-        if len(answer) != len(frame):
-            raise BusError(f"a frame of 4 bytes was answered with {len(answer)}: the SPI adapter is at fault")
-        return answer
+        return require_length(self._link.exchange(frame), len(frame), "frame")
 
 
 _SCL3300 = Scl3300Part(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+from tiltcal.errors import BusError
+
 
 class Link(Protocol):
     """One opened connection to one device.
@@ -55,3 +57,16 @@ class Recalling(Protocol):
     def recall(self, out: bytes, now_ns: int) -> None:
         """Take what was sent at an earlier session time, in nanoseconds, without an answer."""
         ...
+
+
+def require_length(answer: bytes, length: int, what: str = "transaction") -> bytes:
+    """Return an answer that is as long as its transaction.
+
+    Raises
+    ------
+    BusError
+        It is shorter or longer.
+    """
+    if len(answer) != length:
+        raise BusError(f"a {what} of {length} bytes was answered with {len(answer)}: the adapter is at fault")
+    return answer

@@ -158,7 +158,10 @@ def measure(
         outputs, beside = _outputs(steps, sensors, bench, None if output is None else Path(output))
         path = Path(resume or journal or free_journal(beside, remark))
         plan = plan_session(
-            *(steps, sensors, outputs, path),
+            steps,
+            sensors,
+            outputs,
+            path,
             operator=operator if isinstance(operator, str) else "json",
             samples=samples,
             settle=settle,

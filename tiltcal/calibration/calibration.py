@@ -202,7 +202,8 @@ class Calibration:
         from tiltcal.logs.apply import apply_frame
 
         return apply_frame(
-            *(self, frame),
+            self,
+            frame,
             columns=columns,
             uncertainty=uncertainty,
             first_order=first_order,

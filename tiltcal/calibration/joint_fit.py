@@ -38,9 +38,6 @@ def fit_jointly(
 ) -> list[CalibrationRecord]:
     """Calibrate all sensors of a fixture together, by the positions of a procedure with its order of the drift.
 
-    Parameters
-    ----------
-
     Returns
     -------
     list of CalibrationRecord

@@ -211,9 +211,8 @@ def predict(
         procedure = along_ramp(procedure)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
     warmth = model.thermometer_rounding if thermometer is None else thermometer
-    design = design_of(
-        *(identity, procedure, BenchUncertainty(jig, warmth, table_lean)), nominal=Nominal.of(model), base=base
-    )
+    bench = BenchUncertainty(jig, warmth, table_lean)
+    design = design_of(identity, procedure, bench, nominal=Nominal.of(model), base=base)
     scatter = _usual_noise(model) if noise is None else noise
     count = samples or procedure.samples
     # A steady reading that is rounded keeps an error that no averaging removes.

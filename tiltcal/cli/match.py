@@ -87,7 +87,8 @@ def command(
         check_writable(path)
     with progress_bar("match") as progress:
         found = match_log(
-            *(log, wanted),
+            log,
+            wanted,
             phase=phase,
             online=online,
             loops=loops,

@@ -119,7 +119,9 @@ def command(
             log, rate, called = str(path), None, str(output or "the record")
         progress = stack.enter_context(progress_bar("noise"))
         found = characterise_readings(
-            *(log, facts, wanted),
+            log,
+            facts,
+            wanted,
             rate=rate,
             columns=columns,
             averages=sizes,

@@ -93,7 +93,10 @@ def capture(
         rows_log = CsvRecorder(log, header(sensor_set.sensors, thermometer=thermometer is not None))
         try:
             for tally in record(
-                *(sensor_set, rows_log, clock, started),
+                sensor_set,
+                rows_log,
+                clock,
+                started,
                 thermometer=thermometer is not None,
                 interval=interval,
                 rows=wanted,

@@ -88,7 +88,9 @@ def noise(
     wanted = NoiseTarget(target, target_range)
     facts.require_scale(wanted)
     return characterise_readings(
-        *(readings, facts, wanted),
+        readings,
+        facts,
+        wanted,
         rate=rate,
         columns=columns,
         averages=averages,

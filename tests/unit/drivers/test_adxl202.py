@@ -165,7 +165,7 @@ def test_missing_sentences(before: int, now: int, lost: int) -> None:
 def test_a_device_that_says_something_else_is_named() -> None:
     with pytest.raises(BusError, match=r"50 lines .* the last was 'hello'.*baud rate"):
         sentences(b"hello\r\n" * 60).read()
-    with pytest.raises(BusError, match=r"without a line end.*baudrate"):
+    with pytest.raises(BusError, match=r"without a line end.*baud rate"):
         sentences(b"\xf0" * 2000).read()
 
 
