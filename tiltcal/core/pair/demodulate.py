@@ -7,12 +7,16 @@ Every channel is fitted by the harmonics of the stage angle, an offset and a lin
 Of the rows only the products of these columns are kept, block of turns by block of turns: ten hours of a record take no
 more memory than a minute, and the scatter between the blocks shows how much noise there is at the turning itself, which
 may be more than the white noise between the harmonics.
+
+Where the noise does not reach half a step of the readings, rounding is the same error in each turn, which no scatter
+between turns shows. Its share at the turning is that of as many independent roundings as a turn has: one for each place
+that is sampled, and no more than the sine wave passes steps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from math import pi
@@ -21,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
+from tiltcal.core.quantisation import resolution, rounding_left
 from tiltcal.errors import EstimateError
 
 HARMONICS = 4
@@ -31,6 +36,10 @@ _WHITE = 4
 _SURPRISE = 0.005
 """How unlikely the scatter of coarse blocks must be, for what finer ones say, before it counts."""
 _SINGULAR = 1e-9
+_PLACES = 1e5
+"""Places of a turn that count as different."""
+_WHOLE = 0.01
+"""By how many steps rounded readings are off a whole number of them, at most."""
 _DRIFT_UNIT = 1e6
 """Rows; keeps the drift's column near the size of the others."""
 
@@ -77,6 +86,7 @@ class Demodulator:
         self._size = 1.0
         self._blocks: dict[int, Array] = {}
         self._pilot: Array | None = None
+        self._step, self._places = 0.0, 1
         self._row = 0
 
     def add(self, angle: Array, readings: Array, row: NDArray[np.int64] | None = None) -> None:
@@ -99,6 +109,7 @@ class Demodulator:
         if self._pilot is None:
             # A large offset would take the digits that the noise needs in the sums of squares.
             self._pilot = readings.mean(axis=0)
+            self._step, self._places = _rounded_to(readings), len(np.unique(np.round(angle % 1.0 * _PLACES)))
         columns = harmonic_columns(angle, self._harmonics)
         table = np.concatenate([columns, row[None, :] / _DRIFT_UNIT, (readings - self._pilot).T])
         block = np.maximum.accumulate(np.floor(angle / self._size).astype(np.int64))
@@ -151,7 +162,16 @@ class Demodulator:
         if not self._blocks:
             raise EstimateError("no row of the record has an angle and all readings")
         blocks = np.stack([self._blocks[number] for number in sorted(self._blocks)])
-        return regress(blocks, self._channels, self._harmonics)
+        found = regress(blocks, self._channels, self._harmonics)
+        return replace(found, rounding=self._rounding(found)) if self._step else found
+
+    def _rounding(self, found: Demodulation) -> Array:
+        """Return the variance that rounding leaves in a component of each channel, unit²."""
+        deviations = np.sqrt(np.maximum(np.diag(found.residual), 0.0))
+        passed = 4.0 * np.hypot(*found.coefficients[:2]) / self._step
+        left = np.array([rounding_left(one, self._step) for one in deviations.tolist()])
+        # A sine wave passes each step up and down: of places that mirror each other two share one rounding.
+        return np.asarray(3.0 * left**2 / np.clip(passed, 1.0, self._places))
 
 
 @dataclass(frozen=True)
@@ -170,6 +190,8 @@ class Demodulation:
         Products of sin θ and cos θ with what is left, per block of turns.
     weights : ndarray, shape (blocks, 2, 2)
         Products of sin θ and cos θ with each other, per block of turns.
+    rounding : ndarray, shape (channels,)
+        Variance of each component from the rounding of the readings, which all turns share, unit².
     """
 
     channels: tuple[str, ...]
@@ -179,6 +201,7 @@ class Demodulation:
     inverse: Array
     scores: Array
     weights: Array
+    rounding: Array
 
     def mix(self, weights: dict[str, float]) -> Array:
         """Weights by name as a row for all channels, shape (channels,)."""
@@ -191,11 +214,12 @@ class Demodulation:
     def covariance(self, mix: Array) -> Array:
         """Covariance of :meth:`components`, shape (2, 2), unit².
 
-        That of noise with the density that the blocks of turns scatter by, which is its density around the turning.
+        That of noise with the density that the blocks of turns scatter by, which is its density around the turning,
+        and that of rounding.
         """
         # A record without noise leaves less than the rounding of its sums, which may be negative.
         variance = max(float(mix @ self.residual @ mix), 0.0)
-        return np.asarray(variance * self.colour(mix) * self.inverse[:2, :2])
+        return np.asarray(variance * self.colour(mix) * self.inverse[:2, :2] + mix**2 @ self.rounding * np.eye(2))
 
     def colour(self, mix: Array) -> float:
         """Noise power at the turning over that of all frequencies, as a standard uncertainty needs it.
@@ -260,8 +284,17 @@ def regress(blocks: Array, channels: Sequence[str], harmonics: int) -> Demodulat
     with_readings = blocks[:, :2, columns:]
     scores = with_readings - blocks[:, :2][:, :, kept] @ coefficients
     return Demodulation(
-        tuple(channels), rows, coefficients, residual, inverse, *_whole_turns(scores, blocks[:, :2, :2])
+        *(tuple(channels), rows, coefficients, residual, inverse),
+        *_whole_turns(scores, blocks[:, :2, :2]),
+        np.zeros(len(channels)),
     )
+
+
+def _rounded_to(readings: Array) -> float:
+    """Return the step that all readings are whole numbers of, apart from an offset; 0 where they are not rounded."""
+    step = resolution(readings.T)
+    steps = (readings - readings[0]) / (step or 1.0)
+    return step if np.max(np.abs(steps - np.round(steps))) < _WHOLE else 0.0
 
 
 def _brought(its: Demodulation, mine: Demodulation, harmonics: int) -> Array:
