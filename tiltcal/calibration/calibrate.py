@@ -25,6 +25,10 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.position_record import ProcedureRecord
 from tiltcal.files.procedure import Procedure
 
+UNSTATED_NOISE = (
+    "the table states no uncertainties of its means (ux, uy, uz): they count as known to its last digit, and noise in "
+    "them is in no uncertainty"
+)
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
 
@@ -133,7 +137,8 @@ def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement
             "says how good the result is; add either"
         )
     kept = (replace(one, std=None, u=one.u if stated else None) for one in calibration.positions)
-    return replace(calibration, positions=tuple(kept))
+    fit = calibration.fit if stated else replace(calibration.fit, notes=(*calibration.fit.notes, UNSTATED_NOISE))
+    return replace(calibration, positions=tuple(kept), fit=fit)
 
 
 def _of_local_gravity(calibration: CalibrationRecord, gravity: float) -> CalibrationRecord:

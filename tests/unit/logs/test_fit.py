@@ -120,4 +120,5 @@ def test_intervals_hold_what_a_rounded_table_hides(jig: float | None) -> None:
         for k, channel in enumerate("xyz"):
             reach = found.uncertainty.coverage_factor.get(f"offset.{channel}", 1.96)
             held.append(abs(found.offset[channel] - offset[k]) <= reach * found.uncertainty[f"offset.{channel}"])
+    assert any("the table states no uncertainties" in note for note in found.fit.notes)
     assert 0.87 < np.mean(held) <= 1.0  # 75 offsets, 0.95 expected; without the rounding none holds
