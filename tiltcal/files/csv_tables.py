@@ -71,6 +71,9 @@ def _csv_rows(text: str, file: str, required: Sequence[str], optional: Sequence[
 def _check_header(header: list[str], file: str, required: Sequence[str], optional: Sequence[str]) -> None:
     if not header:
         raise InputError("the file is empty", file=file)
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+        why = f"the header {header[0]!r} is a single column: separate the columns with commas"
+        raise InputError(why, file=file, line=1)
     twice = [name for name in header if header.count(name) > 1]
     if twice:
         raise InputError(f"the column {twice[0]!r} is there twice", file=file, line=1)

@@ -40,6 +40,7 @@ def test_json(tmp_path: Path) -> None:
     [
         ("", None, "empty"),
         ("position,x,y\n", None, "no position"),
+        ("position;x;y\nup;1;2\n", 1, "is a single column: separate the columns with commas"),
         ("position,x\nup,1\n", 1, "'y' is missing"),
         ("position,x,y,temp\nup,1,2,3\n", 1, "unknown key 'temp'"),
         ("position,x,y\nup,1,two\n", 2, "found the text 'two'"),
