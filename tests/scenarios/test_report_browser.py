@@ -59,3 +59,24 @@ def test_a_page_that_fetches_and_complains_would_be_seen(tmp_path: Path) -> None
     _, console, net = printed(page, tmp_path)
     assert len(console) == 1
     assert "[internally: file://]" in net
+
+
+MEASURE = """<script>
+const wide = [...document.querySelectorAll("table")].filter(
+  (table) => table.getBoundingClientRect().right > document.querySelector("main").getBoundingClientRect().right + 1);
+document.title = `${document.querySelectorAll("table").length} tables, ${wide.length} too wide`;
+</script>"""
+
+
+@pytest.mark.parametrize("name", ["rotation", "temperature-sweep"])
+def test_no_table_is_wider_than_the_page(name: str, tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    assert run(["report", str(FIXTURES / f"{name}.yaml"), "-o", str(page)]) == 0
+    text = re.sub("<meta http-equiv=.Content-Security-Policy.[^>]*>", "", page.read_text(encoding="utf-8"))
+    page.write_text(text + MEASURE, encoding="utf-8")
+    options = [*QUIET, f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1200,900", "--dump-dom"]
+    done = subprocess.run(
+        [str(CHROMIUM), *options, page.as_uri()], capture_output=True, text=True, timeout=60, check=False
+    )
+    (title,) = re.findall("<title>(.*?)</title>", done.stdout)
+    assert re.fullmatch(r"\d+ tables, 0 too wide", title)
