@@ -12,7 +12,7 @@ import pytest
 from tiltcal.bench.measure import measure
 from tiltcal.bench.plan import plan
 from tiltcal.cli.main import group
-from tiltcal.cli.options import wrapped
+from tiltcal.cli.options import FiniteRange, wrapped
 from tiltcal.logs.fit import fit
 from tiltcal.logs.prepared_calibration import ApplyOptions
 
@@ -44,3 +44,19 @@ def test_remarks_break_between_words_at_the_width_of_the_terminal(monkeypatch: p
         "    (--table-lean), or measure again",
         "  a line that fits stays  as it is",
     ]
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_no_option_takes_what_is_no_finite_number(value: str) -> None:
+    """Click takes nan for a number in any range; ``record --rate nan`` ended in a traceback."""
+    with pytest.raises(click.BadParameter, match="no finite number"):
+        FiniteRange(0.0).convert(value, None, None)
+    every = {name: group.get_command(click.Context(group), name) for name in group.list_commands(click.Context(group))}
+    loose = [
+        (name, one.name)
+        for name, command in every.items()
+        if command is not None
+        for one in command.params
+        if type(one.type) is click.FloatRange and one.type.max is None
+    ]
+    assert loose == []

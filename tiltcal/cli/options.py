@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +23,24 @@ BASE = (
 )
 
 
+class FiniteRange(click.FloatRange):
+    """A number within a range; neither NaN, which is within every range, nor infinity."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        found = super().convert(value, param, ctx)
+        if not isfinite(found):
+            self.fail(f"{value} is no finite number.", param, ctx)
+        return found
+
+
 def at_least_zero(*names: str, metavar: str | None = None, help: str) -> Option:
     """Return an option that takes a number from 0."""
-    return click.option(*names, type=click.FloatRange(0.0), metavar=metavar, help=help)
+    return click.option(*names, type=FiniteRange(0.0), metavar=metavar, help=help)
 
 
 def above_zero(*names: str, metavar: str | None = None, help: str) -> Option:
     """Return an option that takes a number above 0."""
-    return click.option(*names, type=click.FloatRange(0.0, min_open=True), metavar=metavar, help=help)
+    return click.option(*names, type=FiniteRange(0.0, min_open=True), metavar=metavar, help=help)
 
 
 def file_option(*names: str, metavar: str | None = None, help: str, required: bool = False) -> Option:

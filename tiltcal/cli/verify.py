@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--limit",
-    type=click.FloatRange(0.0, min_open=True),
+    type=options.FiniteRange(0.0, min_open=True),
     default=0.5,
     show_default=True,
     metavar="DEGREES",
