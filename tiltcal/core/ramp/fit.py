@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.core.ramp.loops import Loops, error_of_hysteresis, loops
-from tiltcal.core.ramp.means import BLOCKS, SMOOTHING, FittedMeans
+from tiltcal.core.ramp.means import BLOCKS, FIT_SMOOTHING, FittedMeans
 from tiltcal.core.ramp.noise import noise_covariance
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
 from tiltcal.core.thermal_lag import ThermalLag
@@ -31,8 +31,8 @@ from tiltcal.errors import EstimateError
 LEG_LAGS = 4.0
 """A leg must last so many lags: else the element does not follow."""
 
-UNTOLD = 0.1
-"""A lag that is known no better than the time in which the temperature crosses this part of its range is not told."""
+LAG_RESOLUTION = 0.1
+"""A lag has to be known better than the time in which the temperature crosses this part of its range."""
 
 RESOLVED = 2.0
 """Standard uncertainties that a lag is away from 0 where it is used."""
@@ -110,6 +110,19 @@ class RampFit:
 
 
 @dataclass(frozen=True)
+class _CrossValidated:
+    """The order that predicts left-out legs best, and the mean square errors by order, shape (legs, channels)."""
+
+    order: int
+    errors: Mapping[int, Array]
+
+    @property
+    def error(self) -> Array:
+        """Mean square errors of the best order, shape (legs, channels)."""
+        return self.errors[self.order]
+
+
+@dataclass(frozen=True)
 class _Solution:
     """Polynomials of shape (order + 1, channels) for a lag, and their sum of squares over the scale."""
 
@@ -135,53 +148,70 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     """
     legs = legs_of(record)
     means = FittedMeans(record, legs, reference)
-    longest = max(leg.seconds for leg in legs)
-    grid = np.geomspace(longest / 1000.0, longest / 2.0, _LAGS)
-    lags, none = np.concatenate([-grid[::-1], [0.0], grid]), np.zeros(1)
     scale = _scale(means, highest)
+    lags, no_lag = _trial_lags(legs), np.zeros(1)
+    plain = _cross_validated(means, highest, no_lag, scale)
+    lagged = _cross_validated(means, highest, lags, scale)
     everything = np.ones(len(means), dtype=bool)
-    polynomial, before = _choose_order(means, highest, none, scale)
-    lagged, after = _choose_order(means, highest, lags, scale)
-    found = _solve(means, everything, lagged, lags, scale)
-    told, _, covariance = _estimate(means, found.lag, lagged, with_lag=True)
-    u_told = sqrt(covariance[-1, -1])
-    _require_told(legs, told, u_told)
-    better = np.mean((before[polynomial] - after[lagged]) / scale**2, axis=1) > 0.0
+    solution = _solve(means, everything, lagged.order, lags, scale)
+    found_lag, _, covariance = _estimate(means, solution.lag, lagged.order, with_lag=True)
+    u_lag = sqrt(covariance[-1, -1])
+    _require_lag_resolved(legs, found_lag, u_lag)
     used = (
-        bool(better.all() and np.all(after[lagged] <= (1.0 + WORSE) * before[polynomial]))
-        and abs(told) > RESOLVED * u_told
-        and found.error < error_of_hysteresis(means, lagged, scale)
+        _legs_confirm(lagged, plain, scale)
+        and abs(found_lag) > RESOLVED * u_lag
+        and solution.error < error_of_hysteresis(means, lagged.order, scale)
     )
-    order = lagged if used else polynomial
-    lag, coefficients, covariance = _estimate(means, told if used else 0.0, order, with_lag=used)
+    chosen = lagged if used else plain
+    lag, coefficients, covariance = _estimate(means, found_lag if used else 0.0, chosen.order, with_lag=used)
     if used:
-        covariance = covariance + _of_a_second_lag(record, legs, found, scale, reference)
+        covariance = covariance + _of_a_second_lag(record, legs, solution, scale, reference)
     left = loops(means, lag, coefficients.T)
     if not used and left.variance.any():
-        coefficients, covariance = _midway(means, order)
+        coefficients, covariance = _midway(means, chosen.order)
         left = loops(means, lag, coefficients.T)
-    plain = _solve(means, everything, lagged, none, scale)
-    explained = loops(means, 0.0, plain.coefficients).explained_by(loops(means, found.lag, found.coefficients))
-    spread = np.diag(covariance)[:-1].reshape(coefficients.shape)[:, 0]
-    errors = after if used else before
+    without = _solve(means, everything, lagged.order, no_lag, scale)
+    explained = loops(means, 0.0, without.coefficients).explained_by(loops(means, solution.lag, solution.coefficients))
     return RampFit(
         reference,
         coefficients,
         lag,
         covariance,
-        lag if used else told,
-        sqrt(covariance[-1, -1]) if used else u_told,
+        lag if used else found_lag,
+        sqrt(covariance[-1, -1]) if used else u_lag,
         explained,
         left,
-        # The ways of two legs alone differ by what wanders too, which is in the variance already.
-        left.variance if left.repeated else np.maximum(left.variance - spread, 0.0),
+        _loop_variance(left, covariance, coefficients.shape),
         tuple(
-            HeldOutLeg(leg, np.sqrt(b), np.sqrt(a))
-            for leg, b, a in zip(legs, before[polynomial], after[lagged], strict=True)
+            HeldOutLeg(leg, np.sqrt(b), np.sqrt(a)) for leg, b, a in zip(legs, plain.error, lagged.error, strict=True)
         ),
-        {order: float(np.mean(error / scale**2)) for order, error in errors.items()},
+        {order: float(np.mean(error / scale**2)) for order, error in chosen.errors.items()},
         means,
     )
+
+
+def _trial_lags(legs: list[Leg]) -> Array:
+    """Return the lags that are tried first, of both signs, from a thousandth to half of the longest leg, s."""
+    longest = max(leg.seconds for leg in legs)
+    grid = np.geomspace(longest / 1000.0, longest / 2.0, _LAGS)
+    return np.concatenate([-grid[::-1], [0.0], grid])
+
+
+def _legs_confirm(lagged: _CrossValidated, plain: _CrossValidated, scale: Array) -> bool:
+    """Return whether a lag predicts every left-out leg better, and no channel of it visibly worse."""
+    gained = np.mean((plain.error - lagged.error) / scale**2, axis=1) > 0.0
+    return bool(gained.all() and np.all(lagged.error <= (1.0 + WORSE) * plain.error))
+
+
+def _loop_variance(left: Loops, covariance: Array, shape: tuple[int, ...]) -> Array:
+    """Return what the loops that are left add to the variance of a reading, shape (channels,).
+
+    The ways of two legs alone differ by what wanders too, which is in the variance of the offset already.
+    """
+    if left.repeated:
+        return left.variance
+    offsets = np.diag(covariance)[:-1].reshape(shape)[:, 0]
+    return np.maximum(left.variance - offsets, 0.0)
 
 
 def _least_squares(x: Array, y: Array) -> Array:
@@ -196,8 +226,8 @@ def _scale(means: FittedMeans, order: int) -> Array:
     return np.asarray(np.maximum(np.std(left, axis=0), smallest))
 
 
-def _choose_order(means: FittedMeans, highest: int, lags: Array, scale: Array) -> tuple[int, dict[int, Array]]:
-    """Return the order that predicts left-out legs best, and mean square errors (legs, channels) by order."""
+def _cross_validated(means: FittedMeans, highest: int, lags: Array, scale: Array) -> _CrossValidated:
+    """Predict each leg from the others, by polynomials of every order with one of some lags."""
     errors = {}
     for order in range(1, highest + 1):
         rows = []
@@ -207,7 +237,7 @@ def _choose_order(means: FittedMeans, highest: int, lags: Array, scale: Array) -
             left = means.readings[out] - means.powers(found.lag, order)[out] @ found.coefficients
             rows.append(np.mean(left**2, axis=0))
         errors[order] = np.array(rows)
-    return min(errors, key=lambda order: float(np.mean(errors[order] / scale**2))), errors
+    return _CrossValidated(min(errors, key=lambda order: float(np.mean(errors[order] / scale**2))), errors)
 
 
 def _solve(means: FittedMeans, kept: NDArray[np.bool_], order: int, lags: Array, scale: Array) -> _Solution:
@@ -298,7 +328,7 @@ def _of_a_second_lag(record: RampRecord, legs: list[Leg], found: _Solution, scal
     size = len(found.coefficients) * found.coefficients.shape[1]
     solutions = []
     for share in _SHARES:
-        filtered = ThermalLag(share * found.lag, SMOOTHING)(record.time, record.temperature)
+        filtered = ThermalLag(share * found.lag, FIT_SMOOTHING)(record.time, record.temperature)
         means = FittedMeans(replace(record, temperature=filtered), legs, reference)
         lags = found.lag * (np.linspace(0.7, 1.3, 7) - share)
         solutions.append(_solve(means, np.ones(len(means), dtype=bool), len(found.coefficients) - 1, lags, scale))
@@ -314,7 +344,7 @@ def _of_a_second_lag(record: RampRecord, legs: list[Leg], found: _Solution, scal
     return gained
 
 
-def _require_told(legs: list[Leg], lag: float, u: float) -> None:
+def _require_lag_resolved(legs: list[Leg], lag: float, u: float) -> None:
     """Refuse a lag that the legs cannot tell from drift."""
     shortest = min(leg.seconds for leg in legs)
     widest = max(leg.high - leg.low for leg in legs)
@@ -325,7 +355,7 @@ def _require_told(legs: list[Leg], lag: float, u: float) -> None:
             f"at {pace:.2g} °C/min a leg lasts {shortest:.0f} s, and the lag is about {abs(lag):.0f} s: so short a leg "
             f"cannot tell it from drift; change the temperature by {slower:.2g} °C/min or slower"
         )
-    if not 2.0 * u * pace / 60.0 < UNTOLD * widest:
+    if not 2.0 * u * pace / 60.0 < LAG_RESOLUTION * widest:
         raise EstimateError(
             f"at {pace:.2g} °C/min the lag is known to ±{2.0 * u:.2g} s, which does not tell it from drift: the zero "
             f"wanders, or the noise is too large; take more legs, at {4.0 * pace:.2g} °C/min"

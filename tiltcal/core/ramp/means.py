@@ -15,7 +15,7 @@ BLOCKS = 256
 """Means of a record that are fitted."""
 
 
-SMOOTHING = 0.02
+FIT_SMOOTHING = 0.02
 """Of the derivative of the thermometer, where it is later, as a part of its lag: the means average its noise."""
 
 
@@ -51,7 +51,7 @@ class FittedMeans:
     def element(self, lag: float) -> Array:
         """Return the temperature of the element from the reference, °C, shape (means,)."""
         if lag not in self._elements:
-            filtered = ThermalLag(lag, SMOOTHING)(self._record.time, self._record.temperature)
+            filtered = ThermalLag(lag, FIT_SMOOTHING)(self._record.time, self._record.temperature)
             self._elements[lag] = self._mean(filtered) - self._reference
         return self._elements[lag]
 
