@@ -210,10 +210,10 @@ def calibrated(rng: np.random.Generator, *, stated: bool) -> tuple[CalibrationRe
 
 @pytest.mark.parametrize("stated", [True, False])
 def test_the_truth_is_inside_in_95_of_100(stated: bool) -> None:
-    """80 calibrations by way of their files, each with 20 noisy readings; and u is what the errors scatter by."""
+    """60 calibrations by way of their files, each with 20 noisy readings; and u is what the errors scatter by."""
     rng = np.random.default_rng(21)
     inside, ratios = [], []
-    for _ in range(80):
+    for _ in range(60):
         calibration, _, truth = calibrated(rng, stated=stated)
         write_calibration("drawn.yaml", calibration)
         x, y = rng.uniform(-40.0, 40.0, (2, 20))
@@ -225,8 +225,8 @@ def test_the_truth_is_inside_in_95_of_100(stated: bool) -> None:
             error = found[angle] - right
             inside.append(np.mean(np.abs(error) <= found[f"U95_{angle}"]))
             ratios.append(np.mean((error / found[f"u_{angle}"]) ** 2))
-    shares = np.array(inside).reshape(80, 4).mean(axis=1)
-    doubt = shares.std(ddof=1) / np.sqrt(80)
+    shares = np.array(inside).reshape(60, 4).mean(axis=1)
+    doubt = shares.std(ddof=1) / np.sqrt(60)
     assert abs(shares.mean() - 0.95) < 3 * doubt + 0.005, (shares.mean(), doubt)
     if stated:
         assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.06)

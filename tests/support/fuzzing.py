@@ -171,7 +171,7 @@ class Campaign:
 
 def work(seed: int) -> None:
     """Be a worker: for each line with a target and two numbers answer how each input of theirs ended."""
-    for module in ("polars", "scipy.optimize", "scipy.signal", "matplotlib.figure", "xarray", "h5netcdf", "jinja2"):
+    for module in ("polars", "xarray", "h5netcdf", "jinja2"):
         import_module(module)  # else the first input pays for it
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -179,6 +179,8 @@ def work(seed: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     for line in sys.stdin:
         name, first, last = json.loads(line)
+        for module in () if TARGETS[name].compiled else ("scipy.optimize", "scipy.signal", "matplotlib.figure"):
+            import_module(module)  # compiled targets use none of these
         for number in range(first, last):
             before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
             end, detail = attempt(name, seed, number)
