@@ -54,6 +54,15 @@ def test_limits_have_the_rails_of_the_model_where_the_file_names_none(calibratio
     assert (int(result.flag[0]), int(result.reason[0]) & 4) == (4, 4)
 
 
+def test_a_log_without_a_model_is_looked_up_in_no_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "log.yaml"
+    path.write_text(FILE.replace("sca100t-d02", "recorded"), encoding="utf-8")  # what `fit` writes without --model
+    monkeypatch.setattr("tiltcal.drivers._plug_ins_on", lambda path: pytest.fail("all packages are searched"))
+    found = read(path)
+    assert isinstance(found, Calibration)
+    assert found.limits.reading == {}
+
+
 def test_text_has_every_coefficient_with_its_uncertainty_and_unit(calibration: Calibration) -> None:
     lines = [" ".join(line.split()) for line in str(calibration).splitlines()]
     assert "offset x 1024.6 ± 0.4 count" in lines
