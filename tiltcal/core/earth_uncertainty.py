@@ -25,11 +25,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiltcal.core.angle_uncertainty import ANYWHERE, HALF_TURN, Propagation, UpGradient
 from tiltcal.core.compensation import KernelChunk
 from tiltcal.core.flags import MISSING, NO_TEMPERATURE
 from tiltcal.core.heading import EarthFrame, cross
 from tiltcal.core.model import Array
+from tiltcal.core.uncertainty_propagation import ANYWHERE, HALF_TURN, Propagation, UpGradient
 from tiltcal.frozen import frozen
 
 

@@ -17,10 +17,11 @@ from tiltcal.frozen import frozen
 from tiltcal.logs.log import Table
 
 if TYPE_CHECKING:
-    from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, Propagation
+    from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
     from tiltcal.core.compensation import KernelChunk
     from tiltcal.core.earth_compensation import EarthFrameCompensation
     from tiltcal.core.pair.compensation import PairCompensation
+    from tiltcal.core.uncertainty_propagation import Propagation
 
 
 @frozen
