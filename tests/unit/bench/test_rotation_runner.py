@@ -291,10 +291,10 @@ def test_memory_does_not_grow_with_the_turns(monkeypatch: pytest.MonkeyPatch) ->
     """Less than 200 bytes a turn of 16 lines, once there are as many as the estimators and the regression keep."""
     monkeypatch.setattr("tiltcal.core.pair.demodulate.MOST_BLOCKS", 16)
     monkeypatch.setattr(Recursive.__init__, "__defaults__", (10.0,))
-    printed, attendant = lines(disk.record(seconds=250.0, rate=8.0, spin=0.5)), Weighing()
+    printed, attendant = lines(disk.record(seconds=400.0, rate=8.0, spin=0.5)), Weighing()
     tracemalloc.start()
     try:
-        turned(iter(printed), attendant, turns=120)
+        turned(iter(printed), attendant, turns=180)
     finally:
         tracemalloc.stop()
-    assert attendant.held[120] - attendant.held[60] < 200 * 60
+    assert attendant.held[180] - attendant.held[60] < 200 * 120

@@ -46,6 +46,9 @@ LARGEST_JIG = radians(45.0)
 CLOSE = 1e-4
 """A relative change of the jig, or of chi-square, below which it is found."""
 
+EXACT = 1e12
+"""Readings of so many of their uncertainties have none that is known: their chi-square is no test."""
+
 SMALLEST_THERMOMETER, LARGEST_THERMOMETER = 1e-3, 5.0
 """Standard uncertainties of a temperature that the residuals may show, °C."""
 
@@ -292,7 +295,7 @@ def _thermometer(system: System, z: Array, chi_square: float, dof: int) -> _Ther
 
     Source: R. C. Paule, J. Mandel, *Consensus values and weighting factors*, J. Res. NBS 87 (1982) 377.
     """
-    if chi_square <= dof or not system.own_temperatures + system.shared_temperatures:
+    if chi_square <= dof or system.reach > EXACT or not system.own_temperatures + system.shared_temperatures:
         return None
     known, variance = system, SMALLEST_THERMOMETER**2
     for _ in range(ROUNDS):
