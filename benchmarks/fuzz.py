@@ -6,7 +6,8 @@ Every reader, driver parser and command gets files and words that were good and 
 place of others, values of another type in one place of a structure, journals with checks that are right. Readers and
 drivers are called as functions and have most of the inputs; targets whose name ends in ``_used`` give the damaged file
 to whole commands, and ``command`` damages arguments. Each input has 10 s of processor time and 1 GB. A library in C or
-Rust that parses Parquet or NetCDF may end its process; that is counted.
+Rust that parses Parquet or NetCDF may end its process, or keep it busy until it is ended, as the commands do; that is
+counted.
 
 It works in rounds that are kept in a file, goes on where an earlier run ended, and prints the table of all rounds so
 far. Exit code 1 if an input failed; its target and number make it again: --again TARGET:NUMBER.

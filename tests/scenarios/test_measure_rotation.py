@@ -218,7 +218,7 @@ def test_interrupted_by_the_keyboard(tmp_path: Path) -> None:
     assert resumed.returncode == 0, resumed.stderr
     first = next(json.loads(line) for line in resumed.stdout.splitlines() if '"turn"' in line)
     last = program.events("turn")[-1]["turn"]
-    # The interruption is heard at the end of a step, and the last turn that was told may be told again.
+    # The interruption takes effect at the end of a step, and the last turn that was told may be told again.
     assert 3 <= last <= first["turn"] <= last + 1
     require_truth(tmp_path / "pair.yaml")
     require_replay(tmp_path)

@@ -162,7 +162,8 @@ class Campaign:
                     continue
                 how = f"ended by signal {-self._worker.wait()}" if ready else f"no answer for {PATIENCE} s"
                 self.close()
-                yield ENDED if TARGETS[name].compiled and ready else FAILED, how
+                # A library may end its process, or compute without an end: the command ends it then after 8 s.
+                yield ENDED if TARGETS[name].compiled else FAILED, how
                 return
             line, _, waiting = waiting.partition(b"\n")
             end, detail = json.loads(line)
