@@ -10,18 +10,35 @@ import sys
 
 INTERRUPTED = 130
 _WRONG = 2
+_AGAIN = 1e-3  # seconds after which a Ctrl-C that was dropped comes again
 
 
 def main(args: list[str] | None = None) -> None:
     """Run the command line and leave with the documented exit code."""
     args = sys.argv[1:] if args is None else args
     try:
+        _keep_ctrl_c()
         from tiltcal.cli.child_process import needs_guard, run_guarded
 
         code = run_guarded(lambda: _run(args), args) if needs_guard(args) else _run(args)
     except KeyboardInterrupt:
         code = _interrupted()
     _leave(code)
+
+
+def _keep_ctrl_c() -> None:
+    """Raise a Ctrl-C again that meets a finaliser or a weak reference: Python prints it there and goes on."""
+    import signal
+
+    def unraisable(dropped: sys.UnraisableHookArgs) -> None:
+        if isinstance(dropped.exc_value, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+        else:
+            sys.__unraisablehook__(dropped)
+
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+        sys.unraisablehook = unraisable
 
 
 def _run(args: list[str]) -> int:
