@@ -99,6 +99,10 @@ class FaultSection:
 _FAULTS = ListOf(Converted(Section(FaultSection), _fault_of))
 
 
+LEAST_OWN = 1e-6
+"""Least sensitivity of a channel to its own axis, over its largest one: its nonlinearity is counted along it."""
+
+
 def _some(offset: Mapping[str, float], node: Node, context: Context) -> Mapping[str, float]:
     if not offset:
         raise node.error("no channel; give an offset for one to three of x, y, z")
@@ -109,8 +113,10 @@ def _own_axis(
     rows: Mapping[str, Mapping[str, float]], node: Node, context: Context
 ) -> Mapping[str, Mapping[str, float]]:
     for channel, row in rows.items():
-        if row.get(channel, 0.0) == 0.0:
-            raise node.entries()[channel].error(f"the channel does not sense its own axis; give a {channel} not 0")
+        if abs(row.get(channel, 0.0)) <= LEAST_OWN * max(map(abs, row.values()), default=0.0):
+            raise node.entries()[channel].error(
+                f"the channel does not sense its own axis; give a {channel} of more than {LEAST_OWN:g} of the largest"
+            )
     return rows
 
 

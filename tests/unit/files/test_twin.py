@@ -75,6 +75,7 @@ def test_seed_of_the_address_comes_before_that_of_the_file(tmp_path: Path) -> No
         ("offset: {y: 1021.9, x: 1024.6}", "offset: {}", 6, "truth.offset", "no channel"),
         ("x: 1024.6", "w: 1", 6, "truth.offset.w", "unknown key"),
         ("x: 818.2", "x: 0", 8, "truth.sensitivity.x", "own axis"),
+        ("x: 818.2", "x: 1e-200", 8, "truth.sensitivity.x", "own axis"),
         (", z: -1.5", "", 9, "truth.sensitivity.y", "same columns"),
         ("reference: 24, ", "", 10, "truth.temperature", "'reference' is missing"),
         ("noise: {x: 0.6}", "noise: {x: -1}", 12, "truth.noise.x", "at least 0"),
