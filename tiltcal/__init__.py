@@ -5,21 +5,6 @@ The names below are the library; each is imported when it is first used, so that
 
 from __future__ import annotations
 
-from importlib import import_module
-
-from tiltcal.errors import (
-    BusError,
-    DeviceFault,
-    EstimateError,
-    HardwareError,
-    InputError,
-    JournalError,
-    SensorError,
-    Stopped,
-    TiltcalError,
-    UsageError,
-)
-
 TYPE_CHECKING = False
 """Not that of ``typing``: until ``tiltcal.__main__`` runs, Ctrl-C is Python's, so nothing slow is imported."""
 
@@ -31,6 +16,18 @@ if TYPE_CHECKING:
     from tiltcal.calibration.combine import combine
     from tiltcal.calibration.comparison import compare
     from tiltcal.calibration.pair_calibration import PairCalibration
+    from tiltcal.errors import (
+        BusError,
+        DeviceFault,
+        EstimateError,
+        HardwareError,
+        InputError,
+        JournalError,
+        SensorError,
+        Stopped,
+        TiltcalError,
+        UsageError,
+    )
     from tiltcal.logs.apply import apply_log
     from tiltcal.logs.fit import fit
     from tiltcal.logs.match import match
@@ -39,9 +36,19 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "BusError": "tiltcal.errors",
     "Calibration": "tiltcal.calibration.calibration",
     "CalibrationLibrary": "tiltcal.calibration.calibration_library",
+    "DeviceFault": "tiltcal.errors",
+    "EstimateError": "tiltcal.errors",
+    "HardwareError": "tiltcal.errors",
+    "InputError": "tiltcal.errors",
+    "JournalError": "tiltcal.errors",
     "PairCalibration": "tiltcal.calibration.pair_calibration",
+    "SensorError": "tiltcal.errors",
+    "Stopped": "tiltcal.errors",
+    "TiltcalError": "tiltcal.errors",
+    "UsageError": "tiltcal.errors",
     "apply_log": "tiltcal.logs.apply",
     "combine": "tiltcal.calibration.combine",
     "compare": "tiltcal.calibration.comparison",
@@ -87,6 +94,8 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     """Import a name of the library on its first use (PEP 562)."""
+    from importlib import import_module
+
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     found: object = getattr(import_module(_HOME[name]), name)
