@@ -202,7 +202,10 @@ def main() -> int:
         keep(text)
     times = [found[log]["tiltcal"].processor / found[log]["with_polars"].processor for log in ("csv", "parquet")]
     memory = max(found[log]["tiltcal"].gigabytes for log in ("csv", "parquet"))
-    return 1 if max(times) > MOST_TIMES or memory > MOST_MEMORY else 0
+    if max(times) > MOST_TIMES or memory > MOST_MEMORY:
+        print(f"processor {max(times):.2f} of polars (limit {MOST_TIMES}), {memory:.2f} GB (limit {MOST_MEMORY})")
+        return 1
+    return 0
 
 
 if __name__ == "__main__":
