@@ -51,6 +51,9 @@ if TYPE_CHECKING:
 ZERO_CELSIUS = 273.15
 """K."""
 
+OPTIONS = ("channel", "beta", "r0", "t0", "a", "b", "c", "fixed", "to", "supply", "vdd")
+"""Of an address, without those of the converter."""
+
 SUPPLY = (1.0, 5.5)
 """Limits of the converters, V; a divider works with any supply."""
 
@@ -281,17 +284,7 @@ def _model(address: Address) -> Model:
         default_truth=_default_truth,
         spi=front_end.spi,
         options=(
-            "channel",
-            "beta",
-            "r0",
-            "t0",
-            "a",
-            "b",
-            "c",
-            "fixed",
-            "to",
-            "supply",
-            "vdd",
+            *OPTIONS,
             *front_end.options,
             *chooses,
         ),

@@ -81,11 +81,11 @@ def sca3000_twin(part: Sca3000Part, scheme: str, truth: Truth, fixture: HeldPose
     return SpiTwin(registers, clock, lambda command: (command >> COMMAND_SHIFT, False))
 
 
-SPREAD = Tolerances(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.5e-3, gain=1e-4, noise=0.0, thermometer=2.0)
+TOLERANCES = Tolerances(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.5e-3, gain=1e-4, noise=0.0, thermometer=2.0)
 """These limits are ours, because no source states the tolerances."""
 
 
 def draw_truth(part: Sca3000Part, seed: int) -> Truth:
-    """Draw a plausible part within :data:`SPREAD`, with a noise of 1.5 count."""
-    truth = counts.draw_truth(("x", "y", "z"), part.counts_per_g, SPREAD, seed)
+    """Draw a plausible part within :data:`TOLERANCES`, with a noise of 1.5 count."""
+    truth = counts.draw_truth(("x", "y", "z"), part.counts_per_g, TOLERANCES, seed)
     return replace(truth, noise=dict.fromkeys(truth.channels, 1.5))

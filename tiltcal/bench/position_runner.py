@@ -133,7 +133,7 @@ class PositionRunner:
 
     def _refuse(self, position: Position, error: Exception) -> None:
         log, sensors = self._log, self._sensors
-        if isinstance(error, SensorError) and not sensors.can_go_on_after(error):
+        if isinstance(error, SensorError) and not sensors.count_failure(error):
             if log.state is SessionState.LIVE:
                 raise error
             # It ended the session once; whoever resumes it has put it right.

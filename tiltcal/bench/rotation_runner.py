@@ -176,7 +176,7 @@ class RotationRunner:
                 return block, str(pause)
             except SensorError as error:
                 self._stale = True
-                if not self._sensors.can_go_on_after(error, needed=True):
+                if not self._sensors.count_failure(error, needed=True):
                     if self._log.state is SessionState.LIVE:
                         raise
                     # It ended the session once; whoever resumes it has put it right.

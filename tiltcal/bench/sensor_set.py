@@ -164,7 +164,7 @@ class SensorSet:
         """Note a success: failures from here on count anew."""
         self._failures.clear()
 
-    def can_go_on_after(self, error: SensorError, *, needed: bool = False) -> bool:
+    def count_failure(self, error: SensorError, *, needed: bool = False) -> bool:
         """Count a failure, and return whether the session can go on.
 
         A sensor that fails :data:`ATTEMPTS` times in a row is given up where others remain, and it is not ``needed``.

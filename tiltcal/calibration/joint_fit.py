@@ -99,8 +99,9 @@ def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: 
         notes.append(correlated.note)
     if design.thermal and not design.thermometer:
         shown = found.estimated_thermometer
-        counted = f": the residuals show {shown:.2g} °C, which counts" if shown else None
-        notes.append(EXACT_TEMPERATURES if counted is None else NO_THERMOMETER + counted)
+        notes.append(
+            f"{NO_THERMOMETER}: the residuals show {shown:.2g} °C, which counts" if shown else EXACT_TEMPERATURES
+        )
     return replace(found, notes=tuple(notes))
 
 

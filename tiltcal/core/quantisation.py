@@ -18,6 +18,9 @@ HARMONICS = np.arange(1, 1001)
 MOST_VALUES = 4096
 """Different values beyond which a reading counts as continuous."""
 
+_WHOLE = 0.01
+"""By how many steps rounded readings are off a whole number of them, at most."""
+
 _REPEATED = 4.0
 """How often a rounded reading takes each value, on average, at the least."""
 
@@ -47,6 +50,19 @@ def resolution(channels: Iterable[Array]) -> float:
         gaps = np.diff(different)
         steps += gaps[gaps > ARITHMETIC * np.max(np.abs(different), initial=0.0)].tolist()
     return min(steps, default=0.0)
+
+
+def common_step(readings: Array) -> float:
+    """Return the step that all readings are whole numbers of, apart from an offset; 0 where they are not rounded.
+
+    Parameters
+    ----------
+    readings : ndarray, shape (n, channels)
+        None of them missing.
+    """
+    step = resolution(readings.T)
+    steps = (readings - readings[0]) / (step or 1.0)
+    return step if np.max(np.abs(steps - np.round(steps))) < _WHOLE else 0.0
 
 
 class StepFinder:

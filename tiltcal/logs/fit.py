@@ -245,8 +245,8 @@ class FitSource:
         """
         thermal = procedure.determines.drift or procedure.determines.gain
         soak = procedure.soak_seconds if thermal else 0.0
-        holds, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor, soak)
-        return FitPositions(placed(holds, procedure, file=self._name), provenance)
+        intervals, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor, soak)
+        return FitPositions(placed(intervals, procedure, file=self._name), provenance)
 
     def ramp(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
         """Return the continuous record of a ramp: the whole log, or the rows of its one segment.
@@ -300,26 +300,29 @@ class FitSource:
         """
         channels = sensor.channels
         if not self.finds:
-            holds, provenance = self._given(sensor)
-            return FitPositions(oriented(holds, directions([hold.summaries for hold in holds])), provenance)
+            intervals, provenance = self._given(sensor)
+            return FitPositions(
+                oriented(intervals, directions([interval.summaries for interval in intervals])), provenance
+            )
         record = self._record(sensor)
         windows = WINDOWS if self.window is None else (self.window,)
         chosen, tried = find_still(record.readings, windows)
         say(choice_table(chosen, tried, sensor.unit))
         found = still_segments(chosen)
-        holds = intervals_of(record, found, file=record.name)
-        attitudes = directions([hold.summaries for hold in holds])
-        for hold, (x, y, z) in zip(holds, attitudes.tolist(), strict=True):
-            rows = [segment for segment in found if segment.name == hold.position]
-            n = hold.summaries[channels[0]].n
-            say(f"  {hold.name}: {n} of rows {rows[0].start} to {rows[-1].end - 1}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
+        intervals = intervals_of(record, found, file=record.name)
+        attitudes = directions([interval.summaries for interval in intervals])
+        for interval, (x, y, z) in zip(intervals, attitudes.tolist(), strict=True):
+            rows = [segment for segment in found if segment.name == interval.position]
+            n = interval.summaries[channels[0]].n
+            where = f"{rows[0].start} to {rows[-1].end - 1}"
+            say(f"  {interval.name}: {n} of rows {where}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
         how = SegmentsRecord(
             found="standard deviation in a window below a threshold",
             window_rows=chosen.window,
             threshold=significant(chosen.threshold, 4),
             times_noise=chosen.multiple,
         )
-        return FitPositions(oriented(holds, attitudes), self._provenance(record, how))
+        return FitPositions(oriented(intervals, attitudes), self._provenance(record, how))
 
     @property
     def _name(self) -> str:
@@ -331,12 +334,12 @@ class FitSource:
     def _given(self, sensor: SensorIdentity, soak: float = 0.0) -> tuple[list[StaticInterval], Provenance]:
         """Return what the sensor read in the segments or the table that were given, and where these come from."""
         if self.segments is None:
-            holds = intervals_of_table(read_positions(_path_or_rows(self.data, "the table"), sensor.channels))
-            return holds, self._provenance()
+            intervals = intervals_of_table(read_positions(_path_or_rows(self.data, "the table"), sensor.channels))
+            return intervals, self._provenance()
         segments = read_segments(_path_or_rows(self.segments, "the segments"))
         record = self._record(sensor, timed=soak > 0.0)
-        holds = intervals_of(record, segments, file=self._name, soak=soak)
-        return holds, self._provenance(record, _origin(self.segments, SegmentsRecord))
+        intervals = intervals_of(record, segments, file=self._name, soak=soak)
+        return intervals, self._provenance(record, _origin(self.segments, SegmentsRecord))
 
     def _whole(self, sensor: SensorIdentity, procedure: Procedure) -> tuple[list[StaticInterval], Provenance]:
         """What the sensor read in the one position of a procedure, which is the whole log."""

@@ -50,7 +50,7 @@ class StaticDetection:
         Threshold over noise.
     noise : float
         Standard deviation in the stillest part, all channels together (root of the sum of squares), unit.
-    holds : tuple of tuple of (start, end)
+    intervals : tuple of tuple of (start, end)
         The rows of each attitude, ends exclusive; an attitude may have several intervals.
     ellipsoid : Ellipsoid or None
         The unit-gravity fit of the attitudes; None where they cannot determine it.
@@ -59,7 +59,7 @@ class StaticDetection:
     window: int
     multiple: float
     noise: float
-    holds: tuple[tuple[Span, ...], ...]
+    intervals: tuple[tuple[Span, ...], ...]
     ellipsoid: Ellipsoid | None
 
     @property
@@ -108,17 +108,17 @@ def find_still(
         raise EstimateError(_too_few(tried, lost))
     # What is left over shows the scatter no better than this. A choice that is better by less has but left out some
     # attitude that fits badly, and would be surer of itself than it is.
-    tolerance = 1.0 + 1.0 / sqrt(2.0 * (len(best.holds) - UNKNOWNS))
+    tolerance = 1.0 + 1.0 / sqrt(2.0 * (len(best.intervals) - UNKNOWNS))
     good = [choice for choice in tried if choice.expanded <= tolerance * best.expanded]
     return max(good, key=lambda choice: (choice.distinct, -choice.expanded)), tried
 
 
 def still_segments(choice: StaticDetection) -> list[Segment]:
     """Return the still intervals as segments, named in their order; those of one attitude have one name."""
-    digits = len(str(len(choice.holds)))
+    digits = len(str(len(choice.intervals)))
     return [
         Segment(f"still-{number:0{digits}}", start, end, None, None)
-        for number, spans in enumerate(choice.holds, start=1)
+        for number, spans in enumerate(choice.intervals, start=1)
         for start, end in spans
     ]
 
@@ -140,14 +140,14 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
     for choice in tried:
         if choice.window == chosen.window:
             fit = choice.ellipsoid
-            row = f"{choice.threshold:>10.4g}{sum(map(len, choice.holds)):>11}{len(choice.holds):>11}"
+            row = f"{choice.threshold:>10.4g}{sum(map(len, choice.intervals)):>11}{len(choice.intervals):>11}"
             row += f"{fit.distinct:>10}{1e3 * fit.rms:>11.3f} mg" if fit else f"{'-':>10}{'-':>14}"
             row += "             -" if choice.expanded == inf else f"{1e3 * choice.expanded:>11.3f} mg"
             lines.append(f"{'*' if choice is chosen else ' '} {row}")
     return "\n".join(lines)
 
 
-def still_holds(readings: Array, scatter: Array, window: int, threshold: float) -> list[list[Span]]:
+def still_intervals(readings: Array, scatter: Array, window: int, threshold: float) -> list[list[Span]]:
     """Return the still intervals of a log, those of one attitude together.
 
     Parameters
@@ -181,12 +181,14 @@ def _choices(readings: Array, lost: Mask, windows: Sequence[int]) -> Iterator[St
         if noise is None:
             continue
         for multiple in MULTIPLES:
-            holds = still_holds(readings, scatter, window, multiple * noise)
-            yield StaticDetection(window, multiple, noise, tuple(map(tuple, holds)), _ellipsoid(readings, holds))
+            intervals = still_intervals(readings, scatter, window, multiple * noise)
+            yield StaticDetection(
+                window, multiple, noise, tuple(map(tuple, intervals)), _ellipsoid(readings, intervals)
+            )
 
 
-def _ellipsoid(readings: Array, holds: Sequence[Sequence[Span]]) -> Ellipsoid | None:
-    samples = [_rows(readings, spans) for spans in holds]
+def _ellipsoid(readings: Array, intervals: Sequence[Sequence[Span]]) -> Ellipsoid | None:
+    samples = [_rows(readings, spans) for spans in intervals]
     if not samples:
         return None
     try:
@@ -220,19 +222,19 @@ def _merged(readings: Array, spans: Sequence[Span]) -> list[list[Span]]:
     middle = (means.max(axis=0) + means.min(axis=0)) / 2
     directions = means - middle
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
-    holds: list[list[Span]] = []
+    intervals: list[list[Span]] = []
     first = directions[0]
     for span, direction in zip(spans, directions, strict=True):
-        if holds and direction @ first >= SAME_DIRECTION_COSINE:
-            holds[-1].append(span)
+        if intervals and direction @ first >= SAME_DIRECTION_COSINE:
+            intervals[-1].append(span)
         else:
-            holds.append([span])
+            intervals.append([span])
             first = direction
-    return holds
+    return intervals
 
 
 def _too_few(tried: Sequence[StaticDetection], lost: Mask) -> str:
-    most = max((len(choice.holds) for choice in tried), default=0)
+    most = max((len(choice.intervals) for choice in tried), default=0)
     windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried)) or "any number of"
     stuck = f" ({int(lost.sum())} rows are missing, or stuck at one value)" if lost.any() else ""
     return (

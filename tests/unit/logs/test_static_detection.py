@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.detection import window_scatter
 from tiltcal.errors import EstimateError
-from tiltcal.logs.static_detection import STUCK, choice_table, find_still, still_holds, still_segments
+from tiltcal.logs.static_detection import STUCK, choice_table, find_still, still_intervals, still_segments
 
 Array = NDArray[np.float64]
 HELD, MOVED = 300, 120
@@ -54,8 +54,8 @@ class TestFindStill:
     @pytest.mark.parametrize("seed", range(3))
     def test_every_attitude_and_nothing_of_the_motion(self, seed: int) -> None:
         chosen, _ = find_still(handled(seed=seed))
-        found = rows_of([span for spans in chosen.holds for span in spans], len(held()))
-        assert len(chosen.holds) == 16
+        found = rows_of([span for spans in chosen.intervals for span in spans], len(held()))
+        assert len(chosen.intervals) == 16
         # A window may reach into the motion by the rows whose shaking is still below the noise.
         assert np.sum(found & ~held()) <= 16 * 8
         assert np.sum(found & held()) > 0.6 * np.sum(held())
@@ -78,22 +78,22 @@ class TestFindStill:
         assert traps
         assert all(choice.expanded == inf for choice in traps)
         assert min(choice.ellipsoid.rms for choice in traps if choice.ellipsoid) < 1e-9
-        assert len(chosen.holds) == 16
+        assert len(chosen.intervals) == 16
 
     def test_rows_without_a_number_are_not_still(self) -> None:
         log = handled()
         log[100:110, 1] = np.nan
         chosen, _ = find_still(log)
-        found = rows_of([span for spans in chosen.holds for span in spans], len(log))
+        found = rows_of([span for spans in chosen.intervals for span in spans], len(log))
         assert not found[100:110].any()
-        assert len(chosen.holds) == 16
+        assert len(chosen.intervals) == 16
 
     def test_a_bump_does_not_make_two_attitudes(self) -> None:
         log = handled()
         log[148:152] += 0.5
         chosen, _ = find_still(log)
-        assert len(chosen.holds) == 16
-        assert len(chosen.holds[0]) == 2
+        assert len(chosen.intervals) == 16
+        assert len(chosen.intervals[0]) == 2
 
     def test_all_in_motion(self) -> None:
         log = np.cumsum(np.random.default_rng(1).normal(size=(3000, 3)), axis=0)
@@ -116,15 +116,15 @@ class TestStuck:
         place = HELD + MOVED // 2
         log = np.insert(log, place, np.repeat(log[place][None], 200, axis=0), axis=0)
         chosen, _ = find_still(log)
-        found = rows_of([span for spans in chosen.holds for span in spans], len(log))
+        found = rows_of([span for spans in chosen.intervals for span in spans], len(log))
         assert not found[place + 1 : place + 199].any()
-        assert len(chosen.holds) == 16
+        assert len(chosen.intervals) == 16
 
     def test_stuck_in_the_middle_of_a_hold(self) -> None:
         log = handled(noise=0.001)
         log[50 : 50 + 2 * STUCK] = log[50]
         chosen, _ = find_still(log)
-        found = rows_of([span for spans in chosen.holds for span in spans], len(log))
+        found = rows_of([span for spans in chosen.intervals for span in spans], len(log))
         assert not found[51 : 49 + 2 * STUCK].any()
 
     def test_a_coarse_reading_that_repeats_is_not_stuck(self) -> None:
@@ -134,7 +134,7 @@ class TestStuck:
         same = (np.diff(log, axis=0) == 0.0).all(axis=1)
         assert np.convolve(same, np.ones(STUCK), "valid").max() == STUCK
         chosen, _ = find_still(log)
-        assert len(chosen.holds) >= 12
+        assert len(chosen.intervals) >= 12
 
 
 class TestHolds:
@@ -165,7 +165,7 @@ class TestHolds:
         assert np.flatnonzero(np.isinf(scatter)).tolist() == list(range(11, 21))
 
     def test_identical_samples_are_no_hold(self) -> None:
-        assert still_holds(np.ones((400, 3)), np.zeros(351), 50, 1.0) == []
+        assert still_intervals(np.ones((400, 3)), np.zeros(351), 50, 1.0) == []
 
 
 def test_segments_and_the_table_that_is_shown() -> None:

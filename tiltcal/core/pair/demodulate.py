@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import resolution, rounding_left
+from tiltcal.core.quantisation import common_step, rounding_left
 from tiltcal.errors import EstimateError
 
 HARMONICS = 4
@@ -38,8 +38,6 @@ _SURPRISE = 0.005
 _SINGULAR = 1e-9
 _PLACES = 1e5
 """Places of a turn that count as different."""
-_WHOLE = 0.01
-"""By how many steps rounded readings are off a whole number of them, at most."""
 _DRIFT_UNIT = 1e6
 """Rows; keeps the drift's column near the size of the others."""
 
@@ -109,7 +107,7 @@ class Demodulator:
         if self._pilot is None:
             # A large offset would take the digits that the noise needs in the sums of squares.
             self._pilot = readings.mean(axis=0)
-            self._step, self._places = _rounded_to(readings), len(np.unique(np.round(angle % 1.0 * _PLACES)))
+            self._step, self._places = common_step(readings), len(np.unique(np.round(angle % 1.0 * _PLACES)))
         columns = harmonic_columns(angle, self._harmonics)
         table = np.concatenate([columns, row[None, :] / _DRIFT_UNIT, (readings - self._pilot).T])
         block = np.maximum.accumulate(np.floor(angle / self._size).astype(np.int64))
@@ -283,18 +281,17 @@ def regress(blocks: Array, channels: Sequence[str], harmonics: int) -> Demodulat
     residual = (total[columns:, columns:] - coefficients.T @ against) / (rows - len(kept))
     with_readings = blocks[:, :2, columns:]
     scores = with_readings - blocks[:, :2][:, :, kept] @ coefficients
+    turns, weights = _whole_turns(scores, blocks[:, :2, :2])
     return Demodulation(
-        *(tuple(channels), rows, coefficients, residual, inverse),
-        *_whole_turns(scores, blocks[:, :2, :2]),
-        np.zeros(len(channels)),
+        channels=tuple(channels),
+        rows=rows,
+        coefficients=coefficients,
+        residual=residual,
+        inverse=inverse,
+        scores=turns,
+        weights=weights,
+        rounding=np.zeros(len(channels)),
     )
-
-
-def _rounded_to(readings: Array) -> float:
-    """Return the step that all readings are whole numbers of, apart from an offset; 0 where they are not rounded."""
-    step = resolution(readings.T)
-    steps = (readings - readings[0]) / (step or 1.0)
-    return step if np.max(np.abs(steps - np.round(steps))) < _WHOLE else 0.0
 
 
 def _brought(its: Demodulation, mine: Demodulation, harmonics: int) -> Array:
