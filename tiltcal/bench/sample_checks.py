@@ -11,18 +11,12 @@ from tiltcal.bench.operators.operator import TEMPERATURES
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.settle import Timed, Unsettled
-from tiltcal.core.detection import outliers
+from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, outliers
 from tiltcal.core.quantisation import resolution
 from tiltcal.drivers.device import Model, Reading
 
 FEWEST_SAMPLES = 8
 """Readings among which one can be called far off."""
-
-LEFT_OUT = 0.05
-"""The largest share of a position's samples that is taken again; more is a fault that a position must not hide."""
-
-TEMPERATURE_JUMP = 5.0
-"""A temperature this far from the median of a position's is a failed conversion, °C."""
 
 POWER_ON = 85.0
 """The temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)."""

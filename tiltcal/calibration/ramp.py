@@ -63,6 +63,8 @@ def calibrate_ramp(
     design = replace(design, drift=fit.order, reference=reference)
     groups = _groups(fit, record, attitude)
     found = _estimate(fit, design, np.array(attitude.gravity), temperatures, groups, bench)
+    if record.jumps is not None:
+        found = replace(found, notes=(*found.notes, record.jumps.note))
     step = design.thermometer or sensor.thermometer or 0.0
     if fit.lag < 0.0:
         # The inverse filter amplifies what is random in the thermometer.

@@ -36,6 +36,12 @@ JUMP = 8.0
 BURST = 5.0
 """So is a scatter within a block beyond so many times the usual one."""
 
+LEFT_OUT = 0.05
+"""The largest share of samples that is left out as far off; more is a fault that must not be hidden."""
+
+TEMPERATURE_JUMP = 5.0
+"""A temperature this far from those around it is a failed conversion, °C."""
+
 _SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
 _SIGMA_OF_NEAREST = 1.267  # and over the root mean square of the nearest 90 % of them
 _CHUNK = 1 << 14

@@ -23,7 +23,7 @@ class RampLog:
     rows : int
         Of the log.
     missing : int
-        Of these, within the segment: rows that miss a value and were left out.
+        Of these, within the segment: rows that miss a value, or whose temperature jumps, and were left out.
     """
 
     record: RampRecord
@@ -50,10 +50,10 @@ def read_ramp(
     InputError
         A column is missing or in another unit, a row cannot be parsed, or the segment reaches beyond the log.
     EstimateError
-        There are too few rows.
+        There are too few rows, or too many temperatures jump.
     """
-    averager, rows, used = RecordAverager(len(channels)), 0, 0
     first, last = (0, np.inf) if segment is None else (segment.start, segment.end)
+    averager, rows, used = RecordAverager(len(channels), first), 0, 0
     with open_log(log) as reader:
         where = locate_readings(reader, channels, named, unit, (TIME, TEMPERATURE))
         columns = [where[channel] for channel in channels]

@@ -76,6 +76,18 @@ def test_apply_takes_the_loop_out_of_the_log(calibration, record):
     assert means[1].max() > 0.4
 
 
+def test_temperatures_that_jump_are_left_out_and_named(record, calibration):
+    """One row of 200 reads 85 °C, as a DS18B20 does that converts nothing: such a record was refused for its noise."""
+    failed = record["temperature"].copy()
+    failed[150::200] = 85.0
+    found = fit(
+        "ramp", record | {"temperature": failed}, serial="S-1", sensor="sca100t-d02", columns={"time": "seconds"}
+    )
+    assert any("left out: 12, the first in row 150, 85 °C beside 14.9" in note for note in found.record.fit.notes)
+    drift, u = found.coefficients.thermal.drift, found.uncertainty["temperature.offset.x.1"]
+    assert drift[0, 0] == pytest.approx(calibration.coefficients.thermal.drift[0, 0], abs=u)
+
+
 def test_a_log_without_times_is_refused(record):
     with pytest.raises(InputError, match="there is no column 'time'"):
         fit("ramp", record, serial="S-1", sensor="sca100t-d02")

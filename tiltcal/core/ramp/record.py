@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tiltcal.core.model import Array
+from tiltcal.core.ramp.temperature_jumps import JumpDetector, TemperatureJumps
 from tiltcal.errors import EstimateError
 
 MOST = 4096
@@ -42,6 +43,8 @@ class RampRecord:
         Standard deviation of a single reading about its neighbours, unit.
     rows : int
         Rows of the record that have all values.
+    jumps : TemperatureJumps or None
+        Of the temperatures that were left out.
     """
 
     time: Array
@@ -49,12 +52,20 @@ class RampRecord:
     readings: Array
     noise: Array
     rows: int
+    jumps: TemperatureJumps | None = None
 
 
 class RecordAverager:
-    """Makes a record of rows as they come."""
+    """Makes a record of rows as they come.
 
-    def __init__(self, channels: int) -> None:
+    Parameters
+    ----------
+    row : int
+        The number of the first row.
+    """
+
+    def __init__(self, channels: int, row: int = 0) -> None:
+        self._jumps = JumpDetector(row)
         self._sums = np.zeros((0, 2 + channels))
         self._waiting = np.zeros((0, 2 + channels))
         self._size = 1
@@ -63,7 +74,7 @@ class RecordAverager:
         self._rows = 0
 
     def add(self, time: Array, temperature: Array, readings: Array) -> None:
-        """Take some more rows; those that miss a value are left out.
+        """Take some more rows; those that miss a value, and temperatures that jump, are left out.
 
         Parameters
         ----------
@@ -72,7 +83,7 @@ class RecordAverager:
         readings : ndarray, shape (n, channels)
         """
         rows = np.column_stack([time, temperature, readings])
-        rows = rows[np.isfinite(rows).all(axis=1)]
+        rows = rows[np.isfinite(rows).all(axis=1) & ~self._jumps(time, temperature)]
         self._rows += len(rows)
         self._squares += np.sum(np.diff(np.concatenate([self._last, rows])[:, 2:], axis=0) ** 2, axis=0)
         self._last = rows[-1:] if len(rows) else self._last
@@ -95,13 +106,15 @@ class RecordAverager:
         Raises
         ------
         EstimateError
-            There are too few rows.
+            There are too few rows, or too many temperatures jump.
         """
+        if self._jumps.found is not None:
+            self._jumps.found.require_few(self._rows + self._jumps.found.count)
         if self._rows < FEWEST_ROWS:
             raise EstimateError(f"the record has {self._rows} rows with time, temperature and readings: too few")
         means = self._sums / self._size
         noise = np.sqrt(self._squares / (2.0 * max(self._rows - 1, 1)))
-        return RampRecord(means[:, 0], means[:, 1], means[:, 2:], noise, self._rows)
+        return RampRecord(means[:, 0], means[:, 1], means[:, 2:], noise, self._rows, self._jumps.found)
 
 
 @dataclass(frozen=True)
