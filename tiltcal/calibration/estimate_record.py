@@ -145,6 +145,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         thermometer_estimated_celsius=None
         if found.estimated_thermometer is None
         else significant(found.estimated_thermometer, SHARE_DIGITS),
+        noise_estimated=None if found.estimated_noise is None else significant(found.estimated_noise, SHARE_DIGITS),
         budget=budget_record(found.budget, found.names),
         notes=tuple(found.notes),
     )
@@ -231,7 +232,7 @@ def _source_of_uncertainty(found: Estimate, design: Design) -> str:
         return "noise alone: no position is left over"
     if design.jig is None:
         return NOISE_ALONE
-    return "stated noise and jig"
+    return "stated noise and jig" if found.estimated_noise is None else "stated jig, residuals for the noise"
 
 
 def _worst(residuals: Mapping[str, Mapping[str, float]]) -> WorstResidual:

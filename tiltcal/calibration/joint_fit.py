@@ -28,6 +28,9 @@ OF_BASE = "of the base calibration"
 """What a sensitivity is that stands in from the sensor's own calibration."""
 
 NO_THERMOMETER = "the thermometer's uncertainty is not stated (--thermometer)"
+NO_NOISE = "the table states no uncertainties of its means (ux, uy, uz)"
+FEW = 3.0
+"""Degrees of freedom below which a variance is hardly known."""
 EXACT_TEMPERATURES = f"{NO_THERMOMETER}: temperatures count as exact"
 
 
@@ -101,6 +104,11 @@ def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: 
         shown = found.estimated_thermometer
         notes.append(
             f"{NO_THERMOMETER}: the residuals show {shown:.2g} °C, which counts" if shown else EXACT_TEMPERATURES
+        )
+    if found.estimated_noise is not None and found.noise_dof is not None:
+        hidden = ", which hardly tell it from the jig: intervals are wide" if found.noise_dof < FEW else ""
+        notes.append(
+            f"{NO_NOISE}: the residuals show noise of {found.estimated_noise:.2g} in them, which counts{hidden}"
         )
     return replace(found, notes=tuple(notes))
 
@@ -215,6 +223,7 @@ def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]
                 held=before is not None and _stands(before) == _stands(measurement),
                 dof=np.array([dof[number] for _, dof, _ in noise]),
                 adc=adc,
+                noise_unknown=all(summary.noise_unknown for summary in summaries),
             )
         )
         before = measurement

@@ -56,6 +56,11 @@ class SampleSummary:
         """The part of ``u`` that noise gives (type A), same unit."""
         return sqrt(max(self.u**2 - self.quantisation**2, 0.0))
 
+    @property
+    def noise_unknown(self) -> bool:
+        """Whether nothing but its rounding is known of the mean, as in a table that states no uncertainties."""
+        return self.dof == inf and 0.0 < self.u <= self.quantisation
+
 
 def summarise(samples: Sequence[float] | NDArray[np.float64], resolution: float = 0.0) -> SampleSummary:
     """Mean, standard deviation and the mean's standard uncertainty.

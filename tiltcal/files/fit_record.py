@@ -144,7 +144,9 @@ class FitRecord:
         formerly="worse_than_stated",
     )
     uncertainty_from: str | None = entry(
-        Text(), "`stated noise and jig`, `residuals`, or `noise alone` and why", default=None
+        Text(),
+        "`stated noise and jig`, `stated jig, residuals for the noise`, `residuals`, or `noise alone` and why",
+        default=None,
     )
     jig_degrees: float | None = entry(
         FROM_ZERO, "the stated standard uncertainty of a set angle, degrees", default=None
@@ -158,6 +160,12 @@ class FitRecord:
     thermometer_estimated_celsius: float | None = entry(
         FROM_ZERO,
         "where a jig but no thermometer was stated: the standard deviation of a temperature that residuals show, °C",
+        default=None,
+    )
+    noise_estimated: float | None = entry(
+        FROM_ZERO,
+        "where a jig was stated, but no uncertainty of a table's means: the standard deviation of their noise that the "
+        "residuals show, unit",
         default=None,
     )
     thermometer_celsius: float | None = entry(FROM_ZERO, "the standard uncertainty of a temperature, °C", default=None)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import tiltcal
 from tiltcal.files.procedure_file import find_procedure
@@ -122,3 +123,45 @@ def test_intervals_hold_what_a_rounded_table_hides(jig: float | None) -> None:
             held.append(abs(found.offset[channel] - offset[k]) <= reach * found.uncertainty[f"offset.{channel}"])
     assert any("the table states no uncertainties" in note for note in found.fit.notes)
     assert 0.87 < np.mean(held) <= 1.0  # 75 offsets, 0.95 expected; without the rounding none holds
+
+
+FACES = {"position": ["x-up", "y-up", "z-up", "x-down", "y-down", "z-down"]}
+UP = np.vstack([np.eye(3), -np.eye(3)])
+
+
+def test_the_noise_of_a_table_is_that_of_the_textbook() -> None:
+    """An exact jig: least squares with the standard deviation of all residuals, and Student's t of 3 x 2."""
+    means = UP + 1e-3 * np.random.default_rng(8).standard_normal((6, 3))
+    found = tiltcal.fit(
+        "six-face", {**FACES, **dict(zip("xyz", means.T.tolist(), strict=True))}, serial="S-1", unit="g", jig=0.0
+    )
+    columns = np.hstack([np.ones((6, 1)), UP])
+    left = means - columns @ np.linalg.lstsq(columns, means, rcond=None)[0]
+    deviation = np.sqrt(np.sum(left**2) / 6)
+    assert found.fit.noise_estimated == pytest.approx(deviation, rel=5e-3)
+    assert found.uncertainty["offset.x"] == pytest.approx(deviation / np.sqrt(6), rel=1e-3)
+    assert found.uncertainty["sensitivity.y.z"] == pytest.approx(deviation / np.sqrt(2), rel=1e-3)
+    assert found.uncertainty.coverage_factor["offset.x"] == pytest.approx(stats.t.ppf(0.975, 6), rel=2e-3)
+
+
+@pytest.mark.parametrize(("noise", "least"), [(1e-4, 0.9), (1.25e-3, 0.87)])
+def test_intervals_hold_what_a_noisy_table_hides(noise: float, least: float) -> None:
+    """Six faces set to 0.02°, means with noise and four digits: 0 to 1 % of the offsets were inside."""
+    draw, held = np.random.default_rng(9), []
+    for _ in range(15):
+        offset = draw.normal(0.0, 0.05, 3)
+        turned = UP + np.radians(0.02) * draw.standard_normal((6, 3)) * (UP == 0.0)
+        means = np.round(
+            offset + turned / np.linalg.norm(turned, axis=1)[:, None] + noise * draw.standard_normal((6, 3)), 4
+        )
+        table = {**FACES, **dict(zip("xyz", means.T.tolist(), strict=True))}
+        found = tiltcal.fit("six-face", table, serial="S-1", unit="g", jig=0.02)
+        known = found.uncertainty
+        held += [
+            abs(found.offset[c] - offset[k]) <= known.coverage_factor[f"offset.{c}"] * known[f"offset.{c}"]
+            for k, c in enumerate("xyz")
+        ]
+    assert np.mean(held) > least  # of 45
+    assert found.fit.uncertainty_from == "stated jig, residuals for the noise"
+    hardly = any("hardly tell it from the jig" in note for note in found.fit.notes)
+    assert hardly is (noise < 1e-3)

@@ -16,14 +16,19 @@ import numpy as np
 from tiltcal.core.coverage_factor import welch_satterthwaite
 from tiltcal.core.estimation.elimination import LinearSolution, shared_table
 from tiltcal.core.estimation.joint_equations import ADC, HEADING, JIG, NOISE, PRIOR, TABLE, THERMOMETER, EquationBlock
-from tiltcal.core.estimation.variance_components import VarianceComponents
+from tiltcal.core.estimation.variance_components import NoiseVariance, VarianceComponents
 from tiltcal.core.model import Array
 from tiltcal.core.uncertainty_budget import Budget
 
 KENWARD_ROGER = 2.0
 
 
-def stated_budgets(near: LinearSolution, bias: Array | None = None, thermometer_dof: float = inf) -> list[Budget]:
+def stated_budgets(
+    near: LinearSolution,
+    bias: Array | None = None,
+    thermometer_dof: float = inf,
+    shown: NoiseVariance | None = None,
+) -> list[Budget]:
     """Return the uncertainty of each sensor's coefficients where noise and bench are as they were stated.
 
     Parameters
@@ -32,10 +37,17 @@ def stated_budgets(near: LinearSolution, bias: Array | None = None, thermometer_
         What was taken off for the squares of the attitudes' errors.
     thermometer_dof : float
         Degrees of freedom of the thermometer's variance, where it was estimated.
+    shown : NoiseVariance, optional
+        Where the residuals show the noise.
     """
     shares = _shares(near)
     budgets = []
     for own, covariance, variance in _by_sensor(near, shares.variance, bias):
+        if shown is not None:
+            readings, total = variance[NOISE] + variance[ADC], np.diag(covariance)
+            share = np.divide(readings, total, out=np.zeros_like(total), where=total > 0.0)
+            budgets.append(Budget(covariance, variance, shown.dof(np.minimum(share, 1.0))))
+            continue
         estimated = [(shares.estimated[own], 1.0)]
         if isfinite(thermometer_dof):
             estimated.append((variance[THERMOMETER], thermometer_dof))

@@ -33,6 +33,8 @@ class Observation:
         Degrees of freedom of the noise's part of ``u``; None where it is known.
     adc : ndarray, shape (channels,), or None
         The part of ``u`` that quantisation gives; None for nothing.
+    noise_unknown : bool
+        Nothing else is in ``u``, because nothing is known of the noise: one number for all readings.
     """
 
     position: str
@@ -44,6 +46,7 @@ class Observation:
     held: bool = False
     dof: Array | None = None
     adc: Array | None = None
+    noise_unknown: bool = False
 
 
 @dataclass(frozen=True)

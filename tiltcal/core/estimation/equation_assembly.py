@@ -59,6 +59,7 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
         table_stated=design.table is not None,
         heading=radians(design.heading),
         thermometer=(design.thermometer or 0.0) if any(sensor.design.thermal for sensor in sensors) else 0.0,
+        noise_unknown=all(one.noise_unknown for sensor in sensors for one in sensor.observations),
     )
 
 
@@ -141,6 +142,7 @@ def _blocks(
         mean = _table(group, lambda one: one.mean)
         u = _table(group, lambda one: one.u)
         adc = _table(group, lambda one: np.zeros(len(one.mean)) if one.adc is None else one.adc)
+        unknown = all(one.noise_unknown for sensor in group for one in sensor.observations)
         dof = _table(group, lambda one: np.full(len(one.mean), inf) if one.dof is None else one.dof)
         yield EquationBlock(
             models=models,
@@ -148,7 +150,7 @@ def _blocks(
             columns=starts[first:last, None, None] + np.arange(len(models) * size).reshape(len(models), size),
             places=np.array([[places[one.position] for one in sensor.observations] for sensor in group], dtype=np.intp),
             mean=mean,
-            u=_floored(u, mean),
+            u=_alike(_floored(u, mean)) if unknown else _floored(u, mean),
             adc=adc,
             dof=dof,
             dt=read_there - reference if thermal else np.zeros((len(group), n)),
@@ -162,6 +164,11 @@ def _table(group: Sequence[SensorObservations], value: Callable[[Observation], A
     """Return a value of each reading, shape (sensors, channels, positions)."""
     rows = np.array([[value(one) for one in sensor.observations] for sensor in group], dtype=float)
     return np.asarray(rows.swapaxes(1, 2))
+
+
+def _alike(u: Array) -> Array:
+    """Return the largest uncertainty of each sensor for all its readings."""
+    return np.broadcast_to(u.max(axis=(1, 2), keepdims=True), u.shape)
 
 
 def _floored(u: Array, mean: Array) -> Array:

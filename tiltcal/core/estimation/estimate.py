@@ -29,7 +29,12 @@ from tiltcal.core.estimation.identifiability import require_determined
 from tiltcal.core.estimation.joint_equations import System
 from tiltcal.core.estimation.second_order import second_order_bias
 from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
-from tiltcal.core.estimation.variance_components import VarianceComponents, variance_components
+from tiltcal.core.estimation.variance_components import (
+    NoiseVariance,
+    ProjectedResiduals,
+    noise_variance,
+    variance_components,
+)
 from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.core.uncertainty_budget import Budget
@@ -112,6 +117,10 @@ class Estimate(DeterminedCoefficients):
         Standard deviation of a set angle that the residuals show where the jig is not stated, degrees.
     estimated_thermometer : float or None
         Standard deviation of a temperature that they show where a jig, but no thermometer is stated, °C.
+    estimated_noise : float or None
+        Standard deviation of the readings' noise that they show where a jig is stated, and of the noise nothing, unit.
+    noise_dof : float or None
+        Degrees of freedom of that.
     notes : tuple of str
         What the reader of the numbers should know.
     """
@@ -126,6 +135,8 @@ class Estimate(DeterminedCoefficients):
     attitudes: tuple[AttitudeError, ...] = ()
     estimated_jig: float | None = None
     estimated_thermometer: float | None = None
+    estimated_noise: float | None = None
+    noise_dof: float | None = None
     notes: tuple[str, ...] = ()
 
     def suspects(self, significance: float = 0.01) -> list[AttitudeError]:
@@ -186,14 +197,17 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
     near = linearised(system, z)
     dof = system.degrees_of_freedom(near.unobservable_leans)
     chi_square = near.equations.cost if dof else None
-    shown = None
-    if chi_square is not None and sensors[0].design.thermometer is None:
+    shown, noise = None, None
+    if dof and system.noise_unknown:
+        system, z, noise = _noise(system, z, dof)
+        near = linearised(system, z)
+    elif chi_square is not None and sensors[0].design.thermometer is None:
         shown = _thermometer(system, z, chi_square, dof)
     if shown is not None:
         system, z = shown.system, shown.z
         near = linearised(system, z)
     bias = second_order_bias(near, z) if system.jig > 0 else None
-    budgets = stated_budgets(near, bias, inf if shown is None else shown.dof)
+    budgets = stated_budgets(near, bias, inf if shown is None else shown.dof, noise)
     if bias is not None:
         z = z.copy()
         z[: system.coefficients] -= bias
@@ -205,6 +219,7 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
         chi_square,
         True,
         estimated_thermometer=None if shown is None else system.thermometer,
+        noise_dof=None if noise is None else float(noise.dof(np.ones(1))[0]),
         notes=() if dof else (NO_FREEDOM,),
     )
     return _estimates(sensors, system, found, attitudes)
@@ -220,7 +235,7 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
         return _estimates(sensors, system, _Found(z, stated_budgets(near), 0, None, True, notes=(NO_FREEDOM,)))
     # The mere bound of a lean that the readings show is no evidence of it.
     table = system.table if system.table_stated or near.unobservable_leans else inf
-    components = _components(replace(known, table=table), z, dof)
+    components = variance_components(_residuals(replace(known, table=table), z, dof))
     if components.angle > LARGEST_JIG:
         raise EstimateError(
             "the residuals are larger than any error of the set angles explains: are the positions named right, and "
@@ -232,7 +247,7 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
         z = _minimum(known, z, last)
         if components.angle == before or abs(known.jig - before) <= CLOSE * before:
             break
-        components = _components(replace(system, jig=components.angle, table=table), z, dof)
+        components = variance_components(_residuals(replace(system, jig=components.angle, table=table), z, dof))
     near = _with_attitudes(known, z)
     bias = second_order_bias(near, z) if known.jig > 0 else None
     budgets = estimated_jig_budgets(near, components, bias)
@@ -263,18 +278,28 @@ def _with_attitudes(system: System, z: Array) -> LinearSolution:
     return linearised(tilted, z if tilted is system else _transferred(z, system, tilted), system.jig)
 
 
-def _components(system: System, z: Array, dof: int) -> VarianceComponents:
-    """Find the jig's variance near a point.
+def _noise(system: System, z: Array, dof: int) -> tuple[System, Array, NoiseVariance]:
+    """Find the noise of readings of which only the rounding is stated; return it with the system and its minimum."""
+    factor = 1.0
+    for _ in range(ROUNDS):
+        last, known = factor, _with_noise(system, factor)
+        z = _minimum(known, z, known)
+        found = noise_variance(_residuals(known, z, dof), system.jig, 1.0 / factor)
+        factor = max(factor * found.factor, 1.0)
+        if abs(factor - last) <= CLOSE * last:
+            break
+    return known, z, found
 
-    The angles that were taken off there are put back into the residuals.
-    """
+
+def _residuals(system: System, z: Array, dof: int) -> ProjectedResiduals:
+    """Return the residuals near a point, with the angles that were taken off there put back."""
     near = _with_attitudes(system, z)
     left, singular, _ = near.spectrum
     first = near.shared - near.angles
     right = near.elimination.rhs[first:]
     if system.jig > 0:
         right = right + near.elimination.triangle[first:, first:] @ z[near.system.attitudes]
-    return variance_components(
+    return ProjectedResiduals(
         singular, left.T @ right, near.elimination.residual_squares, dof, _largest_sensitivity(near)
     )
 
@@ -358,6 +383,7 @@ class _Found:
     stated: bool
     estimated_jig: float | None = None
     estimated_thermometer: float | None = None
+    noise_dof: float | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -436,8 +462,8 @@ def _estimates(
         own = np.flatnonzero(system.sensors == number)
         shape = (len(sensor.design.channels), len(sensor.observations))
         rows = slice(row, row + shape[0] * shape[1])
-        row = rows.stop
         here = {observation.position for observation in sensor.observations}
+        noise = sqrt(max(float(system.sigma[row] ** 2 - np.max(sensor.observations[0].u) ** 2), 0.0))
         estimates.append(
             Estimate(
                 coefficients=_coefficients(sensor, found.z[own]),
@@ -453,9 +479,12 @@ def _estimates(
                 attitudes=tuple(one for one in attitudes if one.position in here),
                 estimated_jig=found.estimated_jig,
                 estimated_thermometer=found.estimated_thermometer,
+                estimated_noise=None if found.noise_dof is None else noise,
+                noise_dof=found.noise_dof,
                 notes=found.notes,
             )
         )
+        row = rows.stop
     return tuple(estimates)
 
 

@@ -175,6 +175,8 @@ class System:
         Radians; 0 has no heading errors.
     thermometer : float
         °C; 0 has no temperature errors.
+    noise_unknown : bool
+        Whether nothing but the rounding of the readings is known of their noise.
     """
 
     blocks: tuple[EquationBlock, ...]
@@ -193,6 +195,7 @@ class System:
     table_stated: bool
     heading: float
     thermometer: float
+    noise_unknown: bool = False
 
     @cached_property
     def basis(self) -> Array:

@@ -165,7 +165,8 @@ def noise_of_means(
     rounding = np.array([summary.quantisation for summary in summaries])
     drawn = np.isfinite(dof)
     common = float(np.mean(variance[drawn])) if drawn.any() else 0.0
-    coarse = None if correlated is not None and correlated.certain else _coarse_rounding(summaries)
+    certain = correlated is not None and correlated.certain
+    coarse = _coarse_rounding(summaries) if drawn.any() and not certain else None
     if coarse is not None:
         return np.where(drawn, common, variance), np.where(drawn, float(np.sum(dof[drawn])), inf), coarse
     if correlated is not None:

@@ -11,10 +11,12 @@ independent with variances 1 + q d². A q below zero is kept, as far as V stays 
 than the noise by chance, and as much smaller the coefficients that depend on the attitudes scatter. For one channel
 whose positions all depend on it alike this is the textbook's standard deviation of the residuals with Student's t.
 
-Where no attitude shows in the residuals, they show the size of the noise instead.
+Where no attitude shows in the residuals, they show the size of the noise instead. Where nothing is stated of the noise
+and q is, their variances are f + q d² with f unknown.
 
 Sources: H. D. Patterson, R. Thompson, *Recovery of inter-block information*, Biometrika 58 (1971) 545; M. G. Kenward,
-J. H. Roger, *Small sample inference for fixed effects from REML*, Biometrics 53 (1997) 983.
+J. H. Roger, *Small sample inference for fixed effects from REML*, Biometrics 53 (1997) 983; G. E. P. Box, G. C. Tiao,
+*Bayesian Inference in Statistical Analysis* (1973), 5.2 for f.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from math import inf, sqrt
 
 import numpy as np
 
+from tiltcal.core.coverage_factor import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR
 from tiltcal.core.model import Array
 
 IMPROBABLE = 0.01
@@ -36,6 +39,15 @@ POSITIVE = 0.9
 
 INSENSITIVE = 1e-9
 """A direction with less than this share of the whole sensitivity to the attitudes has none."""
+
+VARIANCES = 300
+"""Variances of the noise that are told apart, evenly in their logarithm."""
+
+FAR = 1e4
+"""The largest of them, over the largest square that the residuals have."""
+
+IMPOSSIBLE = 1e-9
+"""Probability over the largest one below which a variance is left out."""
 
 
 @dataclass(frozen=True)
@@ -75,27 +87,111 @@ class VarianceComponents:
         return sqrt(max(self.jig, 0.0))
 
 
-def variance_components(
-    singular: Array, projected: Array, residual_squares: float, dof: int, largest: float
-) -> VarianceComponents:
-    """Find the variance of the attitude angles from residuals.
+@dataclass(frozen=True)
+class NoiseVariance:
+    """Variance of the readings where nothing is stated of their noise, beside a jig that is.
 
-    Parameters
+    Attributes
+    ----------
+    factor : float
+        What it is over the variance that the residuals were whitened by.
+    ratios, probability : ndarray, shape (m,)
+        The variances that it may be, over that one, and how probable each is.
+    """
+
+    factor: float
+    ratios: Array
+    probability: Array
+
+    def dof(self, shares: Array) -> Array:
+        """Return the degrees of freedom of sums of variances, with which Student's t has their 95 % interval.
+
+        Parameters
+        ----------
+        shares : ndarray, shape (k,)
+            The part of each sum that goes with the noise's variance; the rest is known.
+        """
+        from scipy.special import ndtr, stdtridf
+
+        spread = np.sqrt(1.0 + shares[:, None] * (self.ratios - 1.0))
+        low, high = np.zeros(len(shares)), np.full(len(shares), NORMAL_FACTOR * float(spread.max(initial=1.0)))
+        for _ in range(BISECTIONS // 4):
+            middle = (low + high) / 2.0
+            within = (2.0 * ndtr(middle[:, None] / spread) - 1.0) @ self.probability
+            low, high = np.where(within < COVERAGE, middle, low), np.where(within < COVERAGE, high, middle)
+        wider = high > NORMAL_FACTOR * (1.0 + NEGLIGIBLE)
+        return np.where(wider, stdtridf(0.5 + COVERAGE / 2.0, np.where(wider, high, 3.0)), inf)
+
+
+@dataclass(frozen=True)
+class ProjectedResiduals:
+    """Residuals in the space that M leaves, whitened by N.
+
+    Attributes
     ----------
     singular : ndarray, shape (angles,)
-        d, the singular values of A in the space that M leaves, whitened by N.
+        d, the singular values of A there.
     projected : ndarray, shape (angles,)
         The residuals along their left singular vectors.
-    residual_squares : float
-        The sum of squares of the residuals, whitened, beside these.
+    squares : float
+        The sum of squares of the residuals beside these.
     dof : int
         The dimension of that space, above 0.
     largest : float
         The largest singular value of A, whitened by the noise alone.
     """
-    sensitive = singular > INSENSITIVE * max(largest, 1e-300)
-    d2, z2 = singular[sensitive] ** 2, projected[sensitive] ** 2
-    left, more = residual_squares + float(np.sum(projected[~sensitive] ** 2)), dof - len(d2)
+
+    singular: Array
+    projected: Array
+    squares: float
+    dof: int
+    largest: float
+
+    @property
+    def parts(self) -> tuple[Array, Array, float, int]:
+        """Return d² and z² where the attitudes show; the sum of squares elsewhere, and in how many directions."""
+        sensitive = self.singular > INSENSITIVE * max(self.largest, 1e-300)
+        d2, z2 = self.singular[sensitive] ** 2, self.projected[sensitive] ** 2
+        return d2, z2, self.squares + float(np.sum(self.projected[~sensitive] ** 2)), self.dof - len(d2)
+
+
+def noise_variance(residuals: ProjectedResiduals, jig: float, lowest: float) -> NoiseVariance:
+    """Find the variance f of the noise from residuals.
+
+    Parameters
+    ----------
+    jig : float
+        Stated standard deviation of an attitude angle, radians.
+    lowest : float
+        What f is at least: the share of rounding in the variance that the residuals were whitened by.
+
+    Notes
+    -----
+    The probability of f is its restricted likelihood times the root of its Fisher information (the prior of Jeffreys).
+    The factor is the harmonic mean: without a jig it is the textbook's variance of the residuals, and the interval that
+    of Student's t; beside a jig that hides the noise it stays above zero.
+    """
+    d2, z2, left, more = residuals.parts
+    low, high = np.log(lowest), np.log(FAR * max(float(np.max(z2, initial=left)), lowest))
+    for _ in range(2):
+        logarithm = np.linspace(low, high, VARIANCES)
+        f = np.exp(logarithm)
+        s = f[:, None] + jig**2 * d2
+        likelihood = np.sum(np.log(s) + z2 / s, axis=1) + more * logarithm + left / f
+        information = np.sum(1.0 / s**2, axis=1) + more / f**2
+        weight = (np.log(information) - likelihood) / 2.0 + logarithm
+        weight = np.exp(weight - weight.max())
+        possible = np.flatnonzero(weight > IMPOSSIBLE)
+        low, high = logarithm[max(possible[0] - 1, 0)], logarithm[min(possible[-1] + 1, VARIANCES - 1)]
+    probability = weight / weight.sum()
+    factor = 1.0 / float(probability @ (1.0 / f))
+    return NoiseVariance(factor, f / factor, probability)
+
+
+def variance_components(residuals: ProjectedResiduals) -> VarianceComponents:
+    """Find the variance of the attitude angles from residuals."""
+    dof, largest = residuals.dof, residuals.largest
+    d2, z2, left, more = residuals.parts
     if not len(d2):
         return VarianceComponents(0.0, inf, 0.0, left / dof, float(dof), detectable=False)
     q = _restricted_likelihood(d2, z2, lowest=-POSITIVE / largest**2)
