@@ -74,44 +74,43 @@ class Whole:
         return gravity, tangent_basis(gravity)
 
     def residual(self, z: Array) -> Array:
-        """All equations over their standard uncertainties, analytic in z."""
-        theta, angles, lean, heading, warm = np.split(z, np.cumsum(self.sizes)[:-1])
-        seen = self.sensors[0].observations
+        """All equations over their standard uncertainties, analytic in z, shape (..., unknowns)."""
+        theta, angles, lean, heading, warm = np.split(z, np.cumsum(self.sizes)[:-1], axis=-1)
+        seen, many = self.sensors[0].observations, z.shape[:-1]
         gravity, basis = self.gravity
-        n, k = len(gravity), len(theta) // (3 * len(self.sensors))
-        off = angles.reshape(-1, 2) if self.jig else np.zeros((n, 2))
+        n, k = len(gravity), theta.shape[-1] // (3 * len(self.sensors))
+        off = angles.reshape(*many, n, 2) if self.jig else np.zeros((*many, n, 2))
         if self.lean:
             turn = np.radians([one.heading for one in seen]) + (heading if self.heading else 0.0)
-            off = off + np.stack(
-                [np.cos(turn) * lean[0] + np.sin(turn) * lean[1], np.cos(turn) * lean[1] - np.sin(turn) * lean[0]],
-                axis=1,
-            )
-        s = np.sum(off**2, axis=1)
+            cos, sin, (t1, t2) = np.cos(turn), np.sin(turn), np.moveaxis(lean[..., None], -2, 0)
+            off = off + np.stack([cos * t1 + sin * t2, cos * t2 - sin * t1], axis=-1)
+        s = np.sum(off**2, axis=-1)
         cos = sum((-s) ** m / factorial(2 * m) for m in range(9))
         sinc = sum((-s) ** m / factorial(2 * m + 1) for m in range(9))
-        g = cos[:, None] * gravity + sinc[:, None] * np.einsum("nij,nj->ni", basis, off)
+        g = cos[..., None] * gravity + sinc[..., None] * np.einsum("nij,...nj->...ni", basis, off)
         rows = []
-        for number, (sensor, own) in enumerate(zip(self.sensors, theta.reshape(-1, 3, k), strict=True)):
+        by_sensor = np.moveaxis(theta.reshape(*many, -1, 3, k), -3, 0)
+        for number, (sensor, own) in enumerate(zip(self.sensors, by_sensor, strict=True)):
             drift, gain = sensor.design.drift, sensor.design.gain
             told, means, u = self.told[number]
             if self.thermometer:
-                told = told + warm.reshape(-1, n)[number if self.own else 0]
-            for row, c in enumerate(own):
+                told = told + warm.reshape(*many, -1, n)[..., number if self.own else 0, :]
+            for row in range(3):
+                c = np.moveaxis(own[..., row, :, None], -2, 0)
                 value = c[0] + sum(c[4 + p] * told ** (p + 1) for p in range(drift))
-                value = value + (1 + sum(c[4 + drift + p] * told ** (p + 1) for p in range(gain))) * (g @ c[1:4])
+                along = np.einsum("...ni,i...->...n", g, c[1:4, ..., 0])
+                value = value + (1 + sum(c[4 + drift + p] * told ** (p + 1) for p in range(gain))) * along
                 rows.append((means[row] - value) / u[row])
-            priors = sensor.design.priors
-            flat = dict(zip(sensor.design.names, own.ravel(), strict=True))
-            rows.append([(priors[name].value - flat[name]) / priors[name].u for name in priors])
+            flat = dict(zip(sensor.design.names, np.moveaxis(own.reshape(*many, -1, 1), -2, 0), strict=True))
+            rows += [(prior.value - flat[name]) / prior.u for name, prior in sensor.design.priors.items()]
         for errors, u in ((angles, self.jig), (lean, self.lean), (heading, self.heading)):
-            rows.append(list(-errors / np.radians(u)) if u else [])
-        rows.append(list(-warm / self.thermometer) if self.thermometer else [])
-        return np.concatenate([np.asarray(row, dtype=z.dtype) for row in rows])
+            rows += [-errors / np.radians(u)] if u else []
+        rows += [-warm / self.thermometer] if self.thermometer else []
+        return np.concatenate(rows, axis=-1)
 
     def jacobian(self, z: Array) -> Array:
         """Of minus the residual."""
-        step = 1e-30j * np.eye(len(z))
-        return np.stack([-self.residual(z + one).imag / 1e-30 for one in step], axis=1)
+        return -self.residual(z + 1e-30j * np.eye(len(z))).imag.T / 1e-30
 
     def minimum(self, z: Array) -> Array:
         """Where Gauss-Newton's steps end: the last one moves all residuals together by less than 1e-12."""
