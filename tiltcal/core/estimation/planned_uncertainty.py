@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
+from math import inf
 
 import numpy as np
 
-from tiltcal.core.estimation.covariance import stated_budgets
+from tiltcal.core.estimation.covariance import scaled_budgets, stated_budgets
 from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.elimination import linearised
 from tiltcal.core.estimation.equation_assembly import system_of
@@ -217,7 +218,7 @@ def _worth_adding(
         turned = f"{first.name} with the fixture turned by 180°"
         candidates.append(replace(first, name=turned, heading=(first.heading or 0.0) + 180.0, held=False))
     for candidate in candidates:
-        after = stated_budgets(linearised(*equations([*positions, candidate])))[0].u
+        after = scaled_budgets(linearised(*equations([*positions, candidate])), 1.0, inf)[0].u
         share = after / np.where(before > 0.0, before, np.inf)
         share[(before == 0.0) | assumed] = 1.0
         most = int(np.argmin(np.round(share, 6)))
