@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from support.warm_start import WarmStart, warm_start
 
 # The same examples on every run, so that a change is judged and not the draw; HYPOTHESIS_PROFILE=explore draws more,
 # and anew.
@@ -67,6 +68,13 @@ def nothing_is_left_behind() -> Iterator[None]:
         "files": sorted(target for number, target in _open_files().items() if files.get(number) != target),
     }
     assert not any(left.values()), f"left behind: {left}"
+
+
+@pytest.fixture(scope="session")
+def warm() -> Iterator[WarmStart]:
+    """Yield a server that forks processes of the command: what they test needs a process, but no start of Python."""
+    with warm_start() as server:
+        yield server
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 import json
-import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from support.command import tiltcal
 from support.emulated.bench import Bench, PartFacts, run_on_i2c, run_on_spi
+from support.warm_start import WarmStart
 
 from tiltcal.drivers import find_model
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
@@ -49,9 +50,9 @@ class Mcp3208Sca100t(Ads1115Sca100t):
     kind: ClassVar[str] = "mcp3208"
 
 
-def program(address: str, folder: Path, *options: str) -> list[str]:
+def program(start: Sequence[str], address: str, folder: Path, *options: str) -> list[str]:
     return [
-        *(sys.executable, "-m", "tiltcal", "measure", "plane", "--sensor", "sca100t-d02-analog"),
+        *(*start, "measure", "plane", "--sensor", "sca100t-d02-analog"),
         *("--address", address, "--serial", "S-7", "-o", str(folder / "S-7.yaml")),
         *("--operator", "json", "--settle", "0.4", *options),
     ]
@@ -70,25 +71,25 @@ def assert_true(calibration: CalibrationRecord, part: Ads1115Sca100t) -> None:
 
 
 @pytest.mark.parametrize("rate", ["", "&rate=860"])
-def test_plane_at_an_ads1115_and_4_9_volts(rate: str, tmp_path: Path) -> None:
+def test_plane_at_an_ads1115_and_4_9_volts(rate: str, warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
     address, part = f"ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2{rate}", Ads1115Sca100t()
-    with run_on_i2c(program(address, tmp_path, "--samples", "25"), part, 0x48) as bench:
+    with run_on_i2c(program(warm.program, address, tmp_path, "--samples", "25"), part, 0x48) as bench:
         assert_true(found(bench, tmp_path), part)
 
 
-def test_plane_at_an_mcp3208_and_4_9_volts(tmp_path: Path) -> None:
+def test_plane_at_an_mcp3208_and_4_9_volts(warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("spidev", reason="the spidev package is not installed")
     address, part = "mcp3208+spi:///dev/spidev0.0?x=0&y=1&vref=5.0", Mcp3208Sca100t()
-    with run_on_spi(program(address, tmp_path, "--samples", "25"), part) as bench:
+    with run_on_spi(program(warm.program, address, tmp_path, "--samples", "25"), part) as bench:
         assert_true(found(bench, tmp_path), part)
 
 
-def test_unplugged_and_faulty_in_mid_session_and_then_well_again(tmp_path: Path) -> None:
+def test_unplugged_and_faulty_in_mid_session_and_then_well_again(warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
     address = "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2&rate=860"
     part = Ads1115Sca100t()
-    with run_on_i2c(program(address, tmp_path, "--samples", "20"), part, 0x48) as bench:
+    with run_on_i2c(program(warm.program, address, tmp_path, "--samples", "20"), part, 0x48) as bench:
         bench.take()
         assert bench.read()["event"] == "accepted"
         bench.fail(errno.EREMOTEIO)
@@ -102,9 +103,9 @@ def test_unplugged_and_faulty_in_mid_session_and_then_well_again(tmp_path: Path)
         assert_true(found(bench, tmp_path), part)
 
 
-def refused(address: str, part: PartFacts, folder: Path, at: int) -> str:
+def refused(start: Sequence[str], address: str, part: PartFacts, folder: Path, at: int) -> str:
     """What is said where the first look at the sensor already fails."""
-    with run_on_i2c(program(address, folder), part, at) as bench:
+    with run_on_i2c(program(start, address, folder), part, at) as bench:
         assert bench.exit_code == 3
         return bench.errors()
 
@@ -116,9 +117,11 @@ def refused(address: str, part: PartFacts, folder: Path, at: int) -> str:
         (Ads1115Sca100t(supply=3.3), 0x48, "where the sensor needs 4.75 to 5.25 V"),
     ],
 )
-def test_faults_at_the_bus_end_with_exit_code_3(part: PartFacts, at: int, why: str, tmp_path: Path) -> None:
+def test_faults_at_the_bus_end_with_exit_code_3(
+    part: PartFacts, at: int, why: str, warm: WarmStart, tmp_path: Path
+) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
-    assert why in refused("ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2", part, tmp_path, at)
+    assert why in refused(warm.program, "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2", part, tmp_path, at)
 
 
 @pytest.mark.parametrize("address", ["sim:?seed=3", "sim:adc=mcp3208&seed=3"])

@@ -6,7 +6,7 @@ Noise is that of the data sheets, the jig has 0.01°. Offsets are found within 0
 from __future__ import annotations
 
 import errno
-import sys
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from support.command import tiltcal
 from support.emulated.bench import READY, Adxl355, Bench, Iis2iclx, PartFacts, Sca103t, Scl3300, run_on_i2c, run_on_spi
+from support.warm_start import WarmStart
 
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
@@ -51,9 +52,9 @@ class Setup:
             return run_on_i2c(program, self.part, address.integer("address"))
         return run_on_spi(program, self.part)
 
-    def program(self, folder: Path) -> list[str]:
+    def program(self, start: Sequence[str], folder: Path) -> list[str]:
         return [
-            *(sys.executable, "-m", "tiltcal", "measure", self.procedure, "--sensor", self.sensor),
+            *(*start, "measure", self.procedure, "--sensor", self.sensor),
             *("--address", self.address, "--serial", "A-1", "-o", str(folder / "A-1.yaml"), "--operator", "json"),
             *("--settle", "0.25", *self.options),
         ]
@@ -80,8 +81,8 @@ SETUPS = [
 
 
 @pytest.mark.parametrize("setup", SETUPS, ids=lambda setup: f"{setup.sensor} on {setup.address}")
-def test_a_calibration_finds_the_truth_of_the_part(setup: Setup, tmp_path: Path) -> None:
-    with setup.run(setup.program(tmp_path)) as bench:
+def test_a_calibration_finds_the_truth_of_the_part(setup: Setup, warm: WarmStart, tmp_path: Path) -> None:
+    with setup.run(setup.program(warm.program, tmp_path)) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
         assert bench.counts()["forbidden"] == 0
@@ -89,10 +90,10 @@ def test_a_calibration_finds_the_truth_of_the_part(setup: Setup, tmp_path: Path)
     require_true(setup, tmp_path)
 
 
-def test_a_damaged_line_costs_frames_and_no_accuracy(tmp_path: Path) -> None:
+def test_a_damaged_line_costs_frames_and_no_accuracy(warm: WarmStart, tmp_path: Path) -> None:
     """One bit of one frame in fifty: the calibration is as good, and the file says what the line damaged."""
     setup = replace(SCL, part=Scl3300(damage=0.02, seed=5), options=("--samples", "50"))
-    with setup.run(setup.program(tmp_path)) as bench:
+    with setup.run(setup.program(warm.program, tmp_path)) as bench:
         assert bench.lead()[-1]["event"] == "done"
         assert bench.exit_code == 0, bench.errors()
         part = bench.counts()
@@ -124,9 +125,11 @@ SCL_2G = replace(SCL, address=f"{SPI}?range=2.4g", part=Scl3300(noise=178e-6, co
     ],
     ids=["scl3300-brown-out", "scl3300-unplugged", "adxl355-brown-out", "iis2iclx-unplugged"],
 )
-def test_what_happens_in_mid_session_is_told_and_redone(setup: Setup, fault: int, why: str, tmp_path: Path) -> None:
+def test_what_happens_in_mid_session_is_told_and_redone(
+    setup: Setup, fault: int, why: str, warm: WarmStart, tmp_path: Path
+) -> None:
     """The part is in another range than after a reset, so that words of the wrong scale would show."""
-    with setup.run(setup.program(tmp_path)) as bench:
+    with setup.run(setup.program(warm.program, tmp_path)) as bench:
         bench.take()
         assert bench.read()["event"] == "accepted"
         ask = bench.read()

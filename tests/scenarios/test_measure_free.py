@@ -7,7 +7,7 @@ depend on how the sensor lay: the offsets, the length of each row of the sensiti
 from __future__ import annotations
 
 import json
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from support.command import tiltcal
 from support.emulated.bench import Sca3000, run_on_spi
+from support.warm_start import WarmStart
 
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure_file import find_procedure
@@ -24,9 +25,9 @@ Array = NDArray[np.float64]
 BY_HAND = Sca3000(jig=6.0, noise=1.5, seed=8)
 
 
-def program(folder: Path, *options: str) -> list[str]:
+def program(start: Sequence[str], folder: Path, *options: str) -> list[str]:
     return [
-        *(sys.executable, "-m", "tiltcal", "measure", "free", "--sensor", "sca3000-d01"),
+        *(*start, "measure", "free", "--sensor", "sca3000-d01"),
         *("--address", "spi:///dev/spidev0.0", "--serial", "A-3000", "-o", str(folder / "A-3000.yaml")),
         *("--operator", "json", "--settle", "0.3", "--samples", "40", *options),
     ]
@@ -38,9 +39,9 @@ def angles(sensitivity: Array) -> Array:
     return np.degrees(np.arccos([rows[0] @ rows[1], rows[0] @ rows[2], rows[1] @ rows[2]]))
 
 
-def test_a_part_that_was_laid_down_anyhow(tmp_path: Path) -> None:
+def test_a_part_that_was_laid_down_anyhow(warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("spidev", reason="the spidev package is not installed")
-    with run_on_spi(program(tmp_path), BY_HAND) as bench:
+    with run_on_spi(program(warm.program, tmp_path), BY_HAND) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     assert [one["position"] for one in told if one.get("event") == "accepted"] == [
@@ -62,9 +63,9 @@ def test_a_part_that_was_laid_down_anyhow(tmp_path: Path) -> None:
     assert again.stdout.encode() == (tmp_path / "A-3000.yaml").read_bytes()
 
 
-def test_the_same_attitude_again_is_refused(tmp_path: Path) -> None:
+def test_the_same_attitude_again_is_refused(warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("spidev", reason="the spidev package is not installed")
-    with run_on_spi(program(tmp_path), BY_HAND) as bench:
+    with run_on_spi(program(warm.program, tmp_path), BY_HAND) as bench:
         bench.pose([1.0, 0.0, 0.0])
         first = bench.ask('{"answer": "ready"}')
         assert first["ask"] == "position"

@@ -7,7 +7,7 @@ import random
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pexpect
@@ -17,7 +17,7 @@ from support import accelerometer_disk as disk
 from support.command import TILTCAL, tiltcal
 from support.json_program import Event, ProgramSession, lead
 from support.stage_part import on_a_pty, printed
-from support.warm_start import Start, warm_start
+from support.warm_start import WarmStart
 
 from tiltcal.files.pair import read_pair
 
@@ -284,12 +284,6 @@ VIRTUAL = [
 
 
 @pytest.fixture(scope="module")
-def start() -> Iterator[Start]:
-    with warm_start() as start:
-        yield start
-
-
-@pytest.fixture(scope="module")
 def never_stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("never-stopped")
     done = tiltcal(*VIRTUAL, cwd=folder)
@@ -299,11 +293,11 @@ def never_stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("number", range(8))
 def test_killed_at_a_random_moment_on_the_virtual_stage(
-    number: int, never_stopped: Path, start: Start, tmp_path: Path
+    number: int, never_stopped: Path, warm: WarmStart, tmp_path: Path
 ) -> None:
     whole = (never_stopped / JOURNAL).read_bytes()
     size = random.Random(number).randrange(1, len(whole))
-    start(VIRTUAL, tmp_path).kill_at(tmp_path / JOURNAL, size)
+    warm.start(VIRTUAL, tmp_path).kill_at(tmp_path / JOURNAL, size)
     resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
     assert (tmp_path / "pair.yaml").read_bytes() == (never_stopped / "pair.yaml").read_bytes()

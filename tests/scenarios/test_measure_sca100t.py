@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import errno
 import signal
-import sys
+from collections.abc import Sequence
 from math import cos, radians
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command import TILTCAL
 from support.emulated.bench import Part, run_on_spi
+from support.warm_start import WarmStart
 
 from tiltcal.bench.session import Session
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
@@ -25,16 +27,16 @@ pytest.importorskip("spidev", reason="the spidev package is not installed")
 FLAT = Part(sensitivity=((817.4, 11.2, 0.0), (-7.9, 821.6, 0.0)))
 
 
-def program(procedure: str, folder: Path, *options: str) -> list[str]:
+def program(start: Sequence[str], procedure: str, folder: Path, *options: str) -> list[str]:
     return [
-        *(sys.executable, "-m", "tiltcal", "measure", procedure, "--sensor", "sca100t-d02"),
+        *(*start, "measure", procedure, "--sensor", "sca100t-d02"),
         *("--address", "spi:///dev/spidev0.0", "--serial", "S-0042", "-o", str(folder / "S-0042.yaml")),
         *("--operator", "json", "--settle", "0.4", "--samples", "30", *options),
     ]
 
 
-def led(procedure: str, folder: Path, part: Part) -> CalibrationRecord:
-    with run_on_spi(program(procedure, folder), part) as bench:
+def led(start: Sequence[str], procedure: str, folder: Path, part: Part) -> CalibrationRecord:
+    with run_on_spi(program(start, procedure, folder), part) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     assert told[-1]["event"] == "done"
@@ -43,22 +45,22 @@ def led(procedure: str, folder: Path, part: Part) -> CalibrationRecord:
 
 
 def test_plane(tmp_path: Path) -> None:
-    found = led("plane", tmp_path, FLAT).coefficients
+    found = led(TILTCAL, "plane", tmp_path, FLAT).coefficients
     np.testing.assert_allclose(found.offset, FLAT.offset, atol=0.5)
     np.testing.assert_allclose(found.sensitivity, np.array(FLAT.sensitivity)[:, :2], atol=0.9)
 
 
-def test_plane_takes_the_z_sensitivity_at_its_tilt_for_offset(tmp_path: Path) -> None:
+def test_plane_takes_the_z_sensitivity_at_its_tilt_for_offset(warm: WarmStart, tmp_path: Path) -> None:
     """All four positions share g_z = cos 30°, so what z adds there cannot be told from the offset."""
     part = Part()
-    found = led("plane", tmp_path, part).coefficients
+    found = led(warm.program, "plane", tmp_path, part).coefficients
     seen = np.array(part.offset) + np.array(part.sensitivity)[:, 2] * cos(radians(30.0))
     np.testing.assert_allclose(found.offset, seen, atol=0.5)
 
 
-def test_cross_axis(tmp_path: Path) -> None:
+def test_cross_axis(warm: WarmStart, tmp_path: Path) -> None:
     part = Part()
-    calibration = led("cross-axis", tmp_path, part)
+    calibration = led(warm.program, "cross-axis", tmp_path, part)
     np.testing.assert_allclose(calibration.coefficients.offset, part.offset, atol=0.5)
     np.testing.assert_allclose(calibration.coefficients.sensitivity, part.sensitivity, atol=0.9)
     # Eq. 1 on the part's truth: sqrt(11.2² + 3.5²) / 817.4 and sqrt(7.9² + 5.1²) / 821.6.
@@ -66,8 +68,8 @@ def test_cross_axis(tmp_path: Path) -> None:
     assert calibration.derived.cross_axis_percent["y"] == pytest.approx(1.1445, abs=0.15)
 
 
-def test_a_wrong_position_is_refused_and_asked_for_again(tmp_path: Path) -> None:
-    with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
+def test_a_wrong_position_is_refused_and_asked_for_again(warm: WarmStart, tmp_path: Path) -> None:
+    with run_on_spi(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
         first = bench.read()
         bench.take(first, gravity=(-0.5, 0.0, 0.866025404))
         refused = bench.read()
@@ -82,8 +84,8 @@ def test_a_wrong_position_is_refused_and_asked_for_again(tmp_path: Path) -> None
     assert told[0]["event"] == "accepted"
 
 
-def test_unplugged_in_mid_session_and_plugged_in_again(tmp_path: Path) -> None:
-    with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
+def test_unplugged_in_mid_session_and_plugged_in_again(warm: WarmStart, tmp_path: Path) -> None:
+    with run_on_spi(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
         bench.take()
         assert bench.read()["event"] == "accepted"
         bench.fail(errno.EIO)
@@ -101,8 +103,8 @@ def test_unplugged_in_mid_session_and_plugged_in_again(tmp_path: Path) -> None:
     assert any(event.kind == "!" for event in events)
 
 
-def test_a_part_that_stays_away_ends_the_session_and_keeps_it(tmp_path: Path) -> None:
-    with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
+def test_a_part_that_stays_away_ends_the_session_and_keeps_it(warm: WarmStart, tmp_path: Path) -> None:
+    with run_on_spi(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
         bench.take()
         assert bench.read()["event"] == "accepted"
         bench.fail(errno.ENODEV)
@@ -113,8 +115,8 @@ def test_a_part_that_stays_away_ends_the_session_and_keeps_it(tmp_path: Path) ->
     assert read_journal(tmp_path / "S-0042.journal.jsonl").end is None
 
 
-def test_the_parts_fault_signal_is_refused(tmp_path: Path) -> None:
-    with run_on_spi(program("plane", tmp_path, "--samples", "20"), FLAT) as bench:
+def test_the_parts_fault_signal_is_refused(warm: WarmStart, tmp_path: Path) -> None:
+    with run_on_spi(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
         ask = bench.read()
         bench.break_part()
         bench.take(ask)
@@ -124,9 +126,9 @@ def test_the_parts_fault_signal_is_refused(tmp_path: Path) -> None:
         assert bench.exit_code == 0
 
 
-def test_a_faulty_part_is_told_before_the_first_prompt(tmp_path: Path) -> None:
+def test_a_faulty_part_is_told_before_the_first_prompt(warm: WarmStart, tmp_path: Path) -> None:
     part = Part(offset=(10.0, 10.0), noise=0.0)
-    with run_on_spi(program("plane", tmp_path), part) as bench:
+    with run_on_spi(program(warm.program, "plane", tmp_path), part) as bench:
         told = bench.lead()
         assert bench.exit_code == 3
         assert "fault signal" in bench.errors()
@@ -134,8 +136,8 @@ def test_a_faulty_part_is_told_before_the_first_prompt(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_such_device(tmp_path: Path) -> None:
-    options = [option.replace("spidev0.0", "spidev7.3") for option in program("plane", tmp_path)]
+def test_no_such_device(warm: WarmStart, tmp_path: Path) -> None:
+    options = [option.replace("spidev0.0", "spidev7.3") for option in program(warm.program, "plane", tmp_path)]
     with run_on_spi(options, FLAT) as bench:
         assert bench.lead() == []
         assert bench.exit_code == 3
@@ -143,15 +145,15 @@ def test_no_such_device(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_captured_real_session_replays_to_the_byte(tmp_path: Path) -> None:
-    led("plane", tmp_path, FLAT)
-    with run_on_spi([sys.executable, "-m", "tiltcal", "replay", str(tmp_path / "S-0042.journal.jsonl")]) as bench:
+def test_a_captured_real_session_replays_to_the_byte(warm: WarmStart, tmp_path: Path) -> None:
+    led(warm.program, "plane", tmp_path, FLAT)
+    with run_on_spi([*TILTCAL, "replay", str(tmp_path / "S-0042.journal.jsonl")]) as bench:
         text = bench.process.stdout.read()
     assert text.encode() == (tmp_path / "S-0042.yaml").read_bytes()
 
 
 def test_killed_on_the_real_bus_and_resumed(tmp_path: Path) -> None:
-    with run_on_spi(program("plane", tmp_path, "--samples", "30"), FLAT) as bench:
+    with run_on_spi(program(TILTCAL, "plane", tmp_path, "--samples", "30"), FLAT) as bench:
         for _ in range(2):
             bench.take()
             assert bench.read()["event"] == "accepted"
@@ -160,7 +162,7 @@ def test_killed_on_the_real_bus_and_resumed(tmp_path: Path) -> None:
         assert bench.exit_code == 128 + signal.SIGKILL
     journal = tmp_path / "S-0042.journal.jsonl"
     before = journal.read_bytes()
-    with run_on_spi([sys.executable, "-m", "tiltcal", "measure", "--resume", str(journal)], FLAT) as bench:
+    with run_on_spi([*TILTCAL, "measure", "--resume", str(journal)], FLAT) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     # The third position was being measured; nobody knows how the bench stands now, so it is asked for again.

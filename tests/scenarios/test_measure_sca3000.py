@@ -7,13 +7,14 @@ within 0.9 count/g of the part's truth.
 from __future__ import annotations
 
 import errno
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.command import tiltcal
+from support.command import TILTCAL, tiltcal
 from support.emulated.bench import Sca3000, run_on_i2c, run_on_spi
+from support.warm_start import WarmStart
 
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.journal import read_journal
@@ -22,9 +23,9 @@ ON_SPI = ("sca3000-d01", "spi:///dev/spidev0.0")
 ON_I2C = ("sca3000-i2c", "i2c:///dev/i2c-1?address=0x1d&counts_per_g=1333&rate=250")
 
 
-def program(sensor: str, address: str, folder: Path, *options: str) -> list[str]:
+def program(start: Sequence[str], sensor: str, address: str, folder: Path, *options: str) -> list[str]:
     return [
-        *(sys.executable, "-m", "tiltcal", "measure", "six-face", "--sensor", sensor, "--address", address),
+        *(*start, "measure", "six-face", "--sensor", sensor, "--address", address),
         *("--serial", "A-3000", "-o", str(folder / "A-3000.yaml"), "--operator", "json", "--settle", "0.4", *options),
     ]
 
@@ -38,7 +39,7 @@ def require_true(told: list[dict[str, object]], folder: Path, part: Sca3000) -> 
 
 def test_six_face_on_spi(tmp_path: Path) -> None:
     pytest.importorskip("spidev", reason="the spidev package is not installed")
-    with run_on_spi(program(*ON_SPI, tmp_path), Sca3000()) as bench:
+    with run_on_spi(program(TILTCAL, *ON_SPI, tmp_path), Sca3000()) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     require_true(told, tmp_path, Sca3000())
@@ -47,27 +48,29 @@ def test_six_face_on_spi(tmp_path: Path) -> None:
     assert [position.temperature for position in positions] == pytest.approx([24.11] * 6, abs=0.01)
 
 
-def test_six_face_on_i2c(tmp_path: Path) -> None:
+def test_six_face_on_i2c(warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
     part = Sca3000(thermometer=False, seed=2)
-    with run_on_i2c(program(*ON_I2C, tmp_path), part, 0x1D) as bench:
+    with run_on_i2c(program(warm.program, *ON_I2C, tmp_path), part, 0x1D) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     require_true(told, tmp_path, part)
 
 
-def test_a_session_captured_on_i2c_replays_to_the_byte_with_no_bus(tmp_path: Path) -> None:
+def test_a_session_captured_on_i2c_replays_to_the_byte_with_no_bus(warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
-    with run_on_i2c(program(*ON_I2C, tmp_path, "--samples", "20"), Sca3000(thermometer=False), 0x1D) as bench:
+    with run_on_i2c(
+        program(warm.program, *ON_I2C, tmp_path, "--samples", "20"), Sca3000(thermometer=False), 0x1D
+    ) as bench:
         assert bench.lead()[-1]["event"] == "done"
     again = tiltcal("replay", tmp_path / "A-3000.journal.jsonl")
     assert again.stdout.encode() == (tmp_path / "A-3000.yaml").read_bytes()
 
 
-def test_unplugged_on_i2c_in_mid_session_and_plugged_in_again(tmp_path: Path) -> None:
+def test_unplugged_on_i2c_in_mid_session_and_plugged_in_again(warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
     part = Sca3000(thermometer=False)
-    with run_on_i2c(program(*ON_I2C, tmp_path, "--samples", "20"), part, 0x1D) as bench:
+    with run_on_i2c(program(warm.program, *ON_I2C, tmp_path, "--samples", "20"), part, 0x1D) as bench:
         bench.take()
         assert bench.read()["event"] == "accepted"
         bench.fail(errno.EREMOTEIO)
@@ -81,10 +84,10 @@ def test_unplugged_on_i2c_in_mid_session_and_plugged_in_again(tmp_path: Path) ->
     assert any(event.kind == "!" for event in read_journal(tmp_path / "A-3000.journal.jsonl").events)
 
 
-def test_a_faulty_part_is_told_before_the_first_prompt(tmp_path: Path) -> None:
+def test_a_faulty_part_is_told_before_the_first_prompt(warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
     address = ON_I2C[1].replace("0x1d", "0x1e")
-    with run_on_i2c(program("sca3000-i2c", address, tmp_path), Sca3000(), 0x1D) as bench:
+    with run_on_i2c(program(warm.program, "sca3000-i2c", address, tmp_path), Sca3000(), 0x1D) as bench:
         assert bench.lead() == []
         assert bench.exit_code == 3
         assert "no device acknowledges at address 0x1e" in bench.errors()

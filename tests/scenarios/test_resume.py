@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from support import ROOT
 from support.command import measure, tiltcal
-from support.warm_start import Start, warm_start
+from support.warm_start import WarmStart
 
 JOURNAL = "S-1.journal.jsonl"
 TWIN = """\
@@ -47,18 +46,12 @@ def never_stopped(options: list[str], tmp_path_factory: pytest.TempPathFactory) 
     return folder
 
 
-@pytest.fixture(scope="module")
-def start() -> Iterator[Start]:
-    with warm_start() as start:
-        yield start
-
-
 @pytest.mark.parametrize("number", range(20))
 def test_killed_at_a_random_moment(
-    number: int, options: list[str], never_stopped: Path, start: Start, tmp_path: Path
+    number: int, options: list[str], never_stopped: Path, warm: WarmStart, tmp_path: Path
 ) -> None:
     whole = (never_stopped / JOURNAL).read_bytes()
-    start(options, tmp_path).kill_at(tmp_path / JOURNAL, random.Random(number).randrange(1, len(whole)))
+    warm.start(options, tmp_path).kill_at(tmp_path / JOURNAL, random.Random(number).randrange(1, len(whole)))
     resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
     assert (tmp_path / "S-1.yaml").read_bytes() == (never_stopped / "S-1.yaml").read_bytes()
