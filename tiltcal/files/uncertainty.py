@@ -42,6 +42,7 @@ SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
 
 TEMPERATURE = "temperature"
 
+_TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
 _SYMMETRY = 1e-9
 _POLYNOMIALS = ByChannel(
     ListOf(FROM_ZERO, most=ORDER_LIMIT, says=f"a polynomial has at most {ORDER_LIMIT} coefficients, found {{found}}"),
@@ -164,6 +165,8 @@ def _of_section(found: UncertaintySection, node: Node, context: Context) -> Unce
     """Return the section with its standard uncertainties by dotted name."""
     shaped = {key: value for key, value in _SECTION.write(found).items() if key in SHAPED}
     standard = dict(_named(shaped))
+    if found.coverage_factor:
+        node.entries()["coverage_factor"].mapping(optional=[*context.coefficients, *_TURNS, *standard])
     if found.covariance is not None:
         for k, name in enumerate(found.covariance.parameters):
             u = sqrt(found.covariance.matrix[k][k])
@@ -318,7 +321,7 @@ def _with_turn(
     turn = axes @ np.diag([u.get(angle, 0.0) ** 2 for angle in ANGLES]) @ axes.T
     joint = np.zeros((len(names) + 3, len(names) + 3))
     joint[:-3, :-3], joint[-3:, -3:] = covariance, turn
-    return (*names, *(f"{TURN}{axis}" for axis in AXES)), joint
+    return (*names, *_TURNS), joint
 
 
 def _symmetric(found: Covariance, node: Node, context: Context) -> Covariance:
@@ -326,7 +329,7 @@ def _symmetric(found: Covariance, node: Node, context: Context) -> Covariance:
     if len(set(names)) < len(names):
         raise section["parameters"].error("a parameter is named twice")
     for item in section["parameters"].items():
-        item.choice([*context.coefficients, *(f"{TURN}{axis}" for axis in AXES)])
+        item.choice([*context.coefficients, *_TURNS])
     size = len(names)
     if len(matrix) != size or any(len(row) != size for row in matrix):
         raise section["matrix"].error(f"{size} parameters need a matrix of {size} rows of {size} numbers")

@@ -133,6 +133,13 @@ def test_two_channels_may_have_a_z_column() -> None:
             "uncertainty.covariance.parameters[1]",
             "did you mean 'offset.y'",
         ),
+        (
+            "0.1}\n  cov",
+            "0.1}\n  coverage_factor: {ofset.x: 2.5}\n  cov",
+            16,
+            "uncertainty.coverage_factor.ofset.x",
+            "did you mean 'offset.x'",
+        ),
         ("tilt: [-60, 60]", "tilt: {w: [0, 1]}", 17, "limits.tilt.w", "unknown key"),
         ("chi_square: 3.1", "chi_square: .inf", 18, "fit.chi_square", "must be finite"),
         ("[{position", "[1, {position", 19, "positions[0]", "a mapping is needed"),

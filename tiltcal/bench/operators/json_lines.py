@@ -69,14 +69,24 @@ def parsed(line: str) -> object:
     Raises
     ------
     InputError
-        It is none.
+        It is none, or an object has a key twice.
     """
     try:
-        return json.loads(line, parse_constant=_no_constant)
+        return json.loads(line, parse_constant=_no_constant, object_pairs_hook=_once)
     except (ValueError, RecursionError):
         raise InputError(
             f'not understood: {line.strip()[:80]!r}; an answer is one line such as {{"answer": "ready"}}'
         ) from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the object of these keys and values."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise InputError(f"the key {twice[:80]!r} is there twice in one answer: give each key once")
+    return found
 
 
 def _no_constant(name: str) -> float:
