@@ -15,9 +15,6 @@ from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, outliers
 from tiltcal.core.quantisation import resolution
 from tiltcal.drivers.device import Model, Reading
 
-FEWEST_SAMPLES = 8
-"""Readings among which one can be called far off."""
-
 POWER_ON = 85.0
 """The temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)."""
 
@@ -43,12 +40,11 @@ def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: boo
     found: dict[int, str] = {}
     for index, model in enumerate(models):
         readings = [sample[index] for _, sample in held]
-        if len(readings) >= FEWEST_SAMPLES:
-            for place, channel in enumerate(model.channels):
-                values = np.array([reading.values[place] for reading in readings])
-                for number in outliers(values, model.resolution or resolution([values])).tolist():
-                    middle = float(np.median(values))
-                    found[number] = f"{channel} reads {values[number]:.6g} where the other samples read {middle:.6g}"
+        for place, channel in enumerate(model.channels):
+            values = np.array([reading.values[place] for reading in readings])
+            for number in outliers(values, model.resolution or resolution([values])).tolist():
+                middle = float(np.median(values))
+                found[number] = f"{channel} reads {values[number]:.6g} where the other samples read {middle:.6g}"
         if thermometers:
             found |= _absurd_temperatures(readings)
     return found

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from math import acos, degrees, inf
+from math import acos, degrees
 
 import numpy as np
 
-from tiltcal.calibration.measurement import MeasuredSensor
+from tiltcal.calibration.measurement import MeasuredSensor, at_rail, rails_of
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.model import Coefficients
 from tiltcal.core.rounding import significant
@@ -37,16 +37,12 @@ def require_own_readings(sensor: MeasuredSensor) -> None:
     ------
     EstimateError
     """
-    known = sensor.base.limits.reading if sensor.nominal is None and sensor.base is not None else {}
-    for channel in () if sensor.ramp is not None else sensor.sensor.channels:
-        low, high = known.get(channel, (-inf, inf)) if sensor.nominal is None else sensor.nominal.rails
+    known = rails_of(sensor.sensor.channels, sensor.nominal, sensor.base) if sensor.ramp is None else {}
+    for channel, (low, high) in known.items():
         for one in sensor.measurements:
             if not low < one.summaries[channel].mean < high:
                 reads = f"{one.summaries[channel].mean:.6g} {sensor.sensor.unit} in {one.position}"
-                raise EstimateError(
-                    f"{channel} reads {reads}, at its rail or beyond ({low:g} to {high:g}): is this the sensor, are "
-                    "these its readings in its unit, and is the angle within its range?"
-                )
+                raise EstimateError(at_rail(channel, reads, (low, high)))
     for first, second in combinations(sensor.sensor.channels, 2):
         pairs = [(one.summaries[first], one.summaries[second]) for one in sensor.measurements]
         if any(a.std for a, _ in pairs) and all(a.mean == b.mean and a.std == b.std for a, b in pairs):

@@ -10,7 +10,7 @@ import numpy as np
 
 from tiltcal.calibration.channel_checks import judge_channels
 from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, uncertainty_of
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal, rails_of
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.hysteresis import with_hysteresis
@@ -269,11 +269,10 @@ def _limits(design: Design, sensor: MeasuredSensor, thermal: bool) -> Limits:
     met = [
         round(measurement.temperature, 3) for measurement in sensor.measurements if measurement.temperature is not None
     ]
-    rails = {} if sensor.nominal is None else dict.fromkeys(design.channels, sensor.nominal.rails)
     return Limits(
         tilt=tilt,
         temperature=(min(met), max(met)) if thermal else None,
-        reading=rails or ({} if sensor.base is None else sensor.base.limits.reading),
+        reading=dict(rails_of(design.channels, sensor.nominal, sensor.base)),
     )
 
 

@@ -127,6 +127,23 @@ class Nominal:
         return cls(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails, model.population)
 
 
+def rails_of(
+    channels: Sequence[str], nominal: Nominal | None, base: CalibrationRecord | None
+) -> Mapping[str, tuple[float, float]]:
+    """Return the lowest and the highest reading of each channel, unit: of the model, or those that a base states."""
+    if nominal is not None:
+        return dict.fromkeys(channels, nominal.rails)
+    return {} if base is None else {c: at for c, at in base.limits.reading.items() if c in channels}
+
+
+def at_rail(channel: str, reading: str, rails: tuple[float, float]) -> str:
+    """Return what a reading at a rail means, and what to look at."""
+    return (
+        f"{channel} reads {reading}, at its rail or beyond ({rails[0]:g} to {rails[1]:g}): is this the sensor, are "
+        "these its readings in its unit, and is the angle within its range?"
+    )
+
+
 @frozen
 class MeasuredSensor:
     """One sensor of a fixture with what was measured of it.

@@ -36,6 +36,9 @@ JUMP = 8.0
 BURST = 5.0
 """So is a scatter within a block beyond so many times the usual one."""
 
+FEWEST_SAMPLES = 8
+"""Readings among which one can be called far off."""
+
 LEFT_OUT = 0.05
 """The largest share of samples that is left out as far off; more is a fault that must not be hidden."""
 
@@ -243,7 +246,7 @@ def bursts(scatter: Array, rounding: ArrayLike = 0.0) -> Mask:
 
 
 def outliers(samples: Sequence[float] | Array, step: float = 0.0, sigmas: float = 6.0) -> NDArray[np.intp]:
-    """Return the samples of one channel that stand far out of the others.
+    """Return the samples of one channel that stand far out of the others; none of fewer than eight.
 
     Parameters
     ----------
@@ -255,6 +258,8 @@ def outliers(samples: Sequence[float] | Array, step: float = 0.0, sigmas: float 
         Standard deviations, judged by the median of the distances from the median, beyond which a sample is out.
     """
     values = np.asarray(samples, dtype=float)
+    if len(values) < FEWEST_SAMPLES:
+        return np.zeros(0, dtype=np.intp)
     distance = np.abs(values - np.median(values))
     # Where more than half of the samples are in one step, the median of the distances is 0; the nearest 90 % are not.
     nearest = np.sort(distance)[: max(1, round(0.9 * len(values)))]

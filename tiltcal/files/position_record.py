@@ -103,7 +103,7 @@ class PositionRecord:
     )
     n: int | None = entry(Integer(minimum=0), "number of samples", default=None)
     left_out: int | None = entry(
-        Integer(minimum=0), "samples that were far off the others and were taken again", default=None
+        Integer(minimum=0), "samples that were far off the others, and were left out or taken again", default=None
     )
     temperature: float | None = entry(Number(), "°C", default=None)
     time: str | None = entry(Text(), "when it was measured, UTC", default=None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,7 +11,7 @@ import tiltcal
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.joint_fit import no_sensitivity
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal, rails_of
 from tiltcal.calibration.prediction import require_tilt
 from tiltcal.calibration.unit_gravity import directions, require_no_jig
 from tiltcal.core.ramp.record import RampRecord
@@ -34,6 +34,7 @@ from tiltcal.logs.log import Progress
 from tiltcal.logs.ramp import read_ramp
 from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
 from tiltcal.logs.static_intervals import (
+    Rails,
     RecordedReadings,
     StaticInterval,
     intervals_of,
@@ -158,16 +159,21 @@ def fit(
     known = bases_of(steps, base, [serial]).get(serial)
     own = None if known is None else known.calibration
     identity = _identity(own, model, steps, unit, serial)
+    nominal = None if model is None or model.unit != identity.unit else Nominal.of(model)
+    source = replace(source, rails=rails_of(identity.channels, nominal, own))
     if steps.ramp is not None:
         positions = source.ramp(identity, steps)
     elif steps.determines.free:
         positions = source.free_positions(identity, say)
     else:
         positions = source.set_positions(identity, steps)
+    for one in positions.measurements:
+        if "left_out" in one.when:
+            say(f"{one.position}: {one.when['left_out']} samples are far off the others, and are left out")
     measured = MeasuredSensor(
         identity,
         positions.measurements,
-        None if model is None or model.unit != identity.unit else Nominal.of(model),
+        nominal,
         thermometer=None if model is None else model.thermometer_rounding,
         base=own,
         ramp=positions.ramp,
@@ -205,6 +211,7 @@ class FitSource:
     columns: Mapping[str, str] | str
     window: int | None
     progress: Progress | None = None
+    rails: Rails = field(default_factory=dict)
 
     @property
     def finds(self) -> bool:
@@ -309,7 +316,7 @@ class FitSource:
         chosen, tried = find_still(record.readings, windows)
         say(choice_table(chosen, tried, sensor.unit))
         found = still_segments(chosen)
-        intervals = intervals_of(record, found, file=record.name)
+        intervals = intervals_of(record, found, file=record.name, rails=self.rails)
         attitudes = directions([interval.summaries for interval in intervals])
         for interval, (x, y, z) in zip(intervals, attitudes.tolist(), strict=True):
             rows = [segment for segment in found if segment.name == interval.position]
@@ -338,14 +345,14 @@ class FitSource:
             return intervals, self._provenance()
         segments = read_segments(_path_or_rows(self.segments, "the segments"))
         record = self._record(sensor, timed=soak > 0.0)
-        intervals = intervals_of(record, segments, file=self._name, soak=soak)
+        intervals = intervals_of(record, segments, file=self._name, soak=soak, rails=self.rails)
         return intervals, self._provenance(record, _origin(self.segments, SegmentsRecord))
 
     def _whole(self, sensor: SensorIdentity, procedure: Procedure) -> tuple[list[StaticInterval], Provenance]:
         """What the sensor read in the one position of a procedure, which is the whole log."""
         record = self._record(sensor)
         whole = [Segment(procedure.positions[0].name, 0, record.rows, None, None)]
-        return intervals_of(record, whole, file=record.name), self._provenance(record)
+        return intervals_of(record, whole, file=record.name, rails=self.rails), self._provenance(record)
 
     def _record(self, sensor: SensorIdentity, *, timed: bool = False) -> RecordedReadings:
         named = named_columns(self.columns, sensor.channels)

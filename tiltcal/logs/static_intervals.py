@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.measurement import Measurement
-from tiltcal.core.detection import identical_by_chance
+from tiltcal.calibration.measurement import Measurement, at_rail
+from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, identical_by_chance, outliers
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.quantisation import noise_under_rounding, resolution
@@ -35,6 +35,12 @@ FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
 
 SOAKS = 3
 """Soaks up to the end of a segment over which the temperature is judged."""
+
+Rails = Mapping[str, tuple[float, float]]
+"""The lowest and the highest reading of channels, unit."""
+
+FLICKER = 0.5
+"""Standard deviation of a reading that takes two neighbouring values, at most, in steps."""
 
 TILTED = 0.1
 """How far a channel's axis has to move before its reading must, g."""
@@ -164,9 +170,9 @@ def recorded_readings(
 
 
 def intervals_of(
-    record: RecordedReadings, segments: Sequence[Segment], *, file: str, soak: float = 0.0
+    record: RecordedReadings, segments: Sequence[Segment], *, file: str, soak: float = 0.0, rails: Rails | None = None
 ) -> list[StaticInterval]:
-    """Return what the sensor read in each segment.
+    """Return what the sensor read in each segment, without the samples that are far off the others.
 
     Parameters
     ----------
@@ -176,16 +182,20 @@ def intervals_of(
         Where the segments stand, for messages.
     soak : float
         Seconds over which a temperature must stand still: the rise is also judged over the rows before a segment.
+    rails : mapping of str to (float, float)
+        The lowest and the highest reading of each channel, where they are known, unit.
 
     Raises
     ------
     InputError
-        A segment reaches beyond the log, has a missing value, or is stuck.
+        A segment reaches beyond the log, has a missing value, samples at a rail or too many far off, or is stuck.
     """
     parts = [list(group) for _, group in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
     names = _distinct([part[0].name for part in parts])
     step = resolution(values for role, values in record.columns.items() if role not in (TEMPERATURE, TIME))
-    intervals = [_interval(record, step, part, name, file) for part, name in zip(parts, names, strict=True)]
+    intervals = [
+        _interval(record, step, part, name, rails or {}, file) for part, name in zip(parts, names, strict=True)
+    ]
     if soak and TEMPERATURE in record.columns:
         ends = [0, *(part[-1].end for part in parts)]
         before = [max((end for end in ends if end <= part[0].start), default=0) for part in parts]
@@ -314,10 +324,15 @@ def _require_temperatures(intervals: Sequence[StaticInterval], file: str) -> Non
 def _require_not_stuck(intervals: Sequence[StaticInterval], step: float, file: str) -> None:
     """Refuse a channel that stood at one value where its own noise would have moved it.
 
-    The noise is that of all segments before rounding: a converter that is coarser than the noise stands still, too.
+    The noise is that of all segments before rounding: a converter that is coarser than the noise stands still, too. A
+    reading that flickers between two values scatters by up to half a step however small its noise is: it tells nothing
+    of a segment in which another reading stands still.
     """
     for channel in intervals[0].summaries:
-        scatter = float(np.mean([interval.summaries[channel].std ** 2 for interval in intervals]))
+        scatters = [interval.summaries[channel].std ** 2 for interval in intervals]
+        if step and np.median(scatters) <= (FLICKER * step) ** 2:
+            continue
+        scatter = float(np.mean(scatters))
         noise = noise_under_rounding(scatter, step) if step else sqrt(scatter)
         for interval in intervals:
             summary = interval.summaries[channel]
@@ -341,13 +356,31 @@ def _require_not_stuck_everywhere(measurements: Sequence[Measurement], file: str
             )
 
 
-def _interval(record: RecordedReadings, step: float, parts: Sequence[Segment], name: str, file: str) -> StaticInterval:
+def _interval(
+    record: RecordedReadings, step: float, parts: Sequence[Segment], name: str, rails: Rails, file: str
+) -> StaticInterval:
     samples = {role: _samples(record, role, parts) for role in record.columns}
     temperature = samples.pop(TEMPERATURE, None)
     samples.pop(TIME, None)
     for part in parts:
         _require_readings(record, part, list(samples), file)
+    wrong = {
+        number: f"{channel} reads {values[number]:.6g} where the other samples read {np.median(values):.6g}"
+        for channel, values in samples.items()
+        for number in outliers(values, step).tolist()
+    }
+    _require_few(wrong, parts, file)
+    samples = {channel: np.delete(values, list(wrong)) for channel, values in samples.items()}
+    for channel, (low, high) in rails.items():
+        beyond = np.flatnonzero(~((low < samples[channel]) & (samples[channel] < high)))
+        if len(beyond):
+            reads = f"{samples[channel][beyond[0]]:.6g} in {len(beyond)} of its rows"
+            raise _refusal(parts[0], at_rail(channel, reads, (low, high)), file)
     known = None if temperature is None else temperature[np.isfinite(temperature)]
+    if known is not None:
+        far = [n for n in outliers(known).tolist() if abs(known[n] - np.median(known)) > TEMPERATURE_JUMP]
+        _require_few({n: f"the thermometer reads {known[n]:g} °C" for n in far}, parts, file)
+        known = np.delete(known, far)
     return StaticInterval(
         name,
         parts[0].name,
@@ -356,8 +389,16 @@ def _interval(record: RecordedReadings, step: float, parts: Sequence[Segment], n
         None if known is None or not len(known) else summarise(known).mean,
         parts[0].line,
         0.0 if known is None else _rise(known),
-        {"rows": tuple((part.start, part.end) for part in parts)},
+        {"rows": tuple((part.start, part.end) for part in parts), **({"left_out": len(wrong)} if wrong else {})},
     )
+
+
+def _require_few(wrong: Mapping[int, str], parts: Sequence[Segment], file: str) -> None:
+    """Refuse a segment of which too many samples are far off the others."""
+    count = sum(part.end - part.start for part in parts)
+    if len(wrong) > max(1, LEFT_OUT * count):
+        why = f"{len(wrong)} of its {count} samples are far off: {next(iter(wrong.values()))}; choose other rows"
+        raise _refusal(parts[0], why, file)
 
 
 def _rise_before(record: RecordedReadings, parts: Sequence[Segment], first: int, soak: float) -> float:

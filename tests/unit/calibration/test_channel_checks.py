@@ -13,7 +13,7 @@ import tiltcal
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.statistics import SampleSummary
-from tiltcal.errors import EstimateError
+from tiltcal.errors import EstimateError, InputError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure_file import find_procedure
 
@@ -92,7 +92,7 @@ class TestRails:
 
     def test_the_rails_of_the_base_count_too(self, tmp_path: Path) -> None:
         (tmp_path / "S-1.yaml").write_text(BASE)
-        with pytest.raises(EstimateError, match=r"x reads 2500 V in level, at its rail or beyond \(0 to 5\)"):
+        with pytest.raises(InputError, match=r"x reads 2500.1 in 8 of its rows, at its rail or beyond \(0 to 5\)"):
             tiltcal.fit("level", {"x": [2500.1, 2499.9] * 4, "y": [2450.1, 2449.9] * 4}, base=tmp_path / "S-1.yaml")
 
 

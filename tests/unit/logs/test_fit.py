@@ -71,6 +71,47 @@ def test_reversal_renews_the_offset_with_the_sensitivity_of_the_base(base: Path)
     assert found.limits.reading["x"] == (0.1, 4.9)
 
 
+def test_a_sample_far_off_is_left_out_and_counted(base: Path) -> None:
+    """One of 80 is 1 V off: it moved the mean by 12 mV, 6 mg, without a word."""
+    readings, said = recorded("reversal", (2.56, 2.38)), []
+    readings["data"]["x"][100] += 1.0
+    found = tiltcal.fit("reversal", **readings, base=base, say=said.append, **SENSOR)
+    assert found.offset["x"] == pytest.approx(2.56, abs=2e-3)
+    assert [one.left_out for one in found.positions][:3] == [None, 1, None]
+    assert said == [f"{found.positions[1].position}: 1 samples are far off the others, and are left out"]
+    readings["data"]["x"][100:106] += 1.0
+    with pytest.raises(tiltcal.InputError, match="6 of its 80 samples are far off: x reads"):
+        tiltcal.fit("reversal", **readings, base=base, **SENSOR)
+
+
+def test_a_temperature_that_a_thermometer_fails_with_is_left_out(base: Path) -> None:
+    """85 °C once in 80 moves the mean of a position by 0.8 °C."""
+    readings = recorded("two-temperature", (2.5, 2.4), drift=0.002)
+    readings["data"]["temperature"][40] = 85.0
+    found = tiltcal.fit("two-temperature", **readings, base=base, **SENSOR)
+    known = readings["data"]["temperature"]
+    assert found.positions[0].temperature == pytest.approx(known[0], abs=1e-9)
+
+
+def test_samples_at_a_rail_are_refused_where_their_mean_is_not(base: Path) -> None:
+    base.write_text(OWN.replace("[0.1, 4.9]", "[0.1, 2.5602]"))
+    readings = recorded("reversal", (2.56, 2.38))
+    beyond = int(np.sum(readings["data"]["x"][:ROWS] >= 2.5602))
+    assert 0 < beyond < ROWS / 20
+    with pytest.raises(tiltcal.InputError, match=f"x reads 2.560.* in {beyond} of its rows, at its rail or beyond"):
+        tiltcal.fit("reversal", **readings, base=base, **SENSOR)
+
+
+def test_a_reading_between_two_steps_does_not_make_the_others_stuck() -> None:
+    """One position of three flickers, the others stand still; 3 of 60 logs were refused."""
+    rows, flicker = 400, 4.0 + 0.001 * (np.arange(400) % 2)
+    log = {"x": np.r_[np.full(rows, 2.5), flicker, np.full(rows, 2.501)], "y": np.repeat([2.4, 2.402, 3.8], rows)}
+    names = [one.name for one in find_procedure("zero-45").positions]
+    segments = [{"position": n, "start": k * rows, "end": (k + 1) * rows} for k, n in enumerate(names)]
+    found = tiltcal.fit("zero-45", log, segments=segments, **SENSOR)
+    assert found.offset["x"] == pytest.approx(2.5, abs=2e-3)
+
+
 @pytest.mark.parametrize("procedure", ["two-temperature", "temperature-sweep"])
 def test_the_drift_of_a_users_own_sensor(procedure: str, base: Path) -> None:
     """2 mV/°C on both channels."""
