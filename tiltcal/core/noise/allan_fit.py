@@ -11,9 +11,9 @@ standard's quantisation term, of integrating sensors, does not occur.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import product
 from math import log, pi, sqrt
 
 import numpy as np
@@ -41,7 +41,7 @@ _WORTH = 8.0
 _DOUBTFUL = 1e-3
 """A fit that chance makes worse less often than this is none."""
 
-_ROUNDS = 25
+_ROUNDS, _SETTLED = 25, 1e-9
 
 
 @dataclass(frozen=True)
@@ -147,25 +147,25 @@ class _Spectrum:
         )
 
     def _best(self, first: int, dof: Array) -> tuple[list[int], Array]:
-        best: tuple[float, list[int], Array] | None = None
-        for chosen in _choices(min(len(TERMS), len(self.tau) - first)):
-            squares = _likeliest(_columns(self.tau[first:])[:, chosen], self.variance[first:], dof[first:])
-            if not np.all(squares > 0.0):
-                continue  # the choice without the term that is nothing does as well
-            ratio = self.variance[first:] / (_columns(self.tau[first:])[:, chosen] @ squares)
-            price = float(np.sum(dof[first:] * (ratio - 1.0 - np.log(ratio)))) + _WORTH * len(chosen)
-            if best is None or price < best[0]:
-                best = price, chosen, squares
-        if best is None:
+        columns, variance, weight = _columns(self.tau[first:]), self.variance[first:], dof[first:]
+        choices = _choices(len(variance))
+        squares = _likeliest(columns, variance, weight, choices)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            deviance = _deviance(variance / (squares @ columns.T), weight)
+        # A choice with a term that is nothing does no better than the one without it.
+        price = np.where((squares > 0.0).sum(axis=1) == choices.sum(axis=1), deviance, np.inf)
+        best = int(np.argmin(price + _WORTH * choices.sum(axis=1)))
+        if not price[best] < np.inf:
             raise ValueError("an Allan variance must be above zero")
-        return best[1], best[2]
+        chosen = np.flatnonzero(choices[best])
+        return chosen.tolist(), squares[best, chosen]
 
     @staticmethod
     def _follows(ratio: Array, dof: Array, terms: int) -> bool:
         from scipy.special import chdtrc
 
         left = len(ratio) - terms
-        return left <= 0 or float(chdtrc(left, np.sum(dof * (ratio - 1.0 - np.log(ratio))))) > _DOUBTFUL
+        return left <= 0 or float(chdtrc(left, _deviance(ratio, dof))) > _DOUBTFUL
 
 
 def _columns(tau: Array) -> Array:
@@ -173,24 +173,37 @@ def _columns(tau: Array) -> Array:
     return np.stack([1.0 / tau, np.full(len(tau), FLICKER**2), tau / 3.0, tau**2 / 2.0], axis=1)
 
 
-def _choices(most: int) -> Iterator[list[int]]:
-    for count in range(1, most + 1):
-        for chosen in combinations(range(len(TERMS)), count):
-            yield list(chosen)
+def _deviance(ratio: Array, dof: Array) -> Array:
+    """Return the deviance of chi-square distributed variances from a model; ``ratio`` is along the last axis."""
+    return np.asarray(np.sum(dof * (ratio - 1.0 - np.log(ratio)), axis=-1))
 
 
-def _likeliest(columns: Array, variance: Array, dof: Array) -> Array:
-    """Squares of the coefficients, by least squares whose weights follow the model."""
-    from scipy.optimize import nnls
+def _choices(most: int) -> NDArray[np.bool_]:
+    """Return which terms each choice of at most so many takes, shape (choices, terms); few terms come first."""
+    every = np.array(sorted(product((False, True), repeat=len(TERMS)), key=sum))
+    count = every.sum(axis=1)
+    return np.asarray(every[(count > 0) & (count <= most)])
 
-    made = variance
-    squares = np.zeros(columns.shape[1])
+
+def _likeliest(columns: Array, variance: Array, dof: Array, choices: NDArray[np.bool_]) -> Array:
+    """Return the squares of the coefficients of each choice of terms, by least squares whose weights follow the model.
+
+    A term that would be below zero is 0.
+    """
+    apart = np.eye(len(TERMS)) * ~choices[:, None, :]
+    both = choices[:, :, None] & choices[:, None, :]
+    made = np.broadcast_to(variance, (len(choices), len(variance)))
+    squares = np.zeros(choices.shape)
     for _ in range(_ROUNDS):
-        weights = np.sqrt(dof) / made
-        scale = np.max(columns * weights[:, None], axis=0)
-        found = nnls(columns * weights[:, None] / scale, variance * weights)[0] / scale
-        settled = np.all(np.abs(found - squares) <= 1e-9 * squares)
-        squares, made = found, columns @ found
-        if settled or not np.all(made > 0.0):
+        weights = dof / made**2
+        normal = np.where(both, np.einsum("ck,ki,kj->cij", weights, columns, columns), apart)
+        scale = np.sqrt(np.einsum("cii->ci", normal))
+        right = choices * ((weights * variance) @ columns) / scale
+        solved = np.linalg.solve(normal / (scale[:, :, None] * scale[:, None, :]), right[:, :, None])[:, :, 0]
+        found = np.maximum(solved / scale, 0.0)
+        settled = np.all(np.abs(found - squares) <= _SETTLED * squares)
+        squares, made = found, found @ columns.T
+        made = np.where(made > 0.0, made, variance)
+        if settled:
             break
     return squares
