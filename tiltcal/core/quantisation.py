@@ -48,8 +48,10 @@ def resolution(channels: Iterable[Array]) -> float:
     for values in channels:
         different = np.unique(values[np.isfinite(values)])
         gaps = np.diff(different)
-        steps += gaps[gaps > ARITHMETIC * np.max(np.abs(different), initial=0.0)].tolist()
-    return min(steps, default=0.0)
+        gaps = gaps[gaps > ARITHMETIC * np.max(np.abs(different), initial=0.0)]
+        steps.append(float(np.min(gaps, initial=np.inf)))
+    smallest = min(steps, default=np.inf)
+    return smallest if smallest < np.inf else 0.0
 
 
 def common_step(readings: Array) -> float:

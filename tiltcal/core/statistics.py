@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import fsum, inf, sqrt
+from operator import mul
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,11 +102,12 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     """
     n = len(samples)
     middle, mean = fsum(times) / n, fsum(samples) / n
-    spread = fsum((time - middle) ** 2 for time in times)
+    later, off = [time - middle for time in times], [sample - mean for sample in samples]
+    spread = fsum(map(mul, later, later))
     if spread == 0.0:
         return 0.0, 0.0
-    slope = fsum((time - middle) * (sample - mean) for time, sample in zip(times, samples, strict=True)) / spread
-    rest = fsum((sample - mean - slope * (time - middle)) ** 2 for time, sample in zip(times, samples, strict=True))
+    slope = fsum(map(mul, later, off)) / spread
+    rest = fsum([(one - slope * time) ** 2 for time, one in zip(later, off, strict=True)])
     span = times[-1] - times[0]
     return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
 
