@@ -398,7 +398,7 @@ def _start(system: System) -> Array:
         insensitive[block.unknowns] = ~np.any(block.jacobian[:, : block.readings], axis=1)
     z = minimise(free.holding(insensitive), z)
     require_determined(set_right, z)
-    return minimise(free, z)
+    return minimise(free, z) if insensitive.any() else z
 
 
 def _minimum(system: System, z: Array, known: System | None = None) -> Array:
