@@ -116,7 +116,8 @@ class Gradiometer:
         self._white = disk.noise * sqrt(disk.rate / 2.0)
         # Octaves of held normals of one variance v add up to the density v / (f ln 2).
         self._flicker = disk.noise * sqrt(disk.corner * log(2.0))
-        self._held: dict[tuple[str, int], tuple[int, float]] = {}
+        self._octaves = {channel: [0.0] * _OCTAVES for channel in CHANNELS}
+        self._numbers = dict.fromkeys(CHANNELS, -1)
 
     def sample(self, number: int) -> DiskSample:
         """Return the sample with this number, counted from 0."""
@@ -155,17 +156,17 @@ class Gradiometer:
     def _noise(self, channel: str, number: int) -> float:
         noise = self._white * normal(self._seed, channel, number) if self._white else 0.0
         if self._flicker:
-            noise += self._flicker * sum(self._octave(channel, number, octave) for octave in range(_OCTAVES))
+            noise += self._flicker * sum(self._held(channel, number))
         return noise
 
-    def _octave(self, channel: str, number: int, octave: int) -> float:
-        """Return a normal number that changes every 2**octave samples."""
-        block = number >> octave
-        held = self._held.get((channel, octave))
-        if held is None or held[0] != block:
-            held = (block, normal(self._seed, f"{channel}/{octave}", block))
-            self._held[channel, octave] = held
-        return held[1]
+    def _held(self, channel: str, number: int) -> list[float]:
+        """Return normal numbers, of which each changes half as often as the one before."""
+        octaves, before = self._octaves[channel], self._numbers[channel]
+        changed = _OCTAVES if before < 0 else (number ^ before).bit_length()
+        for octave in range(min(changed, _OCTAVES)):
+            octaves[octave] = normal(self._seed, f"{channel}/{octave}", number >> octave)
+        self._numbers[channel] = number
+        return octaves
 
 
 def _wander(time: float) -> float:
