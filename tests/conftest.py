@@ -14,7 +14,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -30,7 +29,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-PROCESS = Path("/proc/self")
+PROCESS = "/proc/self"
 KEPT = r"\.ttf$|^anon_inode:\[event"
 """Where descriptors lead that a library keeps for the whole run."""
 
@@ -95,8 +94,8 @@ def _children() -> set[int]:
     A thread of a library may end at any time, with its folder: between its listing and its reading too.
     """
     found: set[int] = set()
-    for thread in os.listdir(PROCESS / "task"):
-        with suppress(FileNotFoundError, ProcessLookupError), open(f"/proc/self/task/{thread}/children") as listed:
+    for thread in os.listdir(f"{PROCESS}/task"):
+        with suppress(FileNotFoundError, ProcessLookupError), open(f"{PROCESS}/task/{thread}/children") as listed:
             found.update(map(int, listed.read().split()))
     return found
 
@@ -104,7 +103,7 @@ def _children() -> set[int]:
 def _open_files() -> dict[str, str]:
     """Return what each file descriptor leads to."""
     found = {}
-    for number in os.listdir(PROCESS / "fd"):
+    for number in os.listdir(f"{PROCESS}/fd"):
         with suppress(FileNotFoundError):  # the descriptor of this listing
-            found[number] = os.readlink(PROCESS / "fd" / number)
+            found[number] = os.readlink(f"{PROCESS}/fd/{number}")
     return {number: target for number, target in found.items() if not re.search(KEPT, target)}
