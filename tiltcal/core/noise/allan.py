@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.coverage_factor import COVERAGE
+from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 
 Kind = Literal["white", "flicker", "walk"]
@@ -59,18 +60,19 @@ class Octaves:
         self._levels: list[_Level] = []
         self._rows = 0
 
-    def add(self, samples: Array, present: NDArray[np.bool_]) -> None:
+    def add(self, samples: Array, present: Mask | None) -> None:
         """Take more samples, evenly spaced behind the last ones.
 
         Parameters
         ----------
         samples : ndarray, shape (n, channels)
             Zero where they are missing, and better not far from it elsewhere.
-        present : ndarray of bool, shape (n, channels)
+        present : ndarray of bool, shape (n, channels), or None
+            None where no sample is missing.
         """
         self._rows += len(samples)
         sums = np.ascontiguousarray(samples.T)
-        counts = np.ones_like(sums) if present.all() else present.T.astype(np.float64, order="C")
+        counts = np.ones_like(sums) if present is None else present.T.astype(np.float64, order="C")
         depth = 0
         while sums.shape[1]:
             if depth == len(self._levels):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.noise.allan import PRESENT
 
@@ -56,16 +57,16 @@ class Averager:
         self._mean, self._squares = np.zeros(channels), np.zeros(channels)
         self._low, self._high = np.full(channels, np.inf), np.full(channels, -np.inf)
 
-    def add(self, samples: Array, present: NDArray[np.bool_]) -> None:
-        """Take more samples, zero where they are missing, shape (n, channels)."""
+    def add(self, samples: Array, present: Mask | None) -> None:
+        """Take more samples, zero where they are missing, shape (n, channels); None where none is missing."""
         if not len(samples):
             return
         if self._samples == 1:
-            self._merge(samples, present.astype(np.float64))
+            self._merge(samples, present)
             return
         cuts = np.r_[0, np.arange(self._samples - self._filled, len(samples), self._samples)]
         sums = np.add.reduceat(samples, cuts, axis=0)
-        if present.all():
+        if present is None:
             counts = np.repeat(np.diff(np.r_[cuts, len(samples)])[:, None].astype(np.float64), samples.shape[1], axis=1)
         else:
             counts = np.add.reduceat(present.astype(np.float64), cuts, axis=0)
@@ -78,7 +79,9 @@ class Averager:
         else:
             self._sum, self._present = np.zeros_like(self._sum), np.zeros_like(self._present)
         if len(sums):
-            self._merge(sums, counts)
+            whole = counts >= PRESENT * self._samples
+            means = np.divide(sums, counts, out=np.zeros_like(sums), where=whole)
+            self._merge(means, None if whole.all() else whole)
 
     def result(self) -> Averages:
         """Return what came out so far."""
@@ -88,21 +91,20 @@ class Averager:
         mean = np.where(self._count > 0, self._mean, np.nan)
         return Averages(self._samples, self._count.astype(np.int64), mean, np.sqrt(variance), spread)
 
-    def _merge(self, sums: Array, counts: Array) -> None:
-        whole = counts >= PRESENT * self._samples
-        all_whole = bool(whole.all())
-        means = sums / counts if all_whole else np.divide(sums, counts, out=np.zeros_like(sums), where=whole)
-        more = whole.sum(axis=0)
-        mean = means.sum(axis=0) / np.maximum(more, 1)
-        squares = np.square(means - mean).sum(axis=0, where=True if all_whole else whole)
+    def _merge(self, means: Array, whole: Mask | None) -> None:
+        """Add means; where some are of too few samples, ``whole`` says which count."""
+        where = True if whole is None else whole
+        more = len(means) if whole is None else whole.sum(axis=0)
+        mean = means.sum(axis=0, where=where) / np.maximum(more, 1)
+        squares = np.square(means - mean).sum(axis=0, where=where)
         total = self._count + more
         step = mean - self._mean
         # Chan, Golub and LeVeque: two groups' sums of squares about their common mean.
         self._squares += squares + step**2 * self._count * more / np.maximum(total, 1)
         self._mean += step * more / np.maximum(total, 1)
         self._count = total
-        self._low = np.minimum(self._low, (means if all_whole else np.where(whole, means, np.inf)).min(axis=0))
-        self._high = np.maximum(self._high, (means if all_whole else np.where(whole, means, -np.inf)).max(axis=0))
+        self._low = np.minimum(self._low, means.min(axis=0, where=where, initial=np.inf))
+        self._high = np.maximum(self._high, means.max(axis=0, where=where, initial=-np.inf))
 
 
 def decades(rows: int, fewest: int) -> Sequence[int]:

@@ -125,13 +125,16 @@ class Characteriser:
         samples : ndarray, shape (n, channels)
             NaN where a value is missing.
         """
-        present = np.isfinite(samples)
+        there = np.isfinite(samples)
         self.rows += len(samples)
-        self._count += present.sum(axis=0)
+        self._count += there.sum(axis=0)
         for channel, steps in enumerate(self._steps):
-            steps.add(samples[present[:, channel], channel])
+            steps.add(samples[there[:, channel], channel])
+        present = None if there.all() else there
         # Channel by channel in memory: sums along the samples are then several times faster.
-        about_zero = np.asfortranarray(np.where(present, samples - self._zero(samples), 0.0))
+        about_zero = np.asfortranarray(samples - self._zero(samples))
+        if present is not None:
+            about_zero[~present] = 0.0
         self._octaves.add(about_zero, present)
         self._unrest.add(about_zero, present)
         for averager in self._averagers:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from math import log, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiltcal.core.detection import bursts, jumps, repeated, runs
+from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 
 BLOCK = 16
@@ -42,23 +42,26 @@ class Disturbances:
         empty = np.empty((0, channels))
         self._rows = 0
         self._size = BLOCK
-        self._pending, self._pending_present = empty, empty.astype(np.bool_)
+        self._pending, self._pending_counts = empty.T, empty.T
         self._blocks = [_Blocks(empty, empty, empty)]
         self._held = 0
         self._last = np.full((1, channels), np.nan)
         self._repeats, self._run, self._longest = 0, 0, RowRange(0, 0)
 
-    def add(self, samples: Array, present: NDArray[np.bool_]) -> None:
-        """Take more samples, zero where they are missing, shape (n, channels)."""
-        self._follow_runs(np.where(present, samples, np.nan))
+    def add(self, samples: Array, present: Mask | None) -> None:
+        """Take more samples, zero where they are missing, shape (n, channels); None where none is missing."""
+        self._follow_runs(samples if present is None else np.where(present, samples, np.nan))
         self._rows += len(samples)
-        samples, present = np.concatenate([self._pending, samples]), np.concatenate([self._pending_present, present])
-        whole = len(samples) // self._size * self._size
-        self._pending, self._pending_present = samples[whole:], present[whole:]
+        there = np.ones_like(samples) if present is None else present.astype(np.float64)
+        sums = np.concatenate([self._pending, samples.T], axis=1)
+        counts = np.concatenate([self._pending_counts, there.T], axis=1)
+        whole = sums.shape[1] // self._size * self._size
+        self._pending, self._pending_counts = sums[:, whole:], counts[:, whole:]
         if whole:
-            shape = (-1, self._size, samples.shape[1])
-            cut, counted = samples[:whole].reshape(shape), present[:whole].reshape(shape)
-            self._blocks.append(_Blocks(cut.sum(axis=1), (cut**2).sum(axis=1), counted.sum(axis=1).astype(np.float64)))
+            shape = (len(sums), -1, self._size)
+            cut, counted = sums[:, :whole].reshape(shape), counts[:, :whole].reshape(shape)
+            squares = np.einsum("cij,cij->ic", cut, cut)
+            self._blocks.append(_Blocks(cut.sum(axis=2).T, squares, counted.sum(axis=2).T))
             self._held += whole // self._size
         while self._held > MOST_BLOCKS:
             self._coarsen()
