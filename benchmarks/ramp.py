@@ -2,7 +2,9 @@
 
 The record is made here: a chamber goes from 5 to 45 °C and back at a steady pace, the element follows it by exact
 filters, and two channels read a cubic of the element's temperature with noise of 0.5 units. The curve is compared at
-ten temperatures within what the element reached. Writes a line of JSON for each record and goes on where it ended:
+ten temperatures within what the element reached: with the true one, which lies between the ways where there is
+hysteresis, and with what the sensor reads without noise on the last two ways. Writes a line of JSON for each record and
+goes on where it ended:
 
     python benchmarks/ramp.py --records 100 ramp.jsonl
     python benchmarks/ramp.py --records 0 ramp.jsonl      # the table alone
@@ -31,6 +33,9 @@ CURVES = np.array([[1000.0, 0.8, 0.010, -1e-4], [1000.0, -0.5, 0.004, 1e-4]])
 ROWS = 2400
 DESIGNS = ((1.0, 4), (0.5, 2), (1.0, 3))
 """Pace, °C/min, and legs."""
+
+EXTREMES = ((0.25, 2), (2.0, 4))
+"""More of them, for one lag."""
 
 KINDS = {
     "lag": "one lag of 120 s",
@@ -65,7 +70,7 @@ def played(temperature: np.ndarray, half: float) -> np.ndarray:
 
 
 def record(kind: str, pace: float, legs: int, draw: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """Return time, thermometer and readings."""
+    """Return time, thermometer, readings, and thermometer and readings without noise."""
     half = SPAN / pace * 60.0
     time = np.arange(0.0, legs * half)
     chamber = LOW + SPAN * np.abs((time / half + 1.0) % 2.0 - 1.0)
@@ -87,6 +92,7 @@ def record(kind: str, pace: float, legs: int, draw: np.random.Generator) -> tupl
         readings += (0.8 * up * 4.0 * share * (1.0 - share))[:, None] * np.array([1.0, -0.7])
     kept = slice(None, None, max(len(time) // ROWS, 1))
     time, thermometer, readings = time[kept], thermometer[kept], readings[kept]
+    still = thermometer, readings
     readings = readings + (0.02 if kind == "quiet" else 0.5) * draw.normal(size=readings.shape)
     if kind == "wander":
         readings += np.cumsum(draw.normal(size=readings.shape), axis=0) / np.sqrt(len(time))
@@ -97,13 +103,13 @@ def record(kind: str, pace: float, legs: int, draw: np.random.Generator) -> tupl
         readings += 0.7 * lfilter([1.0], [1.0, -decay], steps, axis=0)
     if kind in ("thermometer", "both"):
         thermometer = thermometer + 0.2 * draw.normal(size=len(time))
-    return time, thermometer, readings
+    return time, thermometer, readings, *still
 
 
 def judged(kind: str, pace: float, legs: int, seed: int) -> dict[str, Any]:
     """Fit one record, and compare its curve with the true one."""
     draw = np.random.default_rng([seed, [*KINDS].index(kind), int(100 * pace), legs])
-    time, thermometer, readings = record(kind, pace, legs, draw)
+    time, thermometer, readings, exact, still = record(kind, pace, legs, draw)
     averager = RecordAverager(2)
     averager.add(time, thermometer, readings)
     whole = averager.record()
@@ -116,13 +122,24 @@ def judged(kind: str, pace: float, legs: int, seed: int) -> dict[str, Any]:
     at = np.linspace(reached.min() + margin, reached.max() - margin, 10) - REFERENCE
     powers, true = np.vander(at, fit.order + 1, increasing=True), np.vander(at, 4, increasing=True) @ CURVES.T
     error = powers @ fit.coefficients.T - true
-    variance = []
-    for c in range(2):
-        own = slice(c * (fit.order + 1), (c + 1) * (fit.order + 1))
-        variance.append(np.einsum("ij,jk,ik->i", powers, fit.covariance[own, own], powers) + fit.loop_variance[c])
+    total = fit.covariance[:-1, :-1] + fit.loop_covariance
+    blocks = [total[k : k + fit.order + 1, k : k + fit.order + 1] for k in (0, fit.order + 1)]
+    variance = np.stack([np.einsum("ij,jk,ik->i", powers, block, powers) for block in blocks], axis=1)
+    slope = powers[:, :-1] @ (fit.coefficients[:, 1:] * np.arange(1, fit.order + 1)).T
+    u_on_ways = np.sqrt(variance + (slope * fit.u_element) ** 2)
+    element, ways = ThermalLag(fit.lag)(time, exact), []
+    for leg in (legs - 2, legs - 1):
+        rows = np.flatnonzero((time // (SPAN / pace * 60.0)).astype(int) == leg)
+        rows = rows[np.argsort(element[rows])]
+        nothing = {"left": np.nan, "right": np.nan}
+        read = np.stack([np.interp(at + REFERENCE, element[rows], still[rows, c], **nothing) for c in (0, 1)], axis=1)
+        ways.append((powers @ fit.coefficients.T - read) / u_on_ways)
+    off = np.abs(np.array(ways))
     alone = np.polynomial.polynomial.polyfit(thermometer - REFERENCE, readings, 3)
     return {
-        "held": float(np.mean(np.abs(error) <= 1.96 * np.sqrt(np.array(variance)).T)),
+        "held": float(np.mean(np.abs(error) <= 1.96 * np.sqrt(variance))),
+        "ways": float(np.mean(off[np.isfinite(off)] <= 1.96)),
+        "reach": float(np.median(1.96 * np.sqrt(variance))),
         "used": fit.uses_lag,
         "lag": fit.found_lag,
         "error": float(np.abs(error).max()),
@@ -131,21 +148,21 @@ def judged(kind: str, pace: float, legs: int, seed: int) -> dict[str, Any]:
 
 
 def table(lines: list[dict[str, Any]]) -> None:
-    """Print the share of intervals that hold the curve, the lag, and the error over that of a cubic alone."""
+    """Print how often intervals hold the curve and both ways, the lag, and the error over that of a cubic alone."""
     groups = defaultdict(list)
     for one in lines:
         groups[one["kind"], one["pace"], one["legs"]].append(one)
-    print(f"{'':58} °C/min legs    n  refused  holds %   lag used    lag s     error / alone")
+    print(f"{'':58} °C/min legs    n  refused  curve %   ways %   lag used    lag s     error / alone")
     for (kind, pace, legs), all_ in sorted(groups.items(), key=lambda group: [*KINDS].index(group[0][0])):
         fits = [one for one in all_ if "held" in one]
-        held, lags = np.array([one["held"] for one in fits]), np.array([one["lag"] for one in fits])
+        held, ways, lags = (np.array([one[key] for one in fits]) for key in ("held", "ways", "lag"))
         ratio, used = (
             np.median([one["error"] / one["alone"] for one in fits]),
             100 * np.mean([one["used"] for one in fits]),
         )
         print(
             f"{KINDS[kind]:58} {pace:5.2f} {legs:4} {len(all_):4} {len(all_) - len(fits):8}"
-            f"   {100 * held.mean():5.1f}±{100 * held.std() / len(held) ** 0.5:3.1f}"
+            f"   {100 * held.mean():5.1f}±{100 * held.std() / len(held) ** 0.5:3.1f}  {100 * ways.mean():5.1f}"
             f"   {used:4.0f} %  {lags.mean():7.1f}±{lags.std():4.1f}   {ratio:.3f}"
         )
 
@@ -164,7 +181,7 @@ def main() -> None:
     with options.file.open("a") as file:
         for seed in range(options.records):
             for kind in options.kinds.split(","):
-                for pace, legs in designs:
+                for pace, legs in designs + [*EXTREMES] * (kind in ("lag", "quiet")):
                     if (kind, pace, legs, seed) not in done:
                         named = {"kind": kind, "pace": pace, "legs": legs, "seed": seed}
                         lines.append(named | judged(kind, pace, legs, seed))

@@ -70,7 +70,7 @@ def calibrate_ramp(
         # The inverse filter amplifies what is random in the thermometer.
         step *= 1.0 + 1.0 / LOG_SMOOTHING
     pace = max(leg.leg.pace for leg in fit.held_out) / 60.0
-    uncertain = hypot(step, fit.u_lag * pace if fit.uses_lag else 0.0)
+    uncertain = hypot(step, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
     made = record_of(found, design, replace(sensor, measurements=groups), procedure)
     _require_attitude(made, sensor)
     u = made.uncertainty
@@ -191,8 +191,8 @@ def _sources(
     ]
     by_record = unit[:, [index[name] for own in drifts for name in own]]
     yield Part.known(NOISE, by_record, fit.covariance[:-1, :-1])
-    if fit.loop_variance.any():
-        yield Part.known(HYSTERESIS, offsets, np.diag(fit.loop_variance))
+    if fit.loop_covariance.any():
+        yield Part.known(HYSTERESIS, by_record, fit.loop_covariance)
     readings = [
         model.read(theta, gravity[None, :], np.zeros(1))
         for model, theta in zip(coefficients.models, coefficients.vectors, strict=True)
@@ -284,6 +284,6 @@ def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
         else f"{lag} is not used: it does not better every leg that it was not fitted to (of the loop it explains "
         f"{explains})"
     ]
-    if any(fit.loop_variance):
-        notes.append("the ways up and down differ: half of the largest difference to either side is in the uncertainty")
+    if fit.loop_covariance.any():
+        notes.append("the ways up and down differ: the intervals of the drift hold the readings of both")
     return tuple(notes)

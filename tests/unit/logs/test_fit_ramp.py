@@ -8,6 +8,8 @@ from scipy.integrate import solve_ivp
 from support import DATA
 
 from tiltcal.calibration.calibration import Calibration, read
+from tiltcal.core.ramp.fit import fit_ramp
+from tiltcal.core.ramp.record import RampRecord, RecordAverager, legs_of
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.logs.fit import fit
 
@@ -144,3 +146,27 @@ def test_the_recorded_ramp_gets_no_lag_and_is_on_no_leg_worse_than_a_polynomial(
     assert found.coefficients.thermal.lag == 0.0
     # The loop that is left is in the uncertainty: the residuals of z are up to 0.1 m/s².
     assert found.uncertainty["offset.z"] > 0.02
+
+
+@pytest.mark.skipif(not REAL.exists(), reason="thermal_ramp.csv is not there")
+def test_the_last_leg_of_the_recorded_ramp_is_predicted_better_than_by_a_cubic():
+    """Fitted to the legs before it, whose ways the curve lies between; numpy's cubic follows the way up."""
+    rows = np.genfromtxt(REAL, delimiter=",", names=True)
+    readings = np.stack([rows[axis] for axis in "xyz"], axis=1)
+    averager = RecordAverager(3)
+    averager.add(np.arange(len(rows), dtype=float), rows["temperature"], readings)
+    record = averager.record()
+    last = legs_of(record)[-1].start
+    before = RampRecord(
+        record.time[:last], record.temperature[:last], record.readings[:last], record.noise, record.rows
+    )
+    found = fit_ramp(before, reference=24.0)
+    warmer = record.temperature - 24.0
+    cubic = np.polynomial.polynomial.polyfit(warmer[:last], record.readings[:last], 3)
+    errors = [
+        np.sqrt(
+            np.mean((record.readings[last:] - np.polynomial.polynomial.polyval(warmer[last:], curve).T) ** 2, axis=0)
+        )
+        for curve in (found.coefficients.T, cubic)
+    ]
+    assert np.all(errors[0] < 0.8 * errors[1])

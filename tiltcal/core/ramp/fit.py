@@ -14,18 +14,18 @@ predicts each of them better, and where hysteresis without time does not explain
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.core.ramp.loops import Loops, error_of_hysteresis, loops
-from tiltcal.core.ramp.means import BLOCKS, FIT_SMOOTHING, FittedMeans
-from tiltcal.core.ramp.noise import noise_covariance
+from tiltcal.core.ramp.loops import Loop, Loops, error_of_hysteresis, loop_terms, loops
+from tiltcal.core.ramp.means import FittedMeans
+from tiltcal.core.ramp.noise import joint_least_squares, noise_covariance, whitener
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
-from tiltcal.core.thermal_lag import ThermalLag
+from tiltcal.core.ramp.second_lag import element_of_pair, over_lags
 from tiltcal.errors import EstimateError
 
 LEG_LAGS = 4.0
@@ -40,7 +40,12 @@ RESOLVED = 2.0
 WORSE = 0.02
 """Part by which the mean square error of a channel may grow on a leg without anyone seeing it."""
 
-_SHARES = (0.1, 0.2, 0.3, 0.4, 0.5)
+CLEARLY = 4.0
+"""By how much the chi-square of a lag must be below that of hysteresis, so that chance does not decide."""
+
+TURNS = 3.0
+"""Mean square of the residuals behind the turns, over that of the others, from which on a loop turns there."""
+
 _LAGS, _STEPS, _CONVERGED = 14, 8, 0.01
 
 
@@ -79,8 +84,10 @@ class RampFit:
         Part of the loop's square that it explains.
     loops : Loops
         What is left.
-    loop_variance : ndarray, shape (channels,)
-        What that adds to the variance of the reading, unit².
+    loop_covariance : ndarray, shape (channels (order + 1),) twice
+        What that adds to the covariance of the coefficients.
+    u_element : float
+        Standard uncertainty of the element's temperature because a second lag may follow the turns as well, °C.
     error_by_order : mapping of int to float
         Mean square error of predicting a leg that was left out, over the variance of the residuals.
     """
@@ -93,7 +100,8 @@ class RampFit:
     u_lag: float
     explained: Array
     loops: Loops
-    loop_variance: Array
+    loop_covariance: Array
+    u_element: float
     held_out: tuple[HeldOutLeg, ...]
     error_by_order: Mapping[int, float]
     means: FittedMeans
@@ -154,22 +162,22 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     lagged = _cross_validated(means, highest, lags, scale)
     everything = np.ones(len(means), dtype=bool)
     solution = _solve(means, everything, lagged.order, lags, scale)
-    found_lag, _, covariance = _estimate(means, solution.lag, lagged.order, with_lag=True)
+    found_lag, _, covariance = _one_lag(means, solution.lag, lagged.order)
     u_lag = sqrt(covariance[-1, -1])
     _require_lag_resolved(legs, found_lag, u_lag)
     used = (
         _legs_confirm(lagged, plain, scale)
         and abs(found_lag) > RESOLVED * u_lag
-        and solution.error < error_of_hysteresis(means, lagged.order, scale)
+        and solution.error * (1.0 + CLEARLY / means.readings.size) < error_of_hysteresis(means, lagged.order, scale)
     )
-    chosen = lagged if used else plain
-    lag, coefficients, covariance = _estimate(means, found_lag if used else 0.0, chosen.order, with_lag=used)
     if used:
-        covariance = covariance + _of_a_second_lag(record, legs, solution, scale, reference)
+        chosen = _cross_validated_order(means, highest, found_lag, scale)
+        estimate = _with_lag(means, *_one_lag(means, found_lag, chosen.order))
+    else:
+        chosen = plain
+        estimate = _without_lag(means, plain.order)
+    lag, coefficients, covariance = estimate.lag, estimate.coefficients, estimate.covariance
     left = loops(means, lag, coefficients.T)
-    if not used and left.variance.any():
-        coefficients, covariance = _midway(means, chosen.order)
-        left = loops(means, lag, coefficients.T)
     without = _solve(means, everything, lagged.order, no_lag, scale)
     explained = loops(means, 0.0, without.coefficients).explained_by(loops(means, solution.lag, solution.coefficients))
     return RampFit(
@@ -181,7 +189,8 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
         sqrt(covariance[-1, -1]) if used else u_lag,
         explained,
         left,
-        _loop_variance(left, covariance, coefficients.shape),
+        estimate.loop_covariance,
+        estimate.u_element,
         tuple(
             HeldOutLeg(leg, np.sqrt(b), np.sqrt(a)) for leg, b, a in zip(legs, plain.error, lagged.error, strict=True)
         ),
@@ -201,17 +210,6 @@ def _legs_confirm(lagged: _CrossValidated, plain: _CrossValidated, scale: Array)
     """Return whether a lag predicts every left-out leg better, and no channel of it visibly worse."""
     gained = np.mean((plain.error - lagged.error) / scale**2, axis=1) > 0.0
     return bool(gained.all() and np.all(lagged.error <= (1.0 + WORSE) * plain.error))
-
-
-def _loop_variance(left: Loops, covariance: Array, shape: tuple[int, ...]) -> Array:
-    """Return what the loops that are left add to the variance of a reading, shape (channels,).
-
-    The ways of two legs alone differ by what wanders too, which is in the variance of the offset already.
-    """
-    if left.repeated:
-        return left.variance
-    offsets = np.diag(covariance)[:-1].reshape(shape)[:, 0]
-    return np.maximum(left.variance - offsets, 0.0)
 
 
 def _least_squares(x: Array, y: Array) -> Array:
@@ -237,7 +235,28 @@ def _cross_validated(means: FittedMeans, highest: int, lags: Array, scale: Array
             left = means.readings[out] - means.powers(found.lag, order)[out] @ found.coefficients
             rows.append(np.mean(left**2, axis=0))
         errors[order] = np.array(rows)
-    return _CrossValidated(min(errors, key=lambda order: float(np.mean(errors[order] / scale**2))), errors)
+    return _CrossValidated(_best_order(errors, scale), errors)
+
+
+def _cross_validated_order(means: FittedMeans, highest: int, lag: float, scale: Array) -> _CrossValidated:
+    """Choose the order of a polynomial with a lag, of the temperature that the likeliest pair of lags gives.
+
+    One lag leaves more at the turns than a coefficient of the polynomial explains, where the element has two.
+    """
+    y = means.readings
+    element = element_of_pair(means, lag, _least_squares(means.powers(lag, highest), y).T)
+    errors = {}
+    for order in range(1, highest + 1):
+        x, rows = np.vander(element, order + 1, increasing=True), []
+        for number in range(len(means.legs)):
+            out = means.leg == number
+            rows.append(np.mean((y[out] - x[out] @ _least_squares(x[~out], y[~out])) ** 2, axis=0))
+        errors[order] = np.array(rows)
+    return _CrossValidated(_best_order(errors, scale), errors)
+
+
+def _best_order(errors: Mapping[int, Array], scale: Array) -> int:
+    return min(errors, key=lambda order: float(np.mean(errors[order] / scale**2)))
 
 
 def _solve(means: FittedMeans, kept: NDArray[np.bool_], order: int, lags: Array, scale: Array) -> _Solution:
@@ -267,81 +286,97 @@ def _solve(means: FittedMeans, kept: NDArray[np.bool_], order: int, lags: Array,
     return best
 
 
-def _estimate(means: FittedMeans, lag: float, order: int, *, with_lag: bool) -> tuple[float, Array, Array]:
-    """Return lag, coefficients and their covariance, by generalised least squares under the noise of the record."""
+@dataclass(frozen=True)
+class _Estimate:
+    """Lag, coefficients of shape (channels, order + 1), and their covariances as in :class:`RampFit`."""
+
+    lag: float
+    u_element: float
+    coefficients: Array
+    covariance: Array
+    loop_covariance: Array
+
+
+def _one_lag(means: FittedMeans, lag: float, order: int) -> tuple[float, Array, Array]:
+    """Return lag, coefficients of shape (channels, order + 1), and their covariance."""
     y = means.readings
-    channels, p = y.shape[1], order + 1
-    size = channels * p + with_lag
-    factors: list[Array] = []
-    covariance = np.zeros((channels * p + 1, channels * p + 1))
-    coefficients = _least_squares(means.powers(lag, order), y)
+    whiteners: list[Array] = []
+    coefficients = _least_squares(means.powers(lag, order), y).T
     for _ in range(_STEPS):
         x = means.powers(lag, order)
-        slope = means.by_lag(lag, coefficients)
-        designs = [np.column_stack([x, slope[:, c]]) if with_lag else x for c in range(channels)]
-        if not factors:
-            factors = [
-                np.asarray(np.linalg.cholesky(noise_covariance(means, one, y[:, c])), dtype=np.float64)
-                for c, one in enumerate(designs)
-            ]
-        normal, right = np.zeros((size, size)), np.zeros(size)
-        for c, (factor, design) in enumerate(zip(factors, designs, strict=True)):
-            places = [*range(c * p, (c + 1) * p), *([channels * p] if with_lag else [])]
-            white = np.linalg.solve(factor, np.column_stack([design, y[:, c] - x @ coefficients[:, c]]))
-            normal[np.ix_(places, places)] += white[:, :-1].T @ white[:, :-1]
-            right[places] += white[:, :-1].T @ white[:, -1]
-        scale = 1.0 / np.sqrt(np.diag(normal))
-        covariance[:size, :size] = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
-        change = covariance[:size, :size] @ right
-        coefficients = coefficients + change[: channels * p].reshape(channels, p).T
-        if not with_lag:
+        designs = [np.column_stack([x, slope]) for slope in means.by_lag(lag, coefficients.T).T]
+        whiteners = whiteners or [whitener(means, one, y[:, c]) for c, one in enumerate(designs)]
+        solution, covariance, _ = joint_least_squares(whiteners, designs, y)
+        coefficients = solution[:-1].reshape(coefficients.shape)
+        lag += float(solution[-1])
+        if abs(solution[-1]) < _CONVERGED * sqrt(covariance[-1, -1]):
             break
-        lag += float(change[-1])
-        if abs(change[-1]) < _CONVERGED * sqrt(covariance[-1, -1]):
-            break
-    return lag, np.asarray(coefficients.T), covariance
+    return lag, coefficients, covariance
 
 
-def _midway(means: FittedMeans, order: int) -> tuple[Array, Array]:
-    """Return coefficients between the ways and their covariance: both ways weigh alike, and so do all temperatures.
+def _with_lag(means: FittedMeans, lag: float, one: Array, covariance: Array) -> _Estimate:
+    """Estimate with a lag; the loop that even a second one leaves is fitted to the residuals."""
+    mean, p = over_lags(means, lag, one, covariance[:-1, :-1]), one.shape[1]
+    powers = np.vander(mean.element, p, increasing=True)
+    left = means.readings - powers @ mean.coefficients.T
+    ways = means.ways(powers, loop_terms(p - 1))
+    found = []
+    for c, whiten in enumerate(mean.whiteners):
+        solution, of_loop, _ = joint_least_squares([whiten], [ways], left[:, c : c + 1])
+        found.append(Loop(solution, of_loop))
+    covariance = covariance.copy()
+    covariance[:-1, :-1] = mean.covariance
+    lag = means.closest_lag(mean.element, lag)
+    u_element = mean.distance(means.element(lag))
+    return _Estimate(lag, u_element, mean.coefficients, covariance, _widened(found, powers, covariance))
 
-    Weights by the noise would take the loop for noise that wanders, and follow one way here and the other there.
+
+def _without_lag(means: FittedMeans, order: int) -> _Estimate:
+    """Estimate without a lag, each channel with a loop beside its polynomial where its ways differ.
+
+    The polynomial then lies between the ways, and the noise is what both leave. Weights by the noise alone would take
+    the loop for a zero that wanders, and follow one way here and the other there.
     """
-    x, y = means.powers(0.0, order), means.readings
-    rising = np.array([leg.rising for leg in means.legs])[means.leg]
-    weights = np.where(rising, 1.0 / np.sum(rising), 1.0 / np.sum(~rising))
-    solve = np.linalg.solve(x.T @ (weights[:, None] * x), x.T * weights)
-    channels, p = y.shape[1], order + 1
-    covariance = np.zeros((channels * p + 1, channels * p + 1))
-    for c in range(channels):
+    p, channels = order + 1, means.readings.shape[1]
+    x = means.powers(0.0, order)
+    ways = means.ways(x, loop_terms(order))
+    end = p + ways.shape[1]
+    coefficients, covariance = np.zeros((channels, p)), np.zeros((channels * p + 1, channels * p + 1))
+    found = []
+    for c, values in enumerate(means.readings.T):
         own = slice(c * p, (c + 1) * p)
-        covariance[own, own] = solve @ noise_covariance(means, x, y[:, c]) @ solve.T
-    return np.asarray((solve @ y).T), covariance
+        both = _with_turns(means, np.column_stack([x, ways]), values)
+        solve = np.linalg.pinv(both)
+        solution, of_solution = solve @ values, solve @ noise_covariance(means, both, values) @ solve.T
+        loop = Loop(solution[p:end], of_solution[p:end, p:end])
+        found.append(loop)
+        if not loop.certain:
+            solution, of_solution, _ = joint_least_squares([whitener(means, x, values)], [x], values[:, None])
+        coefficients[c], covariance[own, own] = solution[:p], of_solution[:p, :p]
+    return _Estimate(0.0, 0.0, coefficients, covariance, _widened(found, x, covariance))
 
 
-def _of_a_second_lag(record: RampRecord, legs: list[Leg], found: _Solution, scale: Array, reference: float) -> Array:
-    """Return what the covariance gains because the lag may be two in series, of which the second has a part of it.
+def _with_turns(means: FittedMeans, design: Array, values: Array) -> Array:
+    """Return a design with unknowns for the means behind the turns, where they are no part of its ways.
 
-    One lag follows the turns of two badly, and the polynomial takes on what it leaves. So each part counts as far as it
-    moves the coefficients, with the weight that its likelihood gives it; one lag alone has half of the prior weight.
+    There hysteresis such as a play is on its way from one side to the other.
     """
-    size = len(found.coefficients) * found.coefficients.shape[1]
-    solutions = []
-    for share in _SHARES:
-        filtered = ThermalLag(share * found.lag, FIT_SMOOTHING)(record.time, record.temperature)
-        means = FittedMeans(replace(record, temperature=filtered), legs, reference)
-        lags = found.lag * (np.linspace(0.7, 1.3, 7) - share)
-        solutions.append(_solve(means, np.ones(len(means), dtype=bool), len(found.coefficients) - 1, lags, scale))
-    errors = np.array([found.error, *(one.error for one in solutions)])
-    variance = errors.min() / (BLOCKS * found.coefficients.shape[1])
-    weights = np.array([1.0, *(1.0 / len(_SHARES) for _ in _SHARES)]) * np.exp(
-        (errors.min() - errors) / (2.0 * variance)
-    )
-    gained = np.zeros((size + 1, size + 1))
-    for weight, one in zip(weights[1:] / weights.sum(), solutions, strict=True):
-        apart = np.array([*(one.coefficients - found.coefficients).T.ravel(), 0.0])
-        gained += weight * np.outer(apart, apart)
-    return gained
+    behind = means.behind_turns
+    square = (values - design @ _least_squares(design, values)) ** 2
+    if not behind.any() or np.mean(square[behind]) < TURNS * np.mean(square[~behind]):
+        return design
+    return np.column_stack([design, np.eye(len(design))[:, behind]])
+
+
+def _widened(found: list[Loop], powers: Array, covariance: Array) -> Array:
+    """Return what the loops that are certain add to the covariance of the coefficients."""
+    p = powers.shape[1]
+    added = np.zeros((len(found) * p, len(found) * p))
+    for c, loop in enumerate(found):
+        own = slice(c * p, (c + 1) * p)
+        if loop.certain:
+            added[own, own] = loop.widening(powers, covariance[own, own])
+    return added
 
 
 def _require_lag_resolved(legs: list[Leg], lag: float, u: float) -> None:

@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiltcal.core.coverage_factor import COVERAGE, NORMAL_FACTOR
 from tiltcal.core.model import Array
 from tiltcal.core.ramp.means import FittedMeans
 from tiltcal.errors import EstimateError
 
-LOOP = 3.0
-"""Standard uncertainties above which a difference between the ways is a loop."""
+CHANCE = 0.01
+"""Probability with which noise alone makes what counts as a loop."""
 
 BINS = 8
 """Of temperature, in which the ways are compared."""
 
-_WIDTHS, _REFINEMENTS = 10, 3
+_WIDTHS, _REFINEMENTS, _BISECTIONS = 10, 3, 40
 
 
 @dataclass(frozen=True)
@@ -28,35 +28,68 @@ class Loops:
     ----------
     temperatures : ndarray, shape (bins,)
         Middles, °C from the reference.
-    differences, u : ndarray, shape (bins, channels)
-        With their standard uncertainties, unit.
-    repeated : bool
-        Whether several legs of one way show how well they repeat.
+    differences : ndarray, shape (bins, channels)
+        Unit.
     """
 
     temperatures: Array
     differences: Array
-    u: Array
-    repeated: bool
-
-    @property
-    def largest(self) -> Array:
-        """Return the largest difference of each channel, unit."""
-        return self._of(self.differences)
-
-    @property
-    def variance(self) -> Array:
-        """Return the variance of a place anywhere between the ways, 0 where no loop is told from the noise, unit²."""
-        return np.where(np.abs(self.largest) > LOOP * self._of(self.u), self.largest**2 / 12.0, 0.0)
 
     def explained_by(self, other: Loops) -> Array:
         """Return the part of the square of this loop that is no longer in another one, shape (channels,)."""
         before, after = (np.mean(one.differences**2, axis=0) for one in (self, other))
         return np.asarray(1.0 - after / np.maximum(before, np.finfo(float).tiny))
 
-    def _of(self, table: Array) -> Array:
-        where: NDArray[np.intp] = np.argmax(np.abs(self.differences), axis=0)
-        return np.asarray(np.take_along_axis(table, where[None, :], axis=0)[0])
+
+@dataclass(frozen=True)
+class Loop:
+    """Half the difference between the ways of a channel, as a polynomial of the temperature, and its covariance."""
+
+    coefficients: Array
+    covariance: Array
+
+    @property
+    def certain(self) -> bool:
+        """Whether noise alone would not make it."""
+        from scipy.special import chdtri
+
+        square = self.coefficients @ np.linalg.solve(self.covariance, self.coefficients)
+        return bool(square > chdtri(len(self.coefficients), CHANCE))
+
+    def widening(self, powers: Array, covariance: Array) -> Array:
+        """Return what it adds to the covariance of a polynomial that lies between the ways.
+
+        A reading is on one way or the other. The square of the half loop counts so often that 1.96 standard
+        uncertainties hold 95 % of the readings on both ways, on the mean over the temperatures.
+
+        Parameters
+        ----------
+        powers : ndarray, shape (n, p)
+            Of these temperatures.
+        covariance : ndarray, shape (p, p)
+            Of the polynomial.
+        """
+        from scipy.special import erf
+
+        terms, p = len(self.coefficients), len(covariance)
+        own = np.zeros((p, p))
+        own[:terms, :terms] = self.covariance
+        half = np.abs(powers[:, :terms] @ self.coefficients)
+        variance = np.einsum("ij,jk,ik->i", powers, covariance + own, powers)
+        u = np.sqrt(2.0 * variance)
+        low, high = 0.0, 4.0
+        for _ in range(_BISECTIONS):
+            weight = 0.5 * (low + high)
+            reach = NORMAL_FACTOR * np.sqrt(variance + weight * half**2)
+            held = float(np.mean(erf((reach - half) / u) + erf((reach + half) / u))) / 2.0
+            low, high = (weight, high) if held < COVERAGE else (low, weight)
+        own[:terms, :terms] += high * np.outer(self.coefficients, self.coefficients)
+        return own
+
+
+def loop_terms(order: int) -> int:
+    """Return the terms of a loop: a play of a cubic, and Rayleigh's loop, have three."""
+    return min(order + 1, 3)
 
 
 def loops(means: FittedMeans, lag: float, coefficients: Array) -> Loops:
@@ -74,29 +107,21 @@ def loops(means: FittedMeans, lag: float, coefficients: Array) -> Loops:
     low, high = max(element[up].min(), element[~up].min()), min(element[up].max(), element[~up].max())
     width = (high - low) / BINS
     number = np.floor((element - low) / width) if width > 0.0 else np.full(len(element), -1.0)
-    white = np.var(np.diff(left, axis=0), axis=0) / 2.0
-    places, differences, noise, legs, scatter = [], [], [], [], []
+    places, differences = [], []
     for k in range(BINS):
         ways: dict[bool, list[Array]] = {True: [], False: []}
-        counts = {True: 0, False: 0}
         for leg, way in enumerate(rising):
             here = (number == k) & (means.leg == leg)
             if here.any():
                 ways[way].append(left[here].mean(axis=0))
-                counts[way] += int(here.sum())
         if ways[True] and ways[False]:
             places.append(low + (k + 0.5) * width)
             differences.append(np.mean(ways[True], axis=0) - np.mean(ways[False], axis=0))
-            noise.append(white * sum(1.0 / count for count in counts.values()))
-            legs.append(sum(1.0 / len(way) for way in ways.values()))
-            scatter += [np.var(way, axis=0, ddof=1) for way in ways.values() if len(way) > 1]
     if not differences:
         raise EstimateError(
             "the ways up and down have no temperature in common: let the temperature come all the way back"
         )
-    repeats = np.mean(scatter, axis=0) if scatter else np.zeros(len(white))
-    variance = np.maximum(np.array(noise), np.array(legs)[:, None] * repeats)
-    return Loops(np.array(places), np.array(differences), np.sqrt(variance), bool(scatter))
+    return Loops(np.array(places), np.array(differences))
 
 
 def error_of_hysteresis(means: FittedMeans, order: int, scale: Array) -> float:

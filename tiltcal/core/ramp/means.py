@@ -14,6 +14,10 @@ from tiltcal.core.thermal_lag import ThermalLag
 BLOCKS = 256
 """Means of a record that are fitted."""
 
+BEHIND_TURN = 0.1
+"""Part of a leg's range in which hysteresis gets from one side to the other."""
+
+_STEPS = 4
 
 FIT_SMOOTHING = 0.02
 """Of the derivative of the thermometer, where it is later, as a part of its lag: the means average its noise."""
@@ -59,6 +63,22 @@ class FittedMeans:
         """Return the powers 0 to ``order`` of that temperature, shape (means, order + 1)."""
         return np.vander(self.element(lag), order + 1, increasing=True)
 
+    def ways(self, powers: Array, terms: int) -> Array:
+        """Return the first of some powers, as they are on the way up, and less than nothing on the way down."""
+        return np.asarray(powers[:, :terms] * self._rising[:, None])
+
+    @property
+    def behind_turns(self) -> NDArray[np.bool_]:
+        """Whether a mean is so close behind a turn that hysteresis has not got to the other side."""
+        element = self.element(0.0)
+        first = np.searchsorted(self.leg, np.arange(len(self.legs)))
+        near = np.array([BEHIND_TURN * (leg.high - leg.low) for leg in self.legs])
+        return np.asarray(np.abs(element - element[first][self.leg]) < near[self.leg])
+
+    @cached_property
+    def _rising(self) -> Array:
+        return np.where(np.array([leg.rising for leg in self.legs])[self.leg], 1.0, -1.0)
+
     def played(self, width: float, order: int) -> Array:
         """Return the powers of a temperature with a play of some °C: hysteresis that takes no time."""
         place, half = float(self._record.temperature[0]), width / 2.0
@@ -73,8 +93,7 @@ class FittedMeans:
         """Return the distance from both turns, °C², above zero on the way up and below it on the way down."""
         element = self.element(0.0) + self._reference
         low, high = (np.array([getattr(leg, end) for leg in self.legs])[self.leg] for end in ("low", "high"))
-        way = np.where(np.array([leg.rising for leg in self.legs])[self.leg], 1.0, -1.0)
-        return np.asarray(way * (element - low) * (high - element))
+        return np.asarray(self._rising * (element - low) * (high - element))
 
     def by_lag(self, lag: float, coefficients: Array) -> Array:
         """Return the derivative of the readings by the lag, unit/s, shape (means, channels).
@@ -87,8 +106,18 @@ class FittedMeans:
         """
         order = len(coefficients) - 1
         slope = self.powers(lag, order - 1) @ (coefficients[1:] * np.arange(1, order + 1)[:, None])
+        return np.asarray(slope * self._element_by_lag(lag)[:, None])
+
+    def closest_lag(self, element: Array, lag: float) -> float:
+        """Return the lag whose element is closest to another temperature from the reference, near a first guess, s."""
+        for _ in range(_STEPS):
+            slope = self._element_by_lag(lag)
+            lag += float(slope @ (element - self.element(lag)) / (slope @ slope))
+        return lag
+
+    def _element_by_lag(self, lag: float) -> Array:
         low, high = lag - self._step, lag + self._step
-        return np.asarray(slope * ((self.element(high) - self.element(low)) / (high - low))[:, None])
+        return np.asarray((self.element(high) - self.element(low)) / (high - low))
 
     @cached_property
     def _step(self) -> float:
@@ -99,5 +128,5 @@ class FittedMeans:
         """Return correlations that decay with time, each with its eigenvalues and eigenvectors."""
         span = float(np.ptp(self.time))
         distance = np.abs(self.time[:, None] - self.time[None, :])
-        found = [np.exp(-distance / decay) for decay in np.geomspace(span / 64.0, span, 7)]
+        found = [np.exp(-distance / decay) for decay in np.geomspace(span / 64.0, 1.4 * span, 8)]
         return [(one, *np.linalg.eigh(one)) for one in found]

@@ -6,6 +6,7 @@ them, and the covariance is the mean over what it allows: an estimate of them al
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import sqrt
 
 import numpy as np
@@ -21,6 +22,44 @@ _PRIOR = np.concatenate([[0.5], np.full(len(_RATIOS) - 1, 0.5 / (len(_RATIOS) - 
 """Half of the weight is on white noise alone."""
 
 _BISECTIONS = 40
+
+
+def whitener(means: FittedMeans, design: Array, values: Array) -> Array:
+    """Return the matrix that makes the noise of a channel white, of variance 1: see :func:`noise_covariance`."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(noise_covariance(means, design, values))))
+
+
+def joint_least_squares(
+    whiteners: Sequence[Array], designs: Sequence[Array], values: Array
+) -> tuple[Array, Array, float]:
+    """Solve for the unknowns of all channels, of which they share the last one.
+
+    Parameters
+    ----------
+    designs : sequence of ndarray, shape (means, p + 1)
+        Of each channel; the last column is that of the unknown that they share.
+    values : ndarray, shape (means, channels)
+
+    Returns
+    -------
+    solution : ndarray, shape (channels p + 1,)
+        Channel by channel.
+    covariance : ndarray, shape (channels p + 1,) twice
+    square : float
+        The sum of squares of the whitened residuals.
+    """
+    p, size = designs[0].shape[1] - 1, len(designs) * (designs[0].shape[1] - 1) + 1
+    normal, right, square = np.zeros((size, size)), np.zeros(size), 0.0
+    for c, (whiten, design) in enumerate(zip(whiteners, designs, strict=True)):
+        places = [*range(c * p, (c + 1) * p), size - 1]
+        x, y = whiten @ design, whiten @ values[:, c]
+        normal[np.ix_(places, places)] += x.T @ x
+        right[places] += x.T @ y
+        square += float(y @ y)
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
+    solution = covariance @ right
+    return solution, covariance, square - float(solution @ right)
 
 
 def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:

@@ -1,0 +1,169 @@
+"""What the curve of a ramp gains in accuracy and in uncertainty because its lag may be two.
+
+An element that is two lags behind its thermometer, one after the other or side by side, has the temperature::
+
+    E = a F(T; τ1) + (1 - a) F(T; τ2)
+
+with a from 0 to 1 where they are side by side, and a = τ1 / (τ1 - τ2) where one follows the other. One lag follows the
+turns of two badly, and the polynomial takes on what it leaves. So the polynomials of many pairs count, each with the
+weight of its likelihood, beside that of one lag, which has half of the prior weight. The file has one lag all the same:
+a second one is rarely told from the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import log, pi
+
+import numpy as np
+
+from tiltcal.core.model import Array
+from tiltcal.core.ramp.means import FittedMeans
+from tiltcal.core.ramp.noise import joint_least_squares, whitener
+
+_SPACING, _FINER = 1.36, 4
+"""Ratio of neighbouring lags of the pairs, and into how many steps it is divided about the likeliest pair."""
+
+_APART = 1.05
+"""Ratio of the lags of a pair, below which it is none."""
+
+_PARTS = tuple(_SPACING**power for power in range(-7, 5))
+"""Lags of the pairs, as parts of the one that was found: from 0.12 to 3.4."""
+
+_STEPS = 3
+
+
+@dataclass(frozen=True)
+class OverLags:
+    """What one lag and pairs of lags give on the mean.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (channels, order + 1)
+    covariance : ndarray, shape (channels (order + 1),) twice
+    elements : ndarray, shape (k, means)
+        Temperatures of the element from the reference by one lag and by each pair, °C.
+    weights : ndarray, shape (k,)
+        Of these.
+    whiteners : sequence of ndarray, shape (means, means)
+        What whitens the noise of each channel, which is what the likeliest pair leaves.
+    """
+
+    coefficients: Array
+    covariance: Array
+    elements: Array
+    weights: Array
+    whiteners: Sequence[Array]
+
+    @property
+    def element(self) -> Array:
+        """The mean temperature of the element, °C from the reference, shape (means,)."""
+        return np.asarray(self.weights @ self.elements)
+
+    def distance(self, element: Array) -> float:
+        """Return how far the temperature of the element is from another one, root mean square, °C."""
+        return float(np.sqrt(self.weights @ np.mean((self.elements - element) ** 2, axis=1)))
+
+
+def over_lags(means: FittedMeans, lag: float, one: Array, covariance: Array) -> OverLags:
+    """Return the mean over one lag and pairs of lags.
+
+    Parameters
+    ----------
+    lag : float
+        The one that was found, s.
+    one : ndarray, shape (channels, order + 1)
+        Its coefficients.
+    covariance : ndarray, shape (channels (order + 1),) twice
+    """
+    y = means.readings
+    alone = [np.column_stack([means.powers(lag, one.shape[1] - 1), slope]) for slope in means.by_lag(lag, one.T).T]
+    best = _likeliest(means, lag, one)
+    whiteners = [whitener(means, design, y[:, c]) for c, design in enumerate(best.designs)]
+    grid, near = _pairs(lag), _near(best.lags)
+    pairs = [_of_pair(means, pair, lag, one, whiteners) for pair in grid + near]
+    volumes = np.repeat([1.0 / len(grid), 1.0 / (len(grid) * _FINER**2)], [len(grid), len(near)])
+    nothing = _solve((0.0, lag), alone, y, whiteners, abs(lag)).evidence
+    evidence = np.array([nothing, *(np.array([pair.evidence for pair in pairs]) + np.log(volumes))])
+    weights = np.exp(evidence - evidence.max())
+    weights /= weights.sum()
+    coefficients = np.stack([one.ravel(), *(pair.coefficients for pair in pairs)])
+    mean = weights @ coefficients
+    within = np.einsum("k,kij->ij", weights, np.stack([covariance, *(pair.covariance for pair in pairs)]))
+    apart = coefficients - mean
+    return OverLags(
+        mean.reshape(one.shape),
+        within + (weights[:, None] * apart).T @ apart,
+        np.stack([means.element(lag), *(pair.designs[0][:, 1] for pair in pairs)]),
+        weights,
+        whiteners,
+    )
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """Coefficients channel by channel, their covariance, what the last unknown changes by, and the log evidence."""
+
+    lags: tuple[float, float]
+    designs: Sequence[Array]
+    coefficients: Array
+    covariance: Array
+    change: float
+    evidence: float
+
+
+def element_of_pair(means: FittedMeans, lag: float, one: Array) -> Array:
+    """Return the temperature of the element by the likeliest pair of lags, °C from the reference, shape (means,).
+
+    Parameters
+    ----------
+    lag : float
+        That of one lag, s.
+    one : ndarray, shape (channels, order + 1)
+        Coefficients to start from.
+    """
+    return _likeliest(means, lag, one).designs[0][:, 1]
+
+
+def _likeliest(means: FittedMeans, lag: float, one: Array) -> _Solution:
+    """Return the likeliest pair under white noise."""
+    left = means.readings - means.powers(lag, one.shape[1] - 1) @ one.T
+    whiteners = [np.eye(len(left)) / np.std(column) for column in left.T]
+    return max((_of_pair(means, pair, lag, one, whiteners) for pair in _pairs(lag)), key=lambda pair: pair.evidence)
+
+
+def _pairs(lag: float) -> list[tuple[float, float]]:
+    return list(combinations([part * lag for part in _PARTS], 2))
+
+
+def _near(lags: tuple[float, float]) -> list[tuple[float, float]]:
+    """Return the pairs around one, closer than those of the grid."""
+    steps = (_SPACING ** (np.arange(1 - _FINER, _FINER) / _FINER)).tolist()
+    return [(lags[0] * a, lags[1] * b) for a in steps for b in steps if lags[1] * b / (lags[0] * a) > _APART]
+
+
+def _of_pair(
+    means: FittedMeans, lags: tuple[float, float], whole: float, one: Array, whiteners: Sequence[Array]
+) -> _Solution:
+    """Fit polynomials and the share of the first lag, which starts where both are ``whole`` on the mean."""
+    order, coefficients = one.shape[1] - 1, one
+    first, second = (means.element(lag) for lag in lags)
+    share = (lags[1] - whole) / (lags[1] - lags[0])
+    for _ in range(_STEPS):
+        x = np.vander(share * first + (1.0 - share) * second, order + 1, increasing=True)
+        slope = (x[:, :-1] @ (coefficients[:, 1:] * np.arange(1, order + 1)).T) * (first - second)[:, None]
+        designs = [np.column_stack([x, column]) for column in slope.T]
+        found = _solve(lags, designs, means.readings, whiteners, 1.0)
+        coefficients, share = found.coefficients.reshape(one.shape), share + found.change
+    return found
+
+
+def _solve(
+    lags: tuple[float, float], designs: Sequence[Array], y: Array, whiteners: Sequence[Array], typical: float
+) -> _Solution:
+    """Solve for polynomials and a change that all channels share, whose prior is as wide as twice a typical value."""
+    solution, covariance, square = joint_least_squares(whiteners, designs, y)
+    evidence = 0.5 * (log(2.0 * pi * covariance[-1, -1]) - square) - log(2.0 * typical)
+    return _Solution(lags, designs, solution[:-1], covariance[:-1, :-1], float(solution[-1]), evidence)
