@@ -24,6 +24,7 @@ import pytest
 from support import ROOT
 from support.command import Completed
 from support.command import tiltcal as run_command
+from support.warm_start import WarmStart
 
 import tiltcal
 from tiltcal.drivers import models
@@ -75,12 +76,12 @@ def pattern_of(printed: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def shims(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shims(warm: WarmStart, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the ``tiltcal`` and the ``python`` of this test run."""
     folder = tmp_path_factory.mktemp("bin")
-    for name, command in (("tiltcal", f'"{sys.executable}" -m tiltcal'), ("python", f'"{sys.executable}"')):
+    for name, command in (("tiltcal", warm.program), ("python", [sys.executable])):
         shim = folder / name
-        shim.write_text(f'#!/bin/sh\nexec {command} "$@"\n', encoding="utf-8")
+        shim.write_text(f'#!/bin/sh\nexec {shlex.join(command)} "$@"\n', encoding="utf-8")
         shim.chmod(0o755)
     return folder
 

@@ -398,10 +398,10 @@ def test_in_plain_lines_what_waits_for_the_last_question_is_left_for_it(tmp_path
 
 
 @pytest.mark.parametrize("key", ["s", "q"])
-def test_a_person_stops_it_with_a_key(key: str, tmp_path: Path) -> None:
+def test_a_person_stops_it_with_a_key(key: str, warm: WarmStart, tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text(OWN.replace("turns: 12", "turns: 100000"))
     with on_a_pty(printed(disk.record(seconds=800.0, rate=25.0, spin=0.5))) as path:
-        command, *arguments = [*TILTCAL, *options(serial(path))]
+        command, *arguments = [*warm.program, *options(serial(path))]
         person = pexpect.spawn(
             command, arguments, cwd=str(tmp_path), encoding="utf-8", timeout=60, dimensions=(24, 200)
         )

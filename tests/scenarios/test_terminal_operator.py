@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pexpect
 import pytest
-from support.command import measure, tiltcal
+from support.command import TILTCAL, measure, tiltcal
+from support.warm_start import WarmStart
 
 from tiltcal.files.calibration import read_calibration
 
 
-def start(folder: Path, *options: str, procedure: str = "zero-45") -> pexpect.spawn:
-    arguments = [
-        *("-m", "tiltcal", "measure", procedure, "--sensor", "sca100t-d02", "--address", "sim:?seed=1"),
+def start(program: list[str], folder: Path, *options: str, procedure: str = "zero-45") -> pexpect.spawn:
+    command, *arguments = [
+        *(*program, "measure", procedure, "--sensor", "sca100t-d02", "--address", "sim:?seed=1"),
         *("--serial", "S-1", "-o", "S-1.yaml", "--samples", "20", *options),
     ]
-    return pexpect.spawn(sys.executable, arguments, cwd=str(folder), encoding="utf-8", timeout=20, dimensions=(40, 120))
+    return pexpect.spawn(command, arguments, cwd=str(folder), encoding="utf-8", timeout=20, dimensions=(40, 120))
 
 
 def accept(terminal: pexpect.spawn, position: str) -> None:
@@ -30,7 +30,7 @@ def accept(terminal: pexpect.spawn, position: str) -> None:
 
 
 def test_the_whole_way(tmp_path: Path) -> None:
-    terminal = start(tmp_path)
+    terminal = start(TILTCAL, tmp_path)
     for position in ("1/3  level", "2/3  x-45", "3/3  y-45"):
         accept(terminal, position)
     terminal.expect(r"Write S-1\.yaml\?")
@@ -46,8 +46,8 @@ def test_the_whole_way(tmp_path: Path) -> None:
     assert replayed.returncode == 0, replayed.stderr
 
 
-def test_the_angle_actually_set_the_temperature_and_a_redo(tmp_path: Path) -> None:
-    terminal = start(tmp_path)
+def test_the_angle_actually_set_the_temperature_and_a_redo(warm: WarmStart, tmp_path: Path) -> None:
+    terminal = start(warm.program, tmp_path)
     accept(terminal, "level")
     terminal.expect("x-45")
     terminal.expect("live")
@@ -74,8 +74,8 @@ def test_the_angle_actually_set_the_temperature_and_a_redo(tmp_path: Path) -> No
     assert terminal.exitstatus == 0
 
 
-def test_stop_and_keep(tmp_path: Path) -> None:
-    terminal = start(tmp_path)
+def test_stop_and_keep(warm: WarmStart, tmp_path: Path) -> None:
+    terminal = start(warm.program, tmp_path)
     accept(terminal, "level")
     terminal.expect("x-45")
     terminal.expect("live")
@@ -85,8 +85,9 @@ def test_stop_and_keep(tmp_path: Path) -> None:
     terminal.close()
     assert terminal.exitstatus == 130
     assert not (tmp_path / "S-1.yaml").exists()
+    command, *arguments = [*warm.program, "measure", "--resume", "S-1.journal.jsonl"]
     resumed = pexpect.spawn(
-        *(sys.executable, ["-m", "tiltcal", "measure", "--resume", "S-1.journal.jsonl"]),
+        *(command, arguments),
         cwd=str(tmp_path),
         encoding="utf-8",
         timeout=20,
@@ -95,8 +96,8 @@ def test_stop_and_keep(tmp_path: Path) -> None:
     resumed.close(force=True)
 
 
-def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
-    terminal = start(tmp_path)
+def test_ctrl_c_says_how_to_go_on(warm: WarmStart, tmp_path: Path) -> None:
+    terminal = start(warm.program, tmp_path)
     accept(terminal, "level")
     terminal.expect("x-45")
     terminal.expect("live")
@@ -107,8 +108,8 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     assert terminal.exitstatus == 130
 
 
-def test_not_written_when_the_operator_says_no(tmp_path: Path) -> None:
-    terminal = start(tmp_path)
+def test_not_written_when_the_operator_says_no(warm: WarmStart, tmp_path: Path) -> None:
+    terminal = start(warm.program, tmp_path)
     for position in ("level", "x-45", "y-45"):
         accept(terminal, position)
     terminal.expect("Write")
