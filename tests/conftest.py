@@ -17,6 +17,7 @@ from contextlib import suppress
 
 import pytest
 from hypothesis import settings
+from support import html_page
 from support.warm_start import WarmStart, warm_start
 
 # The same examples on every run, so that a change is judged and not the draw; HYPOTHESIS_PROFILE=explore draws more,
@@ -77,10 +78,10 @@ def warm() -> Iterator[WarmStart]:
 
 
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def undrawn() -> Iterator[None]:
     """Leave the figures of a page empty where a test reads its words: to draw them takes most of a page's time."""
-    empty = b'<svg viewBox="0 0 1 1"></svg>'
-    monkeypatch.setattr("tiltcal.report.figure.save", lambda figure, stream: stream.write(empty))
+    with html_page.undrawn():
+        yield
 
 
 def _new_threads(before: set[threading.Thread]) -> set[threading.Thread]:

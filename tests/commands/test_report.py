@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +18,62 @@ from support.html_page import Page
 from tiltcal.cli.main import run
 from tiltcal.files.calibration import read_calibration, write_calibration
 
+PAIR = FIXTURES / "rotation.yaml"
+"""Its page has figures with a log alone."""
 
-@pytest.mark.parametrize("file", sorted(FIXTURES.glob("*.yaml")), ids=lambda path: path.stem)
-def test_every_golden_file_has_its_page(file: Path, tmp_path: Path) -> None:
-    output = tmp_path / "report.html"
+
+@pytest.fixture(scope="module", params=sorted(FIXTURES.glob("*.yaml")), ids=lambda path: path.stem)
+def file(request: pytest.FixtureRequest) -> Path:
+    """Every golden file."""
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def text(file: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Its page, with its figures."""
+    output = tmp_path_factory.mktemp("page") / "report.html"
     assert run(["report", str(file), "-o", str(output)]) == 0
-    text = output.read_text(encoding="utf-8")
-    assert Page(text).facts["Calibration file"] == file.name
-    assert "{" not in Page(text).root.find("main")[0].text
+    return output.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(text: str) -> Page:
+    return Page(text)
+
+
+class TestPage:
+    def test_it_is_that_of_the_file(self, file: Path, page: Page) -> None:
+        assert page.facts["Calibration file"] == file.name
+        assert "{" not in page.root.find("main")[0].text
+
+    def test_headings_are_in_order(self, page: Page) -> None:
+        levels = [level for level, _ in page.headings]
+        assert levels.count(1) == 1
+        assert levels[0] == 1
+        assert all(later <= earlier + 1 for earlier, later in pairwise(levels))
+
+    def test_it_is_said_in_a_language_and_has_a_title(self, page: Page) -> None:
+        assert page.root.find("html")[0].attributes["lang"] == "en"
+        assert page.headings[0][1] in page.root.find("title")[0].text
+
+    def test_every_figure_is_told_to_who_does_not_see_it(self, file: Path, page: Page) -> None:
+        figures = [one for figure in page.root.find("figure") for one in figure.find("svg")]
+        assert bool(figures) != (file == PAIR)
+        for figure in figures:
+            assert figure.attributes["role"] == "img"
+            named = {one.attributes["id"]: one.text for one in figure.find("title", "desc")}
+            assert all(named[name] for name in figure.attributes["aria-labelledby"].split())
+
+    def test_every_id_is_there_once_and_every_reference_leads_to_one(self, file: Path, text: str) -> None:
+        ids = re.findall(r'\sid="([^"]*)"', text)
+        assert len(ids) == len(set(ids))
+        assert set(re.findall(r'(?:url\(#|xlink:href="#)([^")]*)', text)) <= set(ids) or file == PAIR
+
+    def test_nothing_is_fetched_and_nothing_runs(self, text: str, page: Page) -> None:
+        assert "://" not in text.replace("sim:", "")
+        assert "@import" not in text
+        assert not page.root.find("script", "img", "iframe", "object", "embed", "video", "audio")
+        assert [one.attributes["href"] for one in page.root.find("link")] == ["data:,"]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
+from unittest.mock import patch
 
 VOID = {"br", "hr", "img", "input", "link", "meta"}
+EMPTY = b'<svg viewBox="0 0 1 1"></svg>'
+
+
+@contextmanager
+def undrawn() -> Iterator[None]:
+    """Leave the figures of a page empty."""
+    with patch("tiltcal.report.figure.save", lambda figure, stream: stream.write(EMPTY)):
+        yield
 
 
 @dataclass
