@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import islice
 from math import hypot
 
 import numpy as np
@@ -14,7 +16,7 @@ from support import accelerometer_disk as disk
 import tiltcal
 from tiltcal.core.pair.demodulate import MOST_BLOCKS, Demodulation, Demodulator
 from tiltcal.core.pair.encoder import AngleTracker
-from tiltcal.core.pair.matching import Matching, match, solve
+from tiltcal.core.pair.matching import Matching, PairCoefficients, match, solve
 from tiltcal.core.pair.model import Pair, matched_sum, matching_coefficients
 from tiltcal.errors import EstimateError
 
@@ -29,6 +31,31 @@ def demodulated(taken: disk.Record, harmonics: int = 4, block: int = 10_000) -> 
         demodulator.add(stage.follow(part.theta), part.readings)
     stage.require_turns()
     return demodulator.result()
+
+
+def solved(records: Iterable[disk.Record], together: int = 25) -> Iterator[PairCoefficients]:
+    """p and q of each record; records of one stage are demodulated together, as channels of one record."""
+    for some in batched(records, together):
+        names = tuple(f"{name}/{number}" for number in range(len(some)) for name in disk.NAMES)
+        stage, demodulator = AngleTracker(), Demodulator(names, 4)
+        demodulator.add(stage.follow(some[0].theta), np.concatenate([one.readings for one in some], axis=1))
+        found = demodulator.result()
+        for number in range(len(some)):
+            yield solve(found, Pair(*(f"{name}/{number}" for name in PAIR.channels)))
+
+
+def batched(records: Iterable[disk.Record], size: int) -> Iterator[list[disk.Record]]:
+    """So many records at a time."""
+    left = iter(records)
+    while some := list(islice(left, size)):
+        yield some
+
+
+def test_records_that_are_demodulated_together_are_those_that_are_not() -> None:
+    records = [disk.record(**SHORT, seed=seed) for seed in range(3)]
+    for one, alone in zip(solved(records), records, strict=True):
+        found = solve(demodulated(alone), PAIR)
+        assert (one.p, one.q, one.u_p, one.u_q) == pytest.approx((found.p, found.q, found.u_p, found.u_q), rel=1e-9)
 
 
 def matched(taken: disk.Record, pair: Pair = PAIR) -> Matching:
@@ -156,7 +183,7 @@ SHORT = {"seconds": 200.0, "rate": 5.0, "spin": 0.125, "noise": 3e-3}
 @pytest.fixture(scope="module")
 def many() -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """p, q, u_p and u_q of 4,000 records of 25 turns."""
-    found = (solve(demodulated(disk.record(**SHORT, seed=seed)), PAIR) for seed in range(RECORDS))
+    found = solved(disk.record(**SHORT, seed=seed) for seed in range(RECORDS))
     return np.array([[one.p, one.q, one.u_p, one.u_q] for one in found])
 
 
@@ -192,7 +219,7 @@ class TestUncertainty:
     def test_1_over_f_noise_counts_with_what_it_has_at_the_turning(self, turns: int) -> None:
         """With its corner at 0.1 Hz; the formula for white noise covers 87 %."""
         taken = (disk.record(seconds=8.0 * turns, rate=10, corner=0.1, noise=3e-3, seed=seed) for seed in range(500))
-        found = (solve(demodulated(one), PAIR) for one in taken)
+        found = solved(taken)
         covered = [
             (abs(one.p - disk.truth()[0]) < 1.96 * one.u_p, abs(one.q - disk.truth()[1]) < 1.96 * one.u_q)
             for one in found
