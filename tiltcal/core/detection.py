@@ -262,7 +262,8 @@ def outliers(samples: Sequence[float] | Array, step: float = 0.0, sigmas: float 
         return np.zeros(0, dtype=np.intp)
     distance = np.abs(values - np.median(values))
     # Where more than half of the samples are in one step, the median of the distances is 0; the nearest 90 % are not.
-    nearest = np.sort(distance)[: max(1, round(0.9 * len(values)))]
+    count = max(1, round(0.9 * len(values)))
+    nearest = np.partition(distance, count - 1)[:count]
     trimmed = _SIGMA_OF_NEAREST * float(np.sqrt(np.mean(nearest**2)))
     usual = max(_SIGMA_OF_MEDIAN * float(np.median(distance)), trimmed, step / sqrt(12.0))
     return np.flatnonzero(distance > max(sigmas * usual, 2.0 * step))

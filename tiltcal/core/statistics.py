@@ -1,6 +1,6 @@
 """Mean and uncertainty of a run of samples.
 
-Sums are exactly rounded (:func:`math.fsum`), so a replayed session gives the same digits on every processor.
+Sums are rounded once (:func:`math.fsum`), so a replayed session gives the same digits on every processor.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from tiltcal.frozen import frozen
 
 BLOCKS = 10
 """Number of blocks whose means show correlation that std/sqrt(n) does not see."""
+
+_COLUMNS, _FEWEST_ROWS = 1024, 8
+"""Of a long run of samples that is summed as a table: its columns, and the rows from which on it is one."""
 
 
 @frozen
@@ -78,11 +81,11 @@ def summarise(samples: Sequence[float] | NDArray[np.float64], resolution: float 
         The step of the reading; 0 where it is continuous.
     """
     values = np.asarray(samples, dtype=float)
-    n, listed = len(values), values.tolist()
+    n = len(values)
     # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
-    mean = listed[0] if values.min() == values.max() else fsum(listed) / n
-    std = sqrt(fsum(np.square(values - mean).tolist()) / (n - 1)) if n > 1 else 0.0
-    noise, dof, correlation = _type_a(listed, std)
+    mean = float(values[0]) if values.min() == values.max() else _sum(values) / n
+    std = sqrt(_sum(np.square(values - mean)) / (n - 1)) if n > 1 else 0.0
+    noise, dof, correlation = _type_a(values, std)
     step = rounding_left(std, resolution)
     return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
 
@@ -112,13 +115,28 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
 
 
-def _type_a(samples: Sequence[float], std: float) -> tuple[float, float, float | None]:
+def _sum(values: NDArray[np.float64]) -> float:
+    """Return the sum, rounded once; of many values column by column, with what each addition rounds away."""
+    rows = len(values) // _COLUMNS
+    if rows < _FEWEST_ROWS:
+        return fsum(values.tolist())
+    total, lost = np.zeros((2, _COLUMNS))
+    for row in values[: rows * _COLUMNS].reshape(rows, _COLUMNS):
+        # Knuth, The Art of Computer Programming, vol. 2, 4.2.2, theorem B: the error of a sum, exactly.
+        longer = total + row
+        added = longer - total
+        lost += (total - (longer - added)) + (row - added)
+        total = longer
+    return fsum([*total.tolist(), *lost.tolist(), *values[rows * _COLUMNS :].tolist()])
+
+
+def _type_a(samples: NDArray[np.float64], std: float) -> tuple[float, float, float | None]:
     """Return the mean's standard uncertainty from the samples' scatter, its dof, and the correlation of the blocks."""
     n = len(samples)
     size = n // BLOCKS
     if size < 2:
         return std / sqrt(n), float(max(n - 1, 1)), None
-    means = [fsum(samples[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
+    means = [_sum(samples[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
     centre = fsum(means) / BLOCKS
     off = [mean - centre for mean in means]
     squares = fsum(one**2 for one in off)

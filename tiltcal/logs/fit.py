@@ -42,6 +42,7 @@ from tiltcal.logs.static_intervals import (
     oriented,
     placed,
     recorded_readings,
+    require_positions,
     timed_readings,
 )
 from tiltcal.logs.streams import sha256_of
@@ -252,7 +253,7 @@ class FitSource:
         """
         thermal = procedure.determines.drift or procedure.determines.gain
         soak = procedure.soak_seconds if thermal else 0.0
-        intervals, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor, soak)
+        intervals, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor, procedure, soak)
         return FitPositions(placed(intervals, procedure, file=self._name), provenance)
 
     def ramp(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
@@ -338,12 +339,21 @@ class FitSource:
             return str(self.segments) if isinstance(self.segments, str | Path) else "the segments"
         return str(self.data) if isinstance(self.data, str | Path) else "the table"
 
-    def _given(self, sensor: SensorIdentity, soak: float = 0.0) -> tuple[list[StaticInterval], Provenance]:
-        """Return what the sensor read in the segments or the table that were given, and where these come from."""
+    def _given(
+        self, sensor: SensorIdentity, procedure: Procedure | None = None, soak: float = 0.0
+    ) -> tuple[list[StaticInterval], Provenance]:
+        """Return what the sensor read in the segments or the table that were given, and where these come from.
+
+        Their names are checked before the log is read, which may be long, if the procedure has to say directions.
+        """
         if self.segments is None:
-            intervals = intervals_of_table(read_positions(_path_or_rows(self.data, "the table"), sensor.channels))
-            return intervals, self._provenance()
+            table = read_positions(_path_or_rows(self.data, "the table"), sensor.channels)
+            if procedure is not None:
+                require_positions(table, procedure, file=self._name)
+            return intervals_of_table(table), self._provenance()
         segments = read_segments(_path_or_rows(self.segments, "the segments"))
+        if procedure is not None:
+            require_positions(segments, procedure, file=self._name)
         record = self._record(sensor, timed=soak > 0.0)
         intervals = intervals_of(record, segments, file=self._name, soak=soak, rails=self.rails)
         return intervals, self._provenance(record, _origin(self.segments, SegmentsRecord))

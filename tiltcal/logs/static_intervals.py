@@ -238,15 +238,14 @@ def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: s
     Raises
     ------
     InputError
-        A position is named that the procedure does not have, the temperature did not stand still where it counts or is
-        missing in some, or a channel is the same in all.
+        The temperature did not stand still where it counts or is missing in some, or a channel is the same in all.
     """
     known = {position.name: position for position in procedure.positions}
     if procedure.determines.drift or procedure.determines.gain:
         for interval in intervals:
             _require_steady(interval, procedure, file)
         _require_temperatures(intervals, file)
-    measurements = [_placed(interval, _place(interval, known, procedure, file)) for interval in intervals]
+    measurements = [_placed(interval, _place(interval, known)) for interval in intervals]
     _require_not_stuck_everywhere(measurements, file)
     return measurements
 
@@ -265,21 +264,33 @@ def oriented(intervals: Sequence[StaticInterval], attitudes: Array) -> list[Meas
     ]
 
 
-def _place(interval: StaticInterval, known: Mapping[str, Position], procedure: Procedure, file: str) -> Position:
+def require_positions(named: Iterable[Segment] | Iterable[TabledPosition], procedure: Procedure, *, file: str) -> None:
+    """Refuse segments or tabled positions without a direction whose names the procedure does not have.
+
+    Raises
+    ------
+    InputError
+        The message names the line, and a similar name.
+    """
+    known = [position.name for position in procedure.positions]
+    for one in named:
+        if one.gravity is None and one.name not in known:
+            near = get_close_matches(one.name, known, n=1)
+            raise InputError(
+                f"{procedure.name} has no position {one.name!r}"
+                + (f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(known)}")
+                + ", and no gx, gy, gz are given for it",
+                file=file,
+                line=one.line,
+            )
+
+
+def _place(interval: StaticInterval, known: Mapping[str, Position]) -> Position:
     """Return the position of a still interval."""
-    if interval.gravity is not None:
-        heading = known[interval.position].heading if interval.position in known else None
-        return Position(interval.position, "", interval.gravity, heading=heading)
-    if interval.position in known:
+    if interval.gravity is None:
         return known[interval.position]
-    near = get_close_matches(interval.position, known, n=1)
-    raise InputError(
-        f"{procedure.name} has no position {interval.position!r}"
-        + (f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(known)}")
-        + ", and no gx, gy, gz are given for it",
-        file=file,
-        line=interval.line,
-    )
+    heading = known[interval.position].heading if interval.position in known else None
+    return Position(interval.position, "", interval.gravity, heading=heading)
 
 
 def _placed(interval: StaticInterval, position: Position) -> Measurement:
