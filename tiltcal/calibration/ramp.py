@@ -15,7 +15,7 @@ from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.estimation.joint_equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
 from tiltcal.core.model import Array, Coefficients, Thermal, with_vector
-from tiltcal.core.ramp.fit import RampFit, fit_ramp
+from tiltcal.core.ramp.fit import RESOLVED, RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
@@ -28,6 +28,9 @@ from tiltcal.files.procedure import Procedure
 
 GROUPS = 8
 """Parts of a leg that the file lists as positions."""
+
+NOTED = 0.05
+"""°C; a second lag that changes the temperature of the element by less is not worth a note."""
 
 FAR = 0.5
 """g; an offset that differs by more from that of the base calibration belongs to another attitude."""
@@ -281,9 +284,16 @@ def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
     notes = [
         f"{lag} is used: it betters every leg that it was not fitted to, and explains of the loop {explains}"
         if fit.uses_lag
-        else f"{lag} is not used: it does not better every leg that it was not fitted to (of the loop it explains "
-        f"{explains})"
+        else f"{lag} is not used: it does not better every leg that it was not fitted to, or hysteresis explains the "
+        f"record as well (of the loop it explains {explains})"
     ]
+    if fit.u_element >= NOTED:
+        notes.append(
+            f"the turns show a second lag: one lag is off by {fit.u_element:.2g} °C, which is in the uncertainty of a "
+            "temperature"
+        )
+    if not fit.uses_lag and abs(fit.found_lag) > RESOLVED * fit.u_lag:
+        notes.append("legs of two paces tell a lag, whose loop grows with the pace, from hysteresis")
     if fit.loop_covariance.any():
         notes.append("the ways up and down differ: the intervals of the drift hold the readings of both")
     return tuple(notes)

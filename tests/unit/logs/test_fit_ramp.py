@@ -10,6 +10,7 @@ from support import DATA
 from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.core.ramp.fit import fit_ramp
 from tiltcal.core.ramp.record import RampRecord, RecordAverager, legs_of
+from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.logs.fit import fit
 
@@ -66,6 +67,26 @@ def test_the_calibrated_range_is_what_the_element_reached(calibration):
     """At 1 °C/min it is 2 °C behind; it turns 120 s ln 2 later than the chamber, 2 °C ln 2 below its turn."""
     low, high = calibration.limits.temperature
     assert (low, high) == (pytest.approx(5.0, abs=0.01), pytest.approx(45.0 - 2.0 * np.log(2.0), abs=0.05))
+
+
+def test_a_second_lag_is_noted_and_in_the_uncertainty_of_a_temperature(record):
+    """0.6 of the element 60 s later and the rest 400 s: at 1 °C/min one lag is off by half a degree at the turns."""
+    seconds = record["seconds"]
+    quick, slow = (
+        solve_ivp(lambda t, e, lag=lag: (chamber(t) - e) / lag, (0.0, 9600.0), [5.0], t_eval=seconds, max_step=30.0).y[
+            0
+        ]
+        for lag in (60.0, 400.0)
+    )
+    element = 0.6 * quick + 0.4 * slow
+    reading = 1020.0 - 3.0 * (element - 24.0) + 0.5 * np.random.default_rng(3).normal(size=len(seconds))
+    log = record | {"x": reading, "y": reading}
+    found = fit("ramp", log, serial="S-1", sensor="sca100t-d02", thermometer=0.0, columns={"time": "seconds"})
+    errors = [
+        np.sqrt(np.mean((element - ThermalLag(lag)(seconds, record["temperature"])) ** 2)) for lag in range(160, 220, 5)
+    ]
+    assert found.record.uncertainty.single_reading["temperature"] == pytest.approx(min(errors), rel=0.25)
+    assert any("second lag" in note for note in found.record.fit.notes)
 
 
 def test_apply_takes_the_loop_out_of_the_log(calibration, record):

@@ -40,9 +40,6 @@ RESOLVED = 2.0
 WORSE = 0.02
 """Part by which the mean square error of a channel may grow on a leg without anyone seeing it."""
 
-CLEARLY = 4.0
-"""By how much the chi-square of a lag must be below that of hysteresis, so that chance does not decide."""
-
 TURNS = 3.0
 """Mean square of the residuals behind the turns, over that of the others, from which on a loop turns there."""
 
@@ -168,7 +165,7 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     used = (
         _legs_confirm(lagged, plain, scale)
         and abs(found_lag) > RESOLVED * u_lag
-        and solution.error * (1.0 + CLEARLY / means.readings.size) < error_of_hysteresis(means, lagged.order, scale)
+        and solution.error < error_of_hysteresis(means, lagged.order, scale)
     )
     if used:
         chosen = _cross_validated_order(means, highest, found_lag, scale)

@@ -73,8 +73,8 @@ def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:
 
     Notes
     -----
-    The mean over sizes and correlation times is scaled so that 1.96 standard uncertainties of the constant hold 95 % of
-    its distribution, which is a mixture.
+    Of the mean over sizes and correlation times, what is correlated is scaled so that 1.96 standard uncertainties of
+    the constant hold 95 % of its distribution, which is a mixture.
     """
     from scipy.special import erf
 
@@ -95,13 +95,15 @@ def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:
     weights = np.exp(np.array(likelihood) - np.max(likelihood))
     weights /= weights.sum()
     parts = weights * np.array(variances)
-    covariance = float(parts.sum()) * np.eye(n)
-    for (correlation, _, _), part in zip(means.correlations, parts, strict=True):
-        covariance += float(part @ _RATIOS) * correlation
-    spread = np.array(spreads)
+    spread, white = np.array(spreads), float(parts.sum())
     low, high = 0.0, 10.0 * float(spread.max())
     for _ in range(_BISECTIONS):
         half = 0.5 * (low + high)
         held = float(np.sum(weights * erf(half / spread / sqrt(2.0))))
         low, high = (half, high) if held < COVERAGE else (low, half)
-    return np.asarray(covariance * (high / NORMAL_FACTOR) ** 2 / float(np.sum(weights * spread**2)))
+    lasting = float(np.sum(weights * spread**2)) - white
+    share = max(((high / NORMAL_FACTOR) ** 2 - white) / lasting, 0.0) if lasting > 0.0 else 0.0
+    covariance = white * np.eye(n)
+    for (correlation, _, _), part in zip(means.correlations, parts, strict=True):
+        covariance += share * float(part @ _RATIOS) * correlation
+    return covariance
