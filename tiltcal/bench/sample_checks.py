@@ -11,7 +11,7 @@ from tiltcal.bench.operators.operator import TEMPERATURES
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.settle import Timed, Unsettled
-from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, outliers
+from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, TILTED, outliers
 from tiltcal.core.quantisation import resolution
 from tiltcal.drivers.device import Model, Reading
 
@@ -20,9 +20,6 @@ POWER_ON = 85.0
 
 AGREEMENT = 20.0
 """The largest distance of a position's temperature from the one asked for, or from a position before, °C."""
-
-DIFFERENT = 0.1
-"""A difference of gravity along a channel that every sensor reads as a change, g."""
 
 
 def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: bool) -> dict[int, str]:
@@ -131,7 +128,7 @@ def require_not_stuck(
             for one in before
             if summary.std == one.summaries[channel].std == 0.0 and summary.mean == one.summaries[channel].mean
         ]
-        turned = any(abs(one.gravity[_axis(channel)] - now.gravity[_axis(channel)]) > DIFFERENT for one in same)
+        turned = any(abs(one.gravity[_axis(channel)] - now.gravity[_axis(channel)]) > TILTED for one in same)
         if same and (turned or (last and len(same) == len(before))):
             count = summary.n + sum(one.summaries[channel].n for one in same)
             raise Unsettled(

@@ -45,6 +45,9 @@ LEFT_OUT = 0.05
 TEMPERATURE_JUMP = 5.0
 """A temperature this far from those around it is a failed conversion, °C."""
 
+TILTED = 0.1
+"""How far a channel's axis has to move before its reading must change, g."""
+
 _SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
 _SIGMA_OF_NEAREST = 1.267  # and over the root mean square of the nearest 90 % of them
 _CHUNK = 1 << 14

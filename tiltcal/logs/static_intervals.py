@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.measurement import Measurement, at_rail
-from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, identical_by_chance, outliers
+from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, TILTED, identical_by_chance, outliers
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.quantisation import noise_under_rounding, resolution
@@ -41,9 +41,6 @@ Rails = Mapping[str, tuple[float, float]]
 
 FLICKER = 0.5
 """Standard deviation of a reading that takes two neighbouring values, at most, in steps."""
-
-TILTED = 0.1
-"""How far a channel's axis has to move before its reading must, g."""
 
 
 @dataclass(frozen=True)
