@@ -52,7 +52,7 @@ check: $(STAMP)
 	@$(VENV)/bin/check-wheel-contents dist
 
 bench: $(STAMP)
-	-@$(RUN) benchmarks/apply.py --keep
+	@$(RUN) benchmarks/apply.py --keep
 	@$(RUN) benchmarks/match.py
 	@$(RUN) benchmarks/capture.py --seconds 20
 

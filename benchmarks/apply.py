@@ -1,13 +1,14 @@
 """Speed and memory of ``apply``, beside what would be written in its place.
 
-    python benchmarks/apply.py [--rows 2000000] [--repeat 5] [--keep] [--json]
+    python benchmarks/apply.py [--rows 2000000] [--repeat 5] [--without-pandas] [--keep] [--json]
 
 Whole commands are run in turn, and the table has their medians: ``tiltcal apply``, with and without uncertainties,
 polars expressions, a copy without any mathematics and pandas, each for CSV and Parquet; xarray for NetCDF; and
 ``Calibration.apply`` on arrays beside plain numpy and imucal. pandas takes its turn at CSV only once: it needs ten
 seconds for a million rows. The result of the command before is removed first, so that each finds as much free memory.
-``--keep`` puts the table into README.md. Exit code 1 where ``apply`` takes more than 1.2 times the processor time of
-polars expressions, or more than 0.35 GB.
+``--keep`` puts the table into README.md. Exit code 1 where ``apply`` takes more than 0.35 GB or, for 10 million rows or
+more, where the start of a command counts little, more than 1.2 times the processor time of polars expressions.
+``--without-pandas`` saves three minutes there.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-MOST_TIMES = 1.2
+MOST_TIMES, LONG = 1.2, 10_000_000
 MOST_MEMORY = 0.35
 HERE = Path(__file__).parent
 NAIVE = HERE / "naive"
@@ -175,6 +176,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, default=2_000_000)
     parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("--without-pandas", action="store_true")
     parser.add_argument("--keep", action="store_true", help="put the table into README.md")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -188,6 +190,8 @@ def main() -> int:
         for suffix in (".csv", ".parquet", ".nc"):
             out = stem.with_name(f"out{suffix}")
             whole = commands(stem.with_suffix(suffix), out)
+            if options.without_pandas:
+                whole.pop("with_pandas", None)
             runs = {name: partial(measure, command, out) for name, command in whole.items()}
             found[suffix[1:]] = in_turn(runs, options.repeat, ["with_pandas"] if suffix == ".csv" else ())
     found["arrays"] = in_turn(on_arrays(options.rows), options.repeat)
@@ -202,7 +206,7 @@ def main() -> int:
         keep(text)
     times = [found[log]["tiltcal"].processor / found[log]["with_polars"].processor for log in ("csv", "parquet")]
     memory = max(found[log]["tiltcal"].gigabytes for log in ("csv", "parquet"))
-    if max(times) > MOST_TIMES or memory > MOST_MEMORY:
+    if (max(times) > MOST_TIMES and options.rows >= LONG) or memory > MOST_MEMORY:
         print(f"processor {max(times):.2f} of polars (limit {MOST_TIMES}), {memory:.2f} GB (limit {MOST_MEMORY})")
         return 1
     return 0
