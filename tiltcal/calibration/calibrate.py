@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from tiltcal.calibration.channel_checks import require_own_readings
-from tiltcal.calibration.joint_fit import NO_NOISE, fit_jointly
+from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
@@ -25,7 +25,6 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.position_record import ProcedureRecord
 from tiltcal.files.procedure import Procedure
 
-UNSTATED_NOISE = f"{NO_NOISE}: they count as known to its last digit, and noise in them is in no uncertainty"
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
 
@@ -134,10 +133,7 @@ def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement
             "says how good the result is; add either"
         )
     kept = (replace(one, std=None, u=one.u if stated else None) for one in calibration.positions)
-    fit = calibration.fit
-    if not stated and fit.noise_estimated is None:
-        fit = replace(fit, notes=(*fit.notes, UNSTATED_NOISE))
-    return replace(calibration, positions=tuple(kept), fit=fit)
+    return replace(calibration, positions=tuple(kept))
 
 
 def _of_local_gravity(calibration: CalibrationRecord, gravity: float) -> CalibrationRecord:

@@ -164,8 +164,8 @@ class FitRecord:
     )
     noise_estimated: float | None = entry(
         FROM_ZERO,
-        "where a jig was stated, but no uncertainty of a table's means: the standard deviation of their noise that the "
-        "residuals show, unit",
+        "where a table states no uncertainties of its means: the standard deviation of their noise that the residuals "
+        "show, unit",
         default=None,
     )
     thermometer_celsius: float | None = entry(FROM_ZERO, "the standard uncertainty of a temperature, °C", default=None)

@@ -44,9 +44,10 @@ def stated_budgets(
     budgets = []
     for own, covariance, variance in _by_sensor(near, shares.variance, bias):
         if shown is not None:
-            readings, total = variance[NOISE] + variance[ADC], np.diag(covariance)
-            share = np.divide(readings, total, out=np.zeros_like(total), where=total > 0.0)
-            budgets.append(Budget(covariance, variance, shown.dof(np.minimum(share, 1.0))))
+            total = np.diag(covariance)
+            safe = np.where(total > 0.0, total, 1.0)
+            of_jig = variance.get(JIG, np.zeros_like(total)) / safe
+            budgets.append(Budget(covariance, variance, shown.dof((variance[NOISE] + variance[ADC]) / safe, of_jig)))
             continue
         estimated = [(shares.estimated[own], 1.0)]
         if isfinite(thermometer_dof):

@@ -118,7 +118,7 @@ class Estimate(DeterminedCoefficients):
     estimated_thermometer : float or None
         Standard deviation of a temperature that they show where a jig, but no thermometer is stated, °C.
     estimated_noise : float or None
-        Standard deviation of the readings' noise that they show where a jig is stated, and of the noise nothing, unit.
+        Standard deviation of the readings' noise that they show where nothing is stated of it, unit.
     noise_dof : float or None
         Degrees of freedom of that.
     notes : tuple of str
@@ -199,7 +199,7 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
     chi_square = near.equations.cost if dof else None
     shown, noise = None, None
     if dof and system.noise_unknown:
-        system, z, noise = _noise(system, z, dof)
+        system, z, noise = _noise(system, z, dof, _known_table(near), system.jig)
         near = linearised(system, z)
     elif chi_square is not None and sensors[0].design.thermometer is None:
         shown = _thermometer(system, z, chi_square, dof)
@@ -219,7 +219,7 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
         chi_square,
         True,
         estimated_thermometer=None if shown is None else system.thermometer,
-        noise_dof=None if noise is None else float(noise.dof(np.ones(1))[0]),
+        noise_dof=None if noise is None else float(noise.dof(np.ones(1), np.zeros(1))[0]),
         notes=() if dof else (NO_FREEDOM,),
     )
     return _estimates(sensors, system, found, attitudes)
@@ -233,14 +233,16 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
     dof = known.degrees_of_freedom(near.unobservable_leans)
     if dof <= 0:
         return _estimates(sensors, system, _Found(z, stated_budgets(near), 0, None, True, notes=(NO_FREEDOM,)))
-    # The mere bound of a lean that the readings show is no evidence of it.
-    table = system.table if system.table_stated or near.unobservable_leans else inf
+    table = _known_table(near)
     components = variance_components(_residuals(replace(known, table=table), z, dof))
     if components.angle > LARGEST_JIG:
         raise EstimateError(
             "the residuals are larger than any error of the set angles explains: are the positions named right, and "
             "the readings plausible?"
         )
+    if system.noise_unknown:
+        known, z, noise = _noise(known, z, dof, table, None)
+        return _estimates(sensors, known, _of_residuals(system, known, z, dof, noise))
     for _ in range(ROUNDS):
         before, last = known.jig, known
         known = _with_noise(replace(system, jig=components.angle), components.noise)
@@ -264,6 +266,33 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
     return _estimates(sensors, known, found)
 
 
+def _known_table(near: LinearSolution) -> float:
+    """Return what is known of the table, radians: the mere bound of a lean that the readings show is no evidence."""
+    return near.system.table if near.system.table_stated or near.unobservable_leans else inf
+
+
+def _of_residuals(before: System, system: System, z: Array, dof: int, noise: NoiseVariance) -> _Found:
+    """Return the minimum of a system whose noise and jig were found, with the chi-square that it had before."""
+    near = _with_attitudes(system, z)
+    bias = second_order_bias(near, z) if system.jig > 0 else None
+    budgets = stated_budgets(near, bias, shown=noise)
+    if bias is not None:
+        z = z.copy()
+        z[: system.coefficients] -= bias
+    residual = before.unexplained(system.as_set(z)) / before.sigma
+    hidden = system.jig == 0.0 and np.any(near.response[:, near.shared - near.angles :] != 0.0)
+    return _Found(
+        z,
+        budgets,
+        dof,
+        float(residual @ residual),
+        False,
+        degrees(system.jig),
+        noise_dof=float(noise.dof(np.ones(1), np.zeros(1))[0]),
+        notes=(JIG_NOT_SHOWN,) if hidden else (),
+    )
+
+
 def _with_noise(system: System, factor: float) -> System:
     """Return the system with the variance of its noise multiplied; no reading is better than its rounding."""
     factor = max(factor, (np.finfo(float).eps * system.reach) ** 2)
@@ -278,16 +307,22 @@ def _with_attitudes(system: System, z: Array) -> LinearSolution:
     return linearised(tilted, z if tilted is system else _transferred(z, system, tilted), system.jig)
 
 
-def _noise(system: System, z: Array, dof: int) -> tuple[System, Array, NoiseVariance]:
-    """Find the noise of readings of which only the rounding is stated; return it with the system and its minimum."""
-    factor = 1.0
+def _noise(system: System, z: Array, dof: int, table: float, jig: float | None) -> tuple[System, Array, NoiseVariance]:
+    """Find the noise of readings of which only the rounding is stated; return it with the system and its minimum.
+
+    Parameters
+    ----------
+    jig : float or None
+        As it is stated, radians; otherwise it is found as well.
+    """
+    known, factor, angle = system, 1.0, jig or 0.0
     for _ in range(ROUNDS):
-        last, known = factor, _with_noise(system, factor)
-        z = _minimum(known, z, known)
-        found = noise_variance(_residuals(known, z, dof), system.jig, 1.0 / factor)
-        factor = max(factor * found.factor, 1.0)
-        if abs(factor - last) <= CLOSE * last:
+        last, known = known, _with_noise(replace(system, jig=angle), factor)
+        z = _minimum(known, z, last)
+        found = noise_variance(_residuals(replace(known, table=table), z, dof), jig, 1.0 / factor)
+        if abs(found.factor - 1.0) <= CLOSE and abs(found.jig - angle) <= CLOSE * angle:
             break
+        factor, angle = max(factor * found.factor, 1.0), found.jig
     return known, z, found
 
 

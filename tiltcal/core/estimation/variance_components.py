@@ -11,8 +11,8 @@ independent with variances 1 + q d². A q below zero is kept, as far as V stays 
 than the noise by chance, and as much smaller the coefficients that depend on the attitudes scatter. For one channel
 whose positions all depend on it alike this is the textbook's standard deviation of the residuals with Student's t.
 
-Where no attitude shows in the residuals, they show the size of the noise instead. Where nothing is stated of the noise
-and q is, their variances are f + q d² with f unknown.
+Where no attitude shows in the residuals, they show the size of the noise instead. Where nothing is stated of the noise,
+their variances are f + q d² with f unknown.
 
 Sources: H. D. Patterson, R. Thompson, *Recovery of inter-block information*, Biometrika 58 (1971) 545; M. G. Kenward,
 J. H. Roger, *Small sample inference for fixed effects from REML*, Biometrics 53 (1997) 983; G. E. P. Box, G. C. Tiao,
@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.core.coverage_factor import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR
 from tiltcal.core.model import Array
@@ -40,13 +41,13 @@ POSITIVE = 0.9
 INSENSITIVE = 1e-9
 """A direction with less than this share of the whole sensitivity to the attitudes has none."""
 
-VARIANCES = 300
-"""Variances of the noise that are told apart, evenly in their logarithm."""
+VARIANCES, JIGS = 100, 40
+"""Variances of the noise and of the jig that are told apart, evenly in their logarithm."""
 
 FAR = 1e4
-"""The largest of them, over the largest square that the residuals have."""
+"""The largest variance of the noise, over the largest square that the residuals have."""
 
-IMPOSSIBLE = 1e-9
+IMPOSSIBLE = 1e-8
 """Probability over the largest one below which a variance is left out."""
 
 
@@ -89,33 +90,37 @@ class VarianceComponents:
 
 @dataclass(frozen=True)
 class NoiseVariance:
-    """Variance of the readings where nothing is stated of their noise, beside a jig that is.
+    """Variance of the readings where nothing is stated of their noise.
 
     Attributes
     ----------
     factor : float
         What it is over the variance that the residuals were whitened by.
-    ratios, probability : ndarray, shape (m,)
-        The variances that it may be, over that one, and how probable each is.
+    jig : float
+        Standard deviation of an attitude angle, radians, as it is stated or as they show it.
+    ratios, jig_ratios, probability : ndarray, shape (m,)
+        The variances that both may be, over these, and how probable each pair is.
     """
 
     factor: float
+    jig: float
     ratios: Array
+    jig_ratios: Array
     probability: Array
 
-    def dof(self, shares: Array) -> Array:
+    def dof(self, shares: Array, of_jig: Array) -> Array:
         """Return the degrees of freedom of sums of variances, with which Student's t has their 95 % interval.
 
         Parameters
         ----------
-        shares : ndarray, shape (k,)
-            The part of each sum that goes with the noise's variance; the rest is known.
+        shares, of_jig : ndarray, shape (k,)
+            The parts of each sum that go with the variances of noise and jig; the rest is known.
         """
         from scipy.special import ndtr, stdtridf
 
-        spread = np.sqrt(1.0 + shares[:, None] * (self.ratios - 1.0))
+        spread = np.sqrt(1.0 + shares[:, None] * (self.ratios - 1.0) + of_jig[:, None] * (self.jig_ratios - 1.0))
         low, high = np.zeros(len(shares)), np.full(len(shares), NORMAL_FACTOR * float(spread.max(initial=1.0)))
-        for _ in range(BISECTIONS // 4):
+        for _ in range(BISECTIONS // 5):
             middle = (low + high) / 2.0
             within = (2.0 * ndtr(middle[:, None] / spread) - 1.0) @ self.probability
             low, high = np.where(within < COVERAGE, middle, low), np.where(within < COVERAGE, high, middle)
@@ -155,37 +160,53 @@ class ProjectedResiduals:
         return d2, z2, self.squares + float(np.sum(self.projected[~sensitive] ** 2)), self.dof - len(d2)
 
 
-def noise_variance(residuals: ProjectedResiduals, jig: float, lowest: float) -> NoiseVariance:
-    """Find the variance f of the noise from residuals.
+def noise_variance(residuals: ProjectedResiduals, jig: float | None, lowest: float) -> NoiseVariance:
+    """Find the variance f of the noise from residuals, and that of the attitude angles where it is not stated.
 
     Parameters
     ----------
-    jig : float
+    jig : float or None
         Stated standard deviation of an attitude angle, radians.
     lowest : float
         What f is at least: the share of rounding in the variance that the residuals were whitened by.
 
     Notes
     -----
-    The probability of f is its restricted likelihood times the root of its Fisher information (the prior of Jeffreys).
-    The factor is the harmonic mean: without a jig it is the textbook's variance of the residuals, and the interval that
-    of Student's t; beside a jig that hides the noise it stays above zero.
+    The probability of f is its restricted likelihood times the root of its Fisher information (the prior of Jeffreys);
+    so is that of q, independently. The factor is the harmonic mean: without a jig it is the textbook's variance of the
+    residuals, and the interval that of Student's t; beside a jig that hides the noise it stays above zero. Of q it is
+    the geometric mean.
     """
     d2, z2, left, more = residuals.parts
-    low, high = np.log(lowest), np.log(FAR * max(float(np.max(z2, initial=left)), lowest))
+    if jig is None and not len(d2):
+        jig = 0.0
+    range_f = np.log([lowest, FAR * max(float(np.max(z2, initial=left)), lowest)])
+    range_q = range_f - np.log(np.max(d2, initial=1e-300))
     for _ in range(2):
-        logarithm = np.linspace(low, high, VARIANCES)
-        f = np.exp(logarithm)
-        s = f[:, None] + jig**2 * d2
-        likelihood = np.sum(np.log(s) + z2 / s, axis=1) + more * logarithm + left / f
-        information = np.sum(1.0 / s**2, axis=1) + more / f**2
-        weight = (np.log(information) - likelihood) / 2.0 + logarithm
+        log_f = np.linspace(range_f[0], range_f[1], VARIANCES)[:, None]
+        log_q = np.linspace(range_q[0], range_q[1], JIGS)
+        f, q = np.exp(log_f), np.exp(log_q) if jig is None else np.array([jig**2])
+        s = f[..., None] + q[:, None] * d2
+        likelihood = np.sum(np.log(s) + z2 / s, axis=2) + more * log_f + left / f
+        weight = (np.log(np.sum(1.0 / s**2, axis=2) + more / f**2) - likelihood) / 2.0 + log_f
+        if jig is None:
+            weight += np.log(np.sum((d2 / s) ** 2, axis=2)) / 2.0 + log_q
         weight = np.exp(weight - weight.max())
-        possible = np.flatnonzero(weight > IMPOSSIBLE)
-        low, high = logarithm[max(possible[0] - 1, 0)], logarithm[min(possible[-1] + 1, VARIANCES - 1)]
+        possible = weight > IMPOSSIBLE
+        range_f = _around(log_f[:, 0], possible.any(axis=1))
+        if jig is None:
+            range_q = _around(log_q, possible.any(axis=0))
     probability = weight / weight.sum()
-    factor = 1.0 / float(probability @ (1.0 / f))
-    return NoiseVariance(factor, f / factor, probability)
+    factor = 1.0 / float(np.sum(probability / f))
+    middle = jig**2 if jig is not None else float(np.exp(np.sum(probability * log_q)))
+    over_f, over_q = (np.broadcast_to(one, weight.shape)[possible] for one in (f / factor, q / (middle or 1.0)))
+    return NoiseVariance(factor, sqrt(middle), over_f, over_q, probability[possible] / probability[possible].sum())
+
+
+def _around(values: Array, possible: NDArray[np.bool_]) -> Array:
+    """Return the first and the last possible value, and one beyond at either end."""
+    at = np.flatnonzero(possible)
+    return values[[max(at[0] - 1, 0), min(at[-1] + 1, len(values) - 1)]]
 
 
 def variance_components(residuals: ProjectedResiduals) -> VarianceComponents:
