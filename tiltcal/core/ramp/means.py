@@ -14,6 +14,9 @@ from tiltcal.core.thermal_lag import ThermalLag
 BLOCKS = 256
 """Means of a record that are fitted."""
 
+LONGEST = 1.2
+"""The longest correlation of the noise, in times of the record."""
+
 BEHIND_TURN = 0.1
 """Part of a leg's range in which hysteresis gets from one side to the other."""
 
@@ -125,8 +128,12 @@ class FittedMeans:
 
     @cached_property
     def correlations(self) -> list[tuple[Array, Array, Array]]:
-        """Return correlations that decay with time, each with its eigenvalues and eigenvectors."""
+        """Return correlations that decay with time, each with its eigenvalues and eigenvectors.
+
+        The longest is as long as the record or a little more: the uncertainty of its mean is then the distance that a
+        random walk has between its start and its mean.
+        """
         span = float(np.ptp(self.time))
         distance = np.abs(self.time[:, None] - self.time[None, :])
-        found = [np.exp(-distance / decay) for decay in np.geomspace(span / 64.0, 1.4 * span, 8)]
+        found = [np.exp(-distance / decay) for decay in np.geomspace(span / 64.0, LONGEST * span, 8)]
         return [(one, *np.linalg.eigh(one)) for one in found]
