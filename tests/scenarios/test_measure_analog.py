@@ -54,7 +54,7 @@ def program(start: Sequence[str], address: str, folder: Path, *options: str) -> 
     return [
         *(*start, "measure", "plane", "--sensor", "sca100t-d02-analog"),
         *("--address", address, "--serial", "S-7", "-o", str(folder / "S-7.yaml")),
-        *("--operator", "json", "--settle", "0.4", *options),
+        *("--operator", "json", "--settle", "0.2", *options),
     ]
 
 

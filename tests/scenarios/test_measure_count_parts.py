@@ -56,7 +56,7 @@ class Setup:
         return [
             *(*start, "measure", self.procedure, "--sensor", self.sensor),
             *("--address", self.address, "--serial", "A-1", "-o", str(folder / "A-1.yaml"), "--operator", "json"),
-            *("--settle", "0.25", *self.options),
+            *("--settle", "0.12", *self.options),
         ]
 
 

@@ -29,7 +29,7 @@ def program(start: Sequence[str], folder: Path, *options: str) -> list[str]:
     return [
         *(*start, "measure", "free", "--sensor", "sca3000-d01"),
         *("--address", "spi:///dev/spidev0.0", "--serial", "A-3000", "-o", str(folder / "A-3000.yaml")),
-        *("--operator", "json", "--settle", "0.3", "--samples", "40", *options),
+        *("--operator", "json", "--settle", "0.12", "--samples", "40", *options),
     ]
 
 

@@ -31,7 +31,7 @@ def program(start: Sequence[str], procedure: str, folder: Path, *options: str) -
     return [
         *(*start, "measure", procedure, "--sensor", "sca100t-d02"),
         *("--address", "spi:///dev/spidev0.0", "--serial", "S-0042", "-o", str(folder / "S-0042.yaml")),
-        *("--operator", "json", "--settle", "0.4", "--samples", "30", *options),
+        *("--operator", "json", "--settle", "0.15", "--samples", "30", *options),
     ]
 
 

@@ -26,7 +26,7 @@ ON_I2C = ("sca3000-i2c", "i2c:///dev/i2c-1?address=0x1d&counts_per_g=1333&rate=2
 def program(start: Sequence[str], sensor: str, address: str, folder: Path, *options: str) -> list[str]:
     return [
         *(*start, "measure", "six-face", "--sensor", sensor, "--address", address),
-        *("--serial", "A-3000", "-o", str(folder / "A-3000.yaml"), "--operator", "json", "--settle", "0.4", *options),
+        *("--serial", "A-3000", "-o", str(folder / "A-3000.yaml"), "--operator", "json", "--settle", "0.15", *options),
     ]
 
 
