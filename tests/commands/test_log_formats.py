@@ -13,6 +13,8 @@ import xarray
 from support import FIXTURES
 from support.command import tiltcal
 
+from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
+
 FORMATS = ("csv", "parquet", "nc")
 
 
@@ -55,9 +57,10 @@ def test_match(folder: Path) -> None:
 
 
 def test_report(folder: Path) -> None:
-    pages = []
+    known, pages = read_calibration(FIXTURES / "mavs.yaml"), []
+    write_calibration(folder / "bare.yaml", CalibrationRecord(known.sensor, known.coefficients))
     for end in FORMATS:
-        printed(folder, "report", str(FIXTURES / "mavs.yaml"), f"rest.{end}", "-o", f"{end}.html")
+        printed(folder, "report", "bare.yaml", f"rest.{end}", "-o", f"{end}.html")
         page = (folder / f"{end}.html").read_text(encoding="utf-8")
         assert f"rest.{end}" in page
         pages.append(re.sub(r"\b[0-9a-f]{64}\b", "", page.replace(f"rest.{end}", "rest")))

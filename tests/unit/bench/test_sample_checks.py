@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+import scipy
 
 from tiltcal import Calibration, measure, plan
 from tiltcal.bench import sensor_set
@@ -255,8 +255,8 @@ def test_a_closing_visit_shows_a_sensor_that_was_knocked(monkeypatch: pytest.Mon
     change_of_x = re.search(r"changed by x \+(\d+\.?\d*) ±", said[-1])
     assert change_of_x is not None
     assert float(change_of_x[1]) == pytest.approx(step, abs=1.5)
-    chi_square, dof = knocked.fit.chi_square, knocked.fit.degrees_of_freedom
-    assert chi2.sf(chi_square, dof) < 1e-3 < chi2.sf(quiet.fit.chi_square, quiet.fit.degrees_of_freedom)
+    p = [scipy.stats.chi2.sf(one.fit.chi_square, one.fit.degrees_of_freedom) for one in (knocked, quiet)]
+    assert p[0] < 1e-3 < p[1]
 
 
 def test_a_closing_visit_is_planned_once_and_replays() -> None:

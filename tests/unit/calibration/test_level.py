@@ -7,7 +7,7 @@ from math import inf, radians, sqrt
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 from scipy.spatial.transform import Rotation
 from support import FIXTURES
 
@@ -78,7 +78,7 @@ def test_the_change_has_the_coverage_factor_of_its_noise() -> None:
     base = replace(COMPLETE, uncertainty=replace(COMPLETE.uncertainty, standard={}, covariance=None))
     found = levelled(base, np.array([1030.0, 1010.0]), jig=0.0, dof=9.0).fit.level
     thermometer = 0.1 * COMPLETE.coefficients.thermal.drift[:, 0]
-    expected = stats.t.ppf(0.975, 9.0 * (1.0 + (thermometer / NOISE) ** 2) ** 2)
+    expected = scipy.stats.t.ppf(0.975, 9.0 * (1.0 + (thermometer / NOISE) ** 2) ** 2)
     assert [found.change_coverage_factor[channel] for channel in "xy"] == pytest.approx(expected.tolist(), abs=1e-3)
 
 

@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+import scipy
 
 from tiltcal.core.detection import (
     bursts,
@@ -57,7 +57,7 @@ class TestStuck:
     def test_identical_samples_and_their_probability(self) -> None:
         """No step holds more of normal noise than the middle one: its share to the power of the count."""
         step, noise = 1.0, 0.5
-        share = norm.cdf(0.5 * step / noise) - norm.cdf(-0.5 * step / noise)
+        share = scipy.stats.norm.cdf(0.5 * step / noise) - scipy.stats.norm.cdf(-0.5 * step / noise)
         most = int(np.log(1e-6) / np.log(share))
         assert identical_by_chance(most, noise, step)
         assert not identical_by_chance(most + 1, noise, step)

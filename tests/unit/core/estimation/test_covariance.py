@@ -7,9 +7,9 @@ from math import cos, degrees, radians, sin, sqrt
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
 from scipy.spatial.transform import Rotation
 from support.accuracy_study import Regime, planned, simulate, sweep, two_temperatures
 from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of
@@ -98,13 +98,13 @@ class TestBudgetByHand:
         assert found.coefficients.sensitivity[0, 0] == pytest.approx(line[0], abs=0.05 * u["sensitivity.x.x"])
         assert u["sensitivity.x.x"] == pytest.approx(sqrt(covariance[0, 0]), rel=0.01)
         assert u["offset.x"] == pytest.approx(sqrt(covariance[1, 1]), rel=0.01)
-        assert found.coverage_factors()["sensitivity.x.x"] == pytest.approx(stats.t.ppf(0.975, 7), rel=0.001)
+        assert found.coverage_factors()["sensitivity.x.x"] == pytest.approx(scipy.stats.t.ppf(0.975, 7), rel=0.001)
 
 
 class TestCoverageFactor:
     def test_it_is_students_t(self) -> None:
         dof = np.array([1.0, 2.0, 7.0, 30.0, np.inf])
-        expected = [*stats.t.ppf(0.975, dof[:-1]), stats.norm.ppf(0.975)]
+        expected = [*scipy.stats.t.ppf(0.975, dof[:-1]), scipy.stats.norm.ppf(0.975)]
         np.testing.assert_allclose(coverage_factor(dof), expected, rtol=1e-9)
 
     def test_welch_satterthwaite_as_the_gum_works_it(self) -> None:
@@ -118,7 +118,7 @@ class TestChiSquare:
         rng = np.random.default_rng(42)
         plan = plan_of(12, noise=1e-4, jig=0.1)
         p = [estimate(measured(rng, plan, [part(rng)])[0], design(plan, jig=0.1)).p for _ in range(60)]
-        assert stats.kstest(p, "uniform").pvalue > 0.01
+        assert scipy.stats.kstest(p, "uniform").pvalue > 0.01
 
     def test_a_position_set_wrong_by_degrees_is_named(self) -> None:
         """One of eighteen positions is 3° off, the jig is stated as 0.2°."""
@@ -264,7 +264,7 @@ class TestIntrinsic:
 
     def test_one_estimated_variance_gives_all_of_them_the_factor_of_student(self) -> None:
         """Readings whose variance has 5 degrees of freedom: whatever follows from them straightly has t of 5."""
-        student = float(stats.t.ppf(0.975, 5))
+        student = float(scipy.stats.t.ppf(0.975, 5))
         by = np.random.default_rng(3).normal(size=(12, 12))
         own = intrinsic(self.coefficients(np.eye(3)), uncertain(self.NAMES, 1e-12 * by @ by.T, student))
         every = [*own.offset.values(), *own.sensitivity.values(), *own.angle.values(), *own.mounting.values()]

@@ -10,8 +10,8 @@ from math import cos, radians, sqrt
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -47,10 +47,10 @@ def test_a_thermometer_that_is_not_stated_is_shown_by_the_residuals() -> None:
     told, observations = at_temperatures(0.2 * np.random.default_rng(3).standard_normal(12))
     wanted = Design(("x",), (), drift=1, jig=0.0, thermometer=None)
     found = estimate(observations, wanted)
-    line = stats.linregress(told, [one.mean[0] for one in observations])
+    line = scipy.stats.linregress(told, [one.mean[0] for one in observations])
     name = "temperature.offset.x.1"
     assert found.uncertainty()[name] == pytest.approx(line.stderr, rel=0.01)
-    assert found.coverage_factors()[name] == pytest.approx(stats.t.ppf(0.975, 10), rel=0.01)
+    assert found.coverage_factors()[name] == pytest.approx(scipy.stats.t.ppf(0.975, 10), rel=0.01)
     left = [one.mean[0] for one in observations] - (line.intercept + line.slope * told)
     assert found.estimated_thermometer == pytest.approx(sqrt(left @ left / 10 - 0.05**2) / line.slope, rel=0.01)
     exact = estimate(observations, replace(wanted, thermometer=0.0))

@@ -7,8 +7,8 @@ from math import radians
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.spatial.transform import Rotation
 from support.efficiency_study import CLASSES, EfficiencyRegime, bound_of, simulate
 from support.simulated_bench import FACES, POSITIONS, XYZ, design, fixture, measured, part, plan_of
@@ -192,7 +192,7 @@ class TestTable:
         _, sessions = self.reversals(0.05, 80)
         found = [estimate(one, self.design(0.05)) for one in sessions]
         assert {one.dof for one in found} == {4}
-        assert stats.kstest([one.p for one in found], "uniform").pvalue > 0.01
+        assert scipy.stats.kstest([one.p for one in found], "uniform").pvalue > 0.01
 
     def test_a_bench_far_worse_than_it_was_stated_to_be_gives_a_result_and_a_verdict(self) -> None:
         """0.3° where the jig was stated to be perfect: the way to the minimum is long, and chi-square says why."""
@@ -216,7 +216,8 @@ class TestTable:
         half = np.array([(one.budget.factors * one.budget.u)[own] for one in found])
         assert np.mean(np.abs(errors) <= half) == pytest.approx(0.95, abs=0.03)
         # Eight readings, of which the lean and the offsets use up four.
-        assert np.median([one.budget.factors[own] for one in found]) == pytest.approx(stats.t.ppf(0.975, 4), rel=0.02)
+        student = scipy.stats.t.ppf(0.975, 4)
+        assert np.median([one.budget.factors[own] for one in found]) == pytest.approx(student, rel=0.02)
         assert all(share >= 0.0 for one in found for column in one.budget.shares.values() for share in column[own])
 
 
