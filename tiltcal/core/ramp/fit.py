@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.core.ramp.loops import Loop, Loops, error_of_hysteresis, loop_terms, loops
+from tiltcal.core.ramp.loops import HalfLoop, Loops, error_of_hysteresis, loop_terms, loops
 from tiltcal.core.ramp.means import FittedMeans
 from tiltcal.core.ramp.noise import joint_least_squares, noise_covariance, whitener
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
@@ -320,7 +320,7 @@ def _with_lag(means: FittedMeans, lag: float, one: Array, covariance: Array) -> 
     found = []
     for c, whiten in enumerate(mean.whiteners):
         solution, of_loop, _ = joint_least_squares([whiten], [ways], left[:, c : c + 1])
-        found.append(Loop(solution, of_loop))
+        found.append(HalfLoop(solution, of_loop))
     covariance = covariance.copy()
     covariance[:-1, :-1] = mean.covariance
     lag = means.closest_lag(mean.element, lag)
@@ -345,7 +345,7 @@ def _without_lag(means: FittedMeans, order: int) -> _Estimate:
         both = _with_turns(means, np.column_stack([x, ways]), values)
         solve = np.linalg.pinv(both)
         solution, of_solution = solve @ values, solve @ noise_covariance(means, both, values) @ solve.T
-        loop = Loop(solution[p:end], of_solution[p:end, p:end])
+        loop = HalfLoop(solution[p:end], of_solution[p:end, p:end])
         found.append(loop)
         if not loop.certain:
             solution, of_solution, _ = joint_least_squares([whitener(means, x, values)], [x], values[:, None])
@@ -365,7 +365,7 @@ def _with_turns(means: FittedMeans, design: Array, values: Array) -> Array:
     return np.column_stack([design, np.eye(len(design))[:, behind]])
 
 
-def _widened(found: list[Loop], powers: Array, covariance: Array) -> Array:
+def _widened(found: list[HalfLoop], powers: Array, covariance: Array) -> Array:
     """Return what the loops that are certain add to the covariance of the coefficients."""
     p = powers.shape[1]
     added = np.zeros((len(found) * p, len(found) * p))

@@ -42,7 +42,7 @@ class Loops:
 
 
 @dataclass(frozen=True)
-class Loop:
+class HalfLoop:
     """Half the difference between the ways of a channel, as a polynomial of the temperature, and its covariance."""
 
     coefficients: Array
