@@ -29,12 +29,15 @@ from tiltcal.core.estimation.identifiability import require_determined
 from tiltcal.core.estimation.joint_equations import System
 from tiltcal.core.estimation.second_order import second_order_bias
 from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
-from tiltcal.core.estimation.variance_components import (
-    NoiseVariance,
-    ProjectedResiduals,
-    noise_variance,
-    variance_components,
+from tiltcal.core.estimation.unstated_variances import (
+    find_jig,
+    find_noise,
+    find_thermometer,
+    minimum_from,
+    residuals_near,
+    with_attitudes,
 )
+from tiltcal.core.estimation.variance_components import NoiseVariance, variance_components
 from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.core.uncertainty_budget import Budget
@@ -42,20 +45,8 @@ from tiltcal.errors import EstimateError
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
 
-ROUNDS = 20
-"""Most times that the jig is estimated anew at the solution that the last one gave; three to five are usual."""
-
 LARGEST_JIG = radians(45.0)
 """Standard deviation of a set angle above which the positions are not those that were set, radians."""
-
-CLOSE = 1e-4
-"""A relative change of the jig, or of chi-square, below which it is found."""
-
-EXACT = 1e12
-"""Readings of so many of their uncertainties have none that is known: their chi-square is no test."""
-
-SMALLEST_THERMOMETER, LARGEST_THERMOMETER = 1e-3, 5.0
-"""Standard uncertainties of a temperature that the residuals may show, °C."""
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
 BELOW_NOISE = "the residuals are smaller than the noise of the readings, by chance: the noise counts"
@@ -193,16 +184,16 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
 
 def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """Estimate with all errors of the bench as unknowns, whose uncertainty is stated."""
-    z = _minimum(system, _start(system))
+    z = minimum_from(system, _start(system))
     near = linearised(system, z)
     dof = system.degrees_of_freedom(near.unobservable_leans)
     chi_square = near.equations.cost if dof else None
     shown, noise = None, None
     if dof and system.noise_unknown:
-        system, z, noise = _noise(system, z, dof, _known_table(near), system.jig)
+        system, z, noise = find_noise(system, z, dof, _known_table(near), system.jig)
         near = linearised(system, z)
     elif chi_square is not None and sensors[0].design.thermometer is None:
-        shown = _thermometer(system, z, chi_square, dof)
+        shown = find_thermometer(system, z, chi_square, dof)
     if shown is not None:
         system, z = shown.system, shown.z
         near = linearised(system, z)
@@ -228,29 +219,23 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
 def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """Estimate the jig from the residuals, and solve the equations with it as if it was stated."""
     known = replace(system, jig=0.0)
-    z = _minimum(known, _start(system.unweighted()))
-    near = _with_attitudes(known, z)
+    z = minimum_from(known, _start(system.unweighted()))
+    near = with_attitudes(known, z)
     dof = known.degrees_of_freedom(near.unobservable_leans)
     if dof <= 0:
         return _estimates(sensors, system, _Found(z, stated_budgets(near), 0, None, True, notes=(NO_FREEDOM,)))
     table = _known_table(near)
-    components = variance_components(_residuals(replace(known, table=table), z, dof))
+    components = variance_components(residuals_near(replace(known, table=table), z, dof))
     if components.angle > LARGEST_JIG:
         raise EstimateError(
             "the residuals are larger than any error of the set angles explains: are the positions named right, and "
             "the readings plausible?"
         )
     if system.noise_unknown:
-        known, z, noise = _noise(known, z, dof, table, None)
+        known, z, noise = find_noise(known, z, dof, table, None)
         return _estimates(sensors, known, _of_residuals(system, known, z, dof, noise))
-    for _ in range(ROUNDS):
-        before, last = known.jig, known
-        known = _with_noise(replace(system, jig=components.angle), components.noise)
-        z = _minimum(known, z, last)
-        if components.angle == before or abs(known.jig - before) <= CLOSE * before:
-            break
-        components = variance_components(_residuals(replace(system, jig=components.angle, table=table), z, dof))
-    near = _with_attitudes(known, z)
+    known, z, components = find_jig(system, z, components, dof, table)
+    near = with_attitudes(known, z)
     bias = second_order_bias(near, z) if known.jig > 0 else None
     budgets = estimated_jig_budgets(near, components, bias)
     notes = []
@@ -273,7 +258,7 @@ def _known_table(near: LinearSolution) -> float:
 
 def _of_residuals(before: System, system: System, z: Array, dof: int, noise: NoiseVariance) -> _Found:
     """Return the minimum of a system whose noise and jig were found, with the chi-square that it had before."""
-    near = _with_attitudes(system, z)
+    near = with_attitudes(system, z)
     bias = second_order_bias(near, z) if system.jig > 0 else None
     budgets = stated_budgets(near, bias, shown=noise)
     if bias is not None:
@@ -291,94 +276,6 @@ def _of_residuals(before: System, system: System, z: Array, dof: int, noise: Noi
         noise_dof=float(noise.dof(np.ones(1), np.zeros(1))[0]),
         notes=(JIG_NOT_SHOWN,) if hidden else (),
     )
-
-
-def _with_noise(system: System, factor: float) -> System:
-    """Return the system with the variance of its noise multiplied; no reading is better than its rounding."""
-    factor = max(factor, (np.finfo(float).eps * system.reach) ** 2)
-    if factor == 1.0:
-        return system
-    return replace(system, blocks=tuple(replace(block, u=block.u * factor**0.5) for block in system.blocks))
-
-
-def _with_attitudes(system: System, z: Array) -> LinearSolution:
-    """Linearise a system near its minimum, with attitude angles even where their variance is zero."""
-    tilted = system if system.jig > 0 else replace(system, jig=1.0)
-    return linearised(tilted, z if tilted is system else _transferred(z, system, tilted), system.jig)
-
-
-def _noise(system: System, z: Array, dof: int, table: float, jig: float | None) -> tuple[System, Array, NoiseVariance]:
-    """Find the noise of readings of which only the rounding is stated; return it with the system and its minimum.
-
-    Parameters
-    ----------
-    jig : float or None
-        As it is stated, radians; otherwise it is found as well.
-    """
-    known, factor, angle = system, 1.0, jig or 0.0
-    for _ in range(ROUNDS):
-        last, known = known, _with_noise(replace(system, jig=angle), factor)
-        z = _minimum(known, z, last)
-        found = noise_variance(_residuals(replace(known, table=table), z, dof), jig, 1.0 / factor)
-        if abs(found.factor - 1.0) <= CLOSE and abs(found.jig - angle) <= CLOSE * angle:
-            break
-        factor, angle = max(factor * found.factor, 1.0), found.jig
-    return known, z, found
-
-
-def _residuals(system: System, z: Array, dof: int) -> ProjectedResiduals:
-    """Return the residuals near a point, with the angles that were taken off there put back."""
-    near = _with_attitudes(system, z)
-    left, singular, _ = near.spectrum
-    first = near.shared - near.angles
-    right = near.elimination.rhs[first:]
-    if system.jig > 0:
-        right = right + near.elimination.triangle[first:, first:] @ z[near.system.attitudes]
-    return ProjectedResiduals(
-        singular, left.T @ right, near.elimination.residual_squares, dof, _largest_sensitivity(near)
-    )
-
-
-@dataclass(frozen=True)
-class _Thermometer:
-    """The system with the thermometer that the residuals show, its minimum, and that variance's degrees of freedom."""
-
-    system: System
-    z: Array
-    dof: float
-
-
-def _thermometer(system: System, z: Array, chi_square: float, dof: int) -> _Thermometer | None:
-    """Find the thermometer's uncertainty with which chi-square is as large as its degrees of freedom.
-
-    None where exact temperatures leave no more than that, or where no thermometer explains what they leave.
-
-    Source: R. C. Paule, J. Mandel, *Consensus values and weighting factors*, J. Res. NBS 87 (1982) 377.
-    """
-    if chi_square <= dof or system.reach > EXACT or not system.own_temperatures + system.shared_temperatures:
-        return None
-    known, variance = system, SMALLEST_THERMOMETER**2
-    for _ in range(ROUNDS):
-        last, known = known, replace(system, thermometer=sqrt(variance))
-        z = _minimum(known, z, last)
-        cost, errors = known.at(z).cost, z[known.temperature_errors]
-        slope = float(errors @ errors) / variance**2
-        if abs(cost - dof) <= CLOSE * dof:
-            return _Thermometer(known, z, (variance * slope) ** 2 / dof)
-        # One over chi-square is nearly a straight line of the variance.
-        variance = max(variance + cost * (cost - dof) / (dof * slope), variance / 4.0) if slope > 0.0 else inf
-        if not SMALLEST_THERMOMETER**2 / 16.0 < variance < LARGEST_THERMOMETER**2:
-            return None
-    return None
-
-
-def _largest_sensitivity(near: LinearSolution) -> float:
-    """Return the largest singular value of the readings' derivatives by the attitude angles, over their noise."""
-    squares = np.zeros((near.angles // 2, 2, 2))
-    for block, equations in zip(near.system.blocks, near.equations.blocks, strict=True):
-        by_angle = equations.shared[..., -2:].reshape(*block.u.shape, 2)
-        np.add.at(squares, near.system.settings[block.places], np.einsum("scni,scnj->snij", by_angle, by_angle))
-    return float(np.sqrt(np.linalg.eigvalsh(squares).max()))
 
 
 def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
@@ -434,26 +331,6 @@ def _start(system: System) -> Array:
     z = minimise(free.holding(insensitive), z)
     require_determined(set_right, z)
     return minimise(free, z) if insensitive.any() else z
-
-
-def _minimum(system: System, z: Array, known: System | None = None) -> Array:
-    """Return the minimum with all unknowns, from one with other errors of the bench (as set where none is given)."""
-    return minimise(system, _transferred(z, system.as_if_perfect() if known is None else known, system))
-
-
-def _transferred(z: Array, before: System, after: System) -> Array:
-    """Return the unknowns of one system as those of another, zero where the first has none."""
-    unknowns = np.zeros(after.unknowns)
-    unknowns[: after.coefficients] = z[: before.coefficients]
-    for old, new in (
-        (before.attitudes, after.attitudes),
-        (before.lean, after.lean),
-        (before.temperature_errors, after.temperature_errors),
-        (before.heading_errors, after.heading_errors),
-    ):
-        if old.stop > old.start and new.stop > new.start:
-            unknowns[new] = z[old]
-    return unknowns
 
 
 def _attitudes(
