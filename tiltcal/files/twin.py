@@ -44,6 +44,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import product
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,15 @@ class FaultSection:
 
 _FAULTS = ListOf(Converted(Section(FaultSection), _fault_of))
 
+
+EXTREMES = (-60.0, 150.0)
+"""The temperatures that a session may have, °C."""
+
+LARGEST = 1e12
+"""No sensor reads more, in any unit."""
+
+SLOWEST = 1e-3
+"""Lines a second of a virtual line, at least."""
 
 LEAST_OWN = 1e-6
 """Least sensitivity of a channel to its own axis, over its largest one: its nonlinearity is counted along it."""
@@ -172,7 +182,7 @@ def _truth_of(found: TruthSection, node: Node, context: Context) -> Truth:
     shared = (
         *("supply", "nonlinearity", "noise", "thermometer_error", "lag", "jig", "ambient", "time_constant", "faults"),
     )
-    return Truth(
+    truth = Truth(
         channels=tuple(axis for axis in AXES if axis in found.offset),
         offset=found.offset,
         sensitivity=found.sensitivity,
@@ -182,6 +192,22 @@ def _truth_of(found: TruthSection, node: Node, context: Context) -> Truth:
         gain=thermal.sensitivity,
         **{name: getattr(found, name) for name in shared},
     )
+    for channel, temperature in product(truth.channels, (*EXTREMES, truth.ambient)):
+        up = (float(channel == "x"), float(channel == "y"), float(channel == "z"))
+        if not _reads(truth, channel, up, temperature):
+            raise node.error(
+                f"{channel} would read more than {LARGEST:g} at {temperature:g} °C: look at its coefficients, at the "
+                "reference temperature and at ambient"
+            )
+    return truth
+
+
+def _reads(truth: Truth, channel: str, up: tuple[float, float, float], temperature: float) -> bool:
+    """Return whether a reading is one that a sensor could give."""
+    try:
+        return abs(truth.reading(channel, up, temperature)) <= LARGEST
+    except OverflowError:
+        return False
 
 
 def _channels(key: str, found: Mapping[str, Any], context: Context) -> Context:
@@ -231,7 +257,7 @@ class DiskSection:
     )
     spin: float = entry(Number("Hz"), "turns a second", default=Disk.spin)
     rate: float = entry(
-        Converted(Number(above=0.0), _rate, more={"maximum": FASTEST}), "lines a second", default=Disk.rate
+        Converted(Number(minimum=SLOWEST), _rate, more={"maximum": FASTEST}), "lines a second", default=Disk.rate
     )
     wander: float = entry(FROM_ZERO, "of the common acceleration, its largest excursion, relative", default=Disk.wander)
     gradient: Gradient | None = entry(

@@ -77,6 +77,7 @@ def test_seed_of_the_address_comes_before_that_of_the_file(tmp_path: Path) -> No
         ("x: 818.2", "x: 0", 8, "truth.sensitivity.x", "own axis"),
         ("x: 818.2", "x: 1e-200", 8, "truth.sensitivity.x", "own axis"),
         (", z: -1.5", "", 9, "truth.sensitivity.y", "same columns"),
+        ("reference: 24, ", "reference: 1e300, ", 5, "truth", "would read more than 1e+12"),
         ("reference: 24, ", "", 10, "truth.temperature", "'reference' is missing"),
         ("noise: {x: 0.6}", "noise: {x: -1}", 12, "truth.noise.x", "at least 0"),
         ("jig: 0.01", "gig: 0.01", 14, "truth.gig", "unknown key"),
@@ -91,3 +92,9 @@ def test_error_names_line_and_key(tmp_path: Path, old: str, new: str, line: int,
         read(tmp_path, FILE.replace(old, new, 1))
     assert (caught.value.line, caught.value.key) == (line, key)
     assert about in caught.value.message
+
+
+def test_a_stage_without_end_between_its_lines_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"at least 0\.001") as caught:
+        read(tmp_path, "tiltcal: 1\nkind: twin\ntruth:\n  disk: {rate: 1e-320}\n")
+    assert (caught.value.line, caught.value.key) == (4, "truth.disk.rate")
