@@ -7,11 +7,10 @@ from statistics import median
 
 import numpy as np
 
-from tiltcal.bench.operators.operator import TEMPERATURES
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.settle import Timed, Unsettled
-from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, TILTED, outliers
+from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, TEMPERATURES, TILTED, outliers
 from tiltcal.core.quantisation import resolution
 from tiltcal.drivers.device import Model, Reading
 

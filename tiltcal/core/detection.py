@@ -42,6 +42,9 @@ FEWEST_SAMPLES = 8
 LEFT_OUT = 0.05
 """The largest share of samples that is left out as far off; more is a fault that must not be hidden."""
 
+TEMPERATURES = (-60.0, 150.0)
+"""The range of temperatures at a bench, °C: a DS18B20 that fails reads -127."""
+
 TEMPERATURE_JUMP = 5.0
 """A temperature this far from those around it is a failed conversion, °C."""
 

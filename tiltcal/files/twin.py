@@ -49,6 +49,7 @@ from math import radians
 from pathlib import Path
 from typing import Any
 
+from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.model import AXES
 from tiltcal.drivers.twin.gradiometer import CHANNELS, Accelerometer, Disk
 from tiltcal.drivers.twin.stage import FASTEST, StageTruth
@@ -99,9 +100,6 @@ class FaultSection:
 
 _FAULTS = ListOf(Converted(Section(FaultSection), _fault_of))
 
-
-EXTREMES = (-60.0, 150.0)
-"""The temperatures that a session may have, °C."""
 
 LARGEST = 1e12
 """No sensor reads more, in any unit."""
@@ -192,7 +190,7 @@ def _truth_of(found: TruthSection, node: Node, context: Context) -> Truth:
         gain=thermal.sensitivity,
         **{name: getattr(found, name) for name in shared},
     )
-    for channel, temperature in product(truth.channels, (*EXTREMES, truth.ambient)):
+    for channel, temperature in product(truth.channels, (*TEMPERATURES, truth.ambient)):
         up = (float(channel == "x"), float(channel == "y"), float(channel == "z"))
         if not _reads(truth, channel, up, temperature):
             raise node.error(

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from tiltcal.core.pair.matching import Matching, PairCoefficients
     from tiltcal.core.pair.model import Pair
 
-TEMPERATURES = (-60.0, 150.0)
-"""The range of temperatures at a bench, °C: a DS18B20 that fails reads -127."""
-
 Live = Callable[[], Mapping[str, Reading]]
 """Takes one sample of every sensor, by serial number."""
 

@@ -32,7 +32,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.bench.operators.operator import TEMPERATURES, Live, OperatorAnswer, StageTurn
+from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn
+from tiltcal.core.detection import TEMPERATURES
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import InputError, Stopped, UsageError
 from tiltcal.files.procedure import Position

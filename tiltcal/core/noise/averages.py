@@ -58,7 +58,7 @@ class Averager:
         self._low, self._high = np.full(channels, np.inf), np.full(channels, -np.inf)
 
     def add(self, samples: Array, present: Mask | None) -> None:
-        """Take more samples, zero where they are missing, shape (n, channels); None where none is missing."""
+        """Take more samples, zero where they are missing, shape (n, channels); ``present`` is None if none is."""
         if not len(samples):
             return
         if self._samples == 1:

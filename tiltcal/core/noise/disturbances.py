@@ -49,7 +49,7 @@ class Disturbances:
         self._repeats, self._run, self._longest = 0, 0, RowRange(0, 0)
 
     def add(self, samples: Array, present: Mask | None) -> None:
-        """Take more samples, zero where they are missing, shape (n, channels); None where none is missing."""
+        """Take more samples, zero where they are missing, shape (n, channels); ``present`` is None if none is."""
         self._follow_runs(samples if present is None else np.where(present, samples, np.nan))
         self._rows += len(samples)
         there = np.ones_like(samples) if present is None else present.astype(np.float64)
