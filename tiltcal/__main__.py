@@ -18,12 +18,22 @@ def main(args: list[str] | None = None) -> None:
     args = sys.argv[1:] if args is None else args
     try:
         _keep_ctrl_c()
+        _one_blas_thread()
         from tiltcal.cli.child_process import needs_guard, run_guarded
 
         code = run_guarded(lambda: _run(args), args) if needs_guard(args) else _run(args)
     except KeyboardInterrupt:
         code = _interrupted()
     _leave(code)
+
+
+def _one_blas_thread() -> None:
+    """Let the OpenBLAS of numpy and scipy start no threads, unless the environment states a number.
+
+    They wait busily, which is 60 of the 160 ms that the import of numpy takes, and no matrix here is large enough to
+    need them.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def _keep_ctrl_c() -> None:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 from support.command import loaded_by
 from support.command import tiltcal as command
@@ -54,6 +59,19 @@ def test_another_name_is_no_attribute() -> None:
 
 def test_import_loads_nothing_heavy() -> None:
     assert not {"numpy", "scipy", "polars", "yaml", "click", "rich"} & loaded_by("import tiltcal; dir(tiltcal)")
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="OpenBLAS starts a thread for each further core")
+def test_a_command_starts_no_threads_of_openblas() -> None:
+    script = (
+        "import os\nfrom tiltcal import __main__ as command\n"
+        "command._leave = lambda code: print(code, len(os.listdir('/proc/self/task')))\n"
+        "command.main(['procedures', 'six-face', '--json'])\nimport numpy"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "0 1"
 
 
 @pytest.mark.parametrize(

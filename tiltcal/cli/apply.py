@@ -196,15 +196,17 @@ def command(
     and, with two pairs, the gradient signal and its components at twice the spin frequency over the previous turn.
     """
     from tiltcal.cli.apply_tasks import ApplyTask, tasks_of
-    from tiltcal.files.calibration_folder import SUFFIXES
     from tiltcal.logs.apply import prepare_any
     from tiltcal.logs.prepared_calibration import ApplyOptions
 
     calibration, logs = (Path(files[0]), files[1:]) if calibrations is None else (calibrations, files)
     if not logs:
         raise UsageError(f"no LOG is given behind {calibration}; see `tiltcal apply --help`")
-    if calibrations is not None and len(logs) > 1 and logs[0].lower().endswith(SUFFIXES):
-        raise UsageError(f"{logs[0]} is a calibration, and --calibrations names a folder of them: leave one out")
+    if calibrations is not None and len(logs) > 1:
+        from tiltcal.files.calibration_folder import SUFFIXES
+
+        if logs[0].lower().endswith(SUFFIXES):
+            raise UsageError(f"{logs[0]} is a calibration, and --calibrations names a folder of them: leave one out")
     given = ApplyOptions(**how)
     for option, value in (("--stability", given.stability), ("--reading-noise", given.reading_noise)):
         if value is not None and not given.uncertainty:

@@ -15,7 +15,7 @@ difference between one statement and all others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf, sqrt
 
 import numpy as np
@@ -87,7 +87,7 @@ class Statement:
         return vector_of(at, self.names) + self.by_given @ (vector_of(at, self.given) - self.given_values)
 
 
-@dataclass(frozen=True)
+@frozen
 class Combination(DeterminedCoefficients):
     """What several sessions together state; the sources of its budget are the sessions.
 

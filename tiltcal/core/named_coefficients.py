@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf, sqrt
 
 import numpy as np
@@ -72,7 +72,7 @@ class CoefficientChange:
         return float(stdtrit(self.dof, upper))
 
 
-@dataclass(frozen=True)
+@frozen
 class DeterminedCoefficients:
     """Coefficients that data determine, with their uncertainty.
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import stat
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from secrets import token_hex
 from typing import BinaryIO
 
 from tiltcal.errors import UsageError
@@ -62,7 +60,7 @@ def write_whole(path: str | Path, text: str) -> None:
 def check_writable(path: str | Path) -> None:
     """Check, before anything is measured, that a file can be written.
 
-    A temporary file is made in the folder and removed: permission bits alone do not show a read-only disk.
+    A file is made in the folder and removed: permission bits alone do not show a read-only disk.
 
     Raises
     ------
@@ -81,18 +79,20 @@ def check_writable(path: str | Path) -> None:
         raise UsageError(f"cannot write {path}: the file is write-protected; choose another name or unprotect it")
     if _is_special(target):
         return
+    part = _part_of(target)
     try:
-        with tempfile.TemporaryFile(prefix=".tiltcal-", dir=folder):
-            pass
+        stream, named = _begun(part)
     except OSError as failure:
         raise _cannot_write(path, failure) from failure
+    stream.close()
+    if named:
+        part.unlink()
 
 
 def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
-    part = target.with_name(f".tiltcal-{token_hex(6)}.part")
+    part = _part_of(target)
     try:
-        nameless = _nameless(target.parent)
-        stream = open(part, "x+b") if nameless is None else open(nameless, "w+b")  # noqa: SIM115  (a failure to open differs from one to write)
+        stream, named = _begun(part)
     except OSError as failure:
         raise _cannot_write(target, failure) from failure
     try:
@@ -101,14 +101,25 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
             stream.flush()
             _keep_permissions(target, stream)
             os.fsync(stream.fileno())
-            if nameless is not None:
+            if not named:
                 # A folder's descriptor has to be given for the link behind /proc to be followed; its value is ignored.
+                nameless = stream.fileno()
                 os.link(f"/proc/self/fd/{nameless}", part, src_dir_fd=nameless)
         os.replace(part, target)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
     _sync_folder(target.parent)
+
+
+def _part_of(target: Path) -> Path:
+    return target.with_name(f".tiltcal-{os.urandom(6).hex()}.part")
+
+
+def _begun(part: Path) -> tuple[BinaryIO, bool]:
+    """Open a file without a name in the folder, or this one where the system has none; whether it has its name."""
+    nameless = _nameless(part.parent)
+    return (open(part, "x+b"), True) if nameless is None else (open(nameless, "w+b"), False)
 
 
 def _nameless(folder: Path) -> int | None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from operator import itemgetter
 from pathlib import Path
@@ -20,6 +19,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, calibration_of
 from tiltcal.files.document import checked_kind, read_document
 from tiltcal.files.moments import moment
+from tiltcal.frozen import frozen
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -51,7 +51,7 @@ class CalibrationFile(NamedTuple):
     path: str
 
 
-@dataclass(frozen=True)
+@frozen
 class FolderIndex:
     """The calibrations of a folder.
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.errors import InputError
+from tiltcal.frozen import frozen
 from tiltcal.logs.apply_summary import ApplySummary
 from tiltcal.logs.cf_attributes import same_unit
 from tiltcal.logs.columns import (
@@ -232,7 +233,7 @@ def prepare_any(
     return lambda log, columns: prepared
 
 
-@dataclass(frozen=True)
+@frozen
 class CompensatedLog:
     """The rows of a log with what a calibration makes of them.
 
@@ -340,9 +341,11 @@ class CompensatedLog:
 
 
 def _field_length(there: bool) -> FieldLength | None:
+    if not there:
+        return None
     from tiltcal.core.magnetic_field_length import FieldLength
 
-    return FieldLength() if there else None
+    return FieldLength()
 
 
 def _locate_vector(log: LogReader, role: str, names: Sequence[str]) -> tuple[int, ...]:

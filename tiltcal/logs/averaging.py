@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -69,7 +68,7 @@ def averaging(rows: int | None, every: str | float | None) -> Averaging:
     return Averaging(seconds=seconds)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class AveragedBlock(LogBlock):
     """Some means of rows of a log, in order.
 

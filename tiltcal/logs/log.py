@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO, ClassVar
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.errors import UsageError
+from tiltcal.frozen import frozen
 from tiltcal.logs.streams import read_ahead, sha256_of
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ Progress = Callable[[int, int | None], None]
 """Called with the bytes of a log that have been read, and with its size where that is known."""
 
 
-@dataclass(frozen=True)
+@frozen
 class LogBlock:
     """Some rows of a log, in order.
 
@@ -58,7 +58,7 @@ class LogBlock:
         return np.stack([self.values[index] for index in columns]).T
 
 
-@dataclass(frozen=True)
+@frozen
 class LogSource:
     """Where a log is read from, and how.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import tiltcal
 from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
+from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import HEADING, TIME
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 _EXAMPLES = {"magnetometer": "mx,my,mz", "velocity": "u,v,w"}
 
 
-@dataclass(frozen=True)
+@frozen
 class ApplyOptions:
     """How a calibration is to be applied.
 
@@ -122,7 +123,7 @@ class ApplyOptions:
                 raise UsageError(f"--{name} is for a folder of calibrations (--calibrations)")
 
 
-@dataclass(frozen=True)
+@frozen
 class PreparedCalibration:
     """A calibration, ready for the rows of one log: a kernel may remember those that have passed.
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
-import shutil
 import signal
 import stat
 import sys
@@ -16,14 +16,10 @@ from contextlib import contextmanager, suppress
 from hashlib import file_digest, sha256
 from pathlib import Path
 from select import select
-from tempfile import SpooledTemporaryFile
 from types import FrameType
-from typing import TYPE_CHECKING, BinaryIO, Protocol, TypeVar, cast
+from typing import BinaryIO, Protocol, TypeVar, cast
 
 from tiltcal.errors import UsageError
-
-if TYPE_CHECKING:
-    import io
 
 T = TypeVar("T")
 
@@ -97,6 +93,9 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         with whole_file(output) as stream:
             yield stream
         return
+    import shutil
+    from tempfile import SpooledTemporaryFile
+
     with SpooledTemporaryFile(_SPOOL) as spool:
         yield cast("BinaryIO", spool)
         spool.seek(0)
@@ -110,7 +109,7 @@ def with_writeback(sink: BinaryIO, items: Iterable[T]) -> Iterator[T]:
 
     Without it, all that is in the system's memory goes to the disk when the file is complete, and the command waits.
     """
-    if isinstance(sink, SpooledTemporaryFile) or not hasattr(os, "posix_fadvise"):
+    if not isinstance(sink, io.BufferedIOBase | io.RawIOBase) or not hasattr(os, "posix_fadvise"):
         yield from items
         return
     begun = 0

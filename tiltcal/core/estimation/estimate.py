@@ -14,7 +14,7 @@ chooses how far its attitudes are unknowns:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import degrees, inf, radians, sqrt
 
 import numpy as np
@@ -42,6 +42,7 @@ from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.errors import EstimateError
+from tiltcal.frozen import frozen
 
 __all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
 
@@ -64,7 +65,7 @@ JIG_NOT_SHOWN = (
 ABOVE_NOISE = "the residuals are larger than noise and attitudes explain: is the sensor linear, and was it still?"
 
 
-@dataclass(frozen=True)
+@frozen
 class AttitudeError:
     """Attitude error of a position, as the readings show it.
 
@@ -84,7 +85,7 @@ class AttitudeError:
     p: float
 
 
-@dataclass(frozen=True)
+@frozen
 class Estimate(DeterminedCoefficients):
     """Coefficients of one sensor, with their uncertainty and the residuals.
 
@@ -304,7 +305,7 @@ def _noise_dof(sensors: Sequence[SensorObservations]) -> float:
     return sum(inf if one.dof is None else float(np.sum(one.dof)) for sensor in sensors for one in sensor.observations)
 
 
-@dataclass(frozen=True)
+@frozen
 class _Found:
     """Minimum of the sum of squares, with uncertainty and tests, over all sensors."""
 

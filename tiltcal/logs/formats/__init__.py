@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import BinaryIO
 
 from tiltcal.errors import UsageError
+from tiltcal.frozen import frozen
 from tiltcal.logs.log import LogReader, LogSource, LogWriter, Progress
 from tiltcal.logs.streams import STANDARD, log_source
 
 
-@dataclass(frozen=True)
+@frozen
 class LogFormat:
     """A format of logs.
 
