@@ -66,6 +66,13 @@ def test_an_interrupted_verification_is_resumed(folder: Path) -> None:
     assert "passed" in resumed.stdout
 
 
+def test_a_program_reads_json_to_the_last_line(folder: Path) -> None:
+    said = '{"answer": "ready"}\n' * 6
+    done = tiltcal("verify", "S-1.yaml", "--address", "sim:?seed=1", "--operator", "json", cwd=folder, said=said)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1])["passed"] is True
+
+
 def differ(tmp_path: Path, offset: float, serial: str = "S-1") -> dict:
     (tmp_path / "a.yaml").write_text(CALIBRATION.format(offset=1024.0))
     (tmp_path / "b.yaml").write_text(CALIBRATION.format(offset=offset).replace("S-1", serial))

@@ -48,27 +48,31 @@ def calibrate_ramp(
     sensor : MeasuredSensor
         With a ``ramp``; its first measurement states the attitude.
     bench : BenchUncertainty
-        A stated thermometer is an error that all temperatures share; a step of its reading averages.
+        A stated thermometer is an error that all temperatures share; a step of its reading, the sensor's own or as the
+        record shows it, averages.
 
     Raises
     ------
     EstimateError
-        The record cannot tell a thermal lag from drift, or there is no sensitivity to stand in.
+        The record cannot tell a thermal lag from drift, a channel is stuck, or there is no sensitivity to stand in.
     """
     if sensor.ramp is None:
         raise EstimateError(f"{procedure.name} takes a continuous record, and there is none of {sensor.sensor.serial}")
     record, attitude = sensor.ramp, sensor.measurements[0]
     reference = _reference(_range(record.temperature), procedure)
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
+    _require_not_stuck(record, design.channels)
     fit = fit_ramp(record, reference=reference, highest=procedure.determines.drift)
     # The turns of the temperature are not reached by an element that follows them.
-    temperatures = _range(ThermalLag(fit.lag)(record.time, record.temperature))
+    element = ThermalLag(fit.lag)(record.time, record.temperature)
+    # The inverse filter amplifies the thermometer's noise, which the means average.
+    temperatures = _range(element if fit.lag >= 0.0 else fit.means.element(fit.lag) + reference)
     design = replace(design, drift=fit.order, reference=reference)
     groups = _groups(fit, record, attitude)
     found = _estimate(fit, design, np.array(attitude.gravity), temperatures, groups, bench)
     if record.jumps is not None:
         found = replace(found, notes=(*found.notes, record.jumps.note))
-    step = design.thermometer or sensor.thermometer or 0.0
+    step = design.thermometer or sensor.thermometer or record.step / sqrt(12.0)
     if fit.lag < 0.0:
         # The inverse filter amplifies what is random in the thermometer.
         step *= 1.0 + 1.0 / LOG_SMOOTHING
@@ -102,6 +106,14 @@ def calibrate_ramp(
             ramp=_ramp_record(fit, design.channels),
         ),
     )
+
+
+def _require_not_stuck(record: RampRecord, channels: Sequence[str]) -> None:
+    for channel, noise, value in zip(channels, record.noise.tolist(), record.readings[0].tolist(), strict=True):
+        if noise == 0.0:
+            raise EstimateError(
+                f"{channel} reads {value:g} in all {record.rows} rows: it is stuck, not without drift; is it connected?"
+            )
 
 
 def _require_attitude(found: CalibrationRecord, sensor: MeasuredSensor) -> None:

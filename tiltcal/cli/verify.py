@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 @options.file_option("--journal", help="The journal of the session [beside the calibration].")
 @options.resume
 @options.plain
-@click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session, as with --operator json.")
 def command(
     calibration: Path,
     address: str | None,
@@ -101,5 +101,7 @@ def command(
         leader.done([], session.path)
     if found.jig is None:
         options.remark("no --jig is stated: the positions count as exact")
+    # What a program reads is JSON to the last line.
+    as_json = as_json or operator == "json"
     click.echo(json.dumps(found.as_data(), ensure_ascii=False) if as_json else str(found))
     return 0 if found.verdict == PASSED else NEGATIVE_VERDICT

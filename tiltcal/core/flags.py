@@ -28,7 +28,7 @@ REASONS = {
     NO_TEMPERATURE: "temperature missing",
     NOT_A_NUMBER: "not a number",
     OUTSIDE_TIME: "outside the time of the calibrations",
-    MAGNETIC: "no heading, or a magnetic field of unusual length",
+    MAGNETIC: "no heading, headings of a mean that differ, or a magnetic field of unusual length",
 }
 
 

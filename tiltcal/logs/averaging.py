@@ -1,8 +1,9 @@
 """Rows of a log, put into means before they are compensated: so many rows each, or so much time each.
 
 A mean is over the rows whose readings are all there; they are counted. Columns of numbers and of moments get their
-mean, a heading that of its direction, every other column the value of the first row. Groups of a time begin at whole
-multiples of it on the clock of the log; a row without a time belongs to the group of the row before it.
+mean, a heading that of its direction, every other column the value of the first row. Headings that point apart have no
+mean worth the name: the row is flagged. Groups of a time begin at whole multiples of it on the clock of the log; a row
+without a time belongs to the group of the row before it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.flags import FAIL, RAIL, mark_columns
+from tiltcal.core.flags import FAIL, MAGNETIC, RAIL, SUSPECT, mark_columns
+from tiltcal.core.heading import full_circle
+from tiltcal.core.magnetic_field_length import FIELD_TOLERANCE
 from tiltcal.core.model import Array
 from tiltcal.errors import UsageError
 from tiltcal.frozen import frozen
@@ -78,10 +81,13 @@ class AveragedBlock(LogBlock):
         Of how many rows each is the mean.
     railed : ndarray of bool, shape (n,)
         Whether one of them had a reading at the rail.
+    apart : ndarray of bool, shape (n,)
+        Whether their headings differ so much that the mean of their directions is 5 % shorter than they are.
     """
 
     counts: NDArray[np.int64]
     railed: NDArray[np.bool_]
+    apart: NDArray[np.bool_]
 
 
 @frozen
@@ -131,10 +137,11 @@ class Means:
             yield self._means(pending, self._groups(pending, done), bad)
 
     def added(self, block: LogBlock, table: Table) -> Table:
-        """Return the columns of a block of means: the count, and flag 4 with reason 4 for a row at the rail."""
+        """Return the columns of a block of means: the count, and its flags: 4 of a rail, 3 of headings apart."""
         if not isinstance(block, AveragedBlock):
             raise TypeError("a block of means is needed")
-        return {COUNT: block.counts, **mark_columns(table, block.railed, FAIL, RAIL)}
+        marked = mark_columns(table, block.railed, FAIL, RAIL)
+        return {COUNT: block.counts, **mark_columns(marked, block.apart, SUSPECT, MAGNETIC)}
 
     def _groups(self, block: LogBlock, done: int) -> NDArray[np.int64]:
         """Return the number of each row's group, ascending; ``done`` rows are before these."""
@@ -163,16 +170,16 @@ class Means:
         lengths = np.diff(starts, append=len(groups))
         used |= np.repeat(counts == 0, lengths)
         values = {}
+        apart = np.zeros(len(starts), bool)
         for index, column in block.values.items():
             if index == self.heading:
-                turned = [
-                    _mean(part, used, starts) for part in (np.sin(np.radians(column)), np.cos(np.radians(column)))
-                ]
-                values[index] = np.mod(np.degrees(np.arctan2(*turned)), 360.0)
+                east, north = (_mean(part(np.radians(column)), used, starts) for part in (np.sin, np.cos))
+                values[index] = full_circle(np.degrees(np.arctan2(east, north)), 360.0)
+                apart = np.hypot(east, north) < 1.0 - FIELD_TOLERANCE
             else:
                 values[index] = _mean(column, used, starts, strict=index in self.readings)
         frame = None if block.frame is None else self._frame(block.frame, groups, used, values)
-        return AveragedBlock(values, frame=frame, counts=counts, railed=railed, bad_rows=bad)
+        return AveragedBlock(values, frame=frame, counts=counts, railed=railed, apart=apart, bad_rows=bad)
 
     def _frame(
         self, frame: pl.DataFrame, groups: NDArray[np.int64], used: NDArray[np.bool_], values: dict[int, Array]

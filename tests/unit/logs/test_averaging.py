@@ -84,6 +84,23 @@ class TestGroups:
         assert found["heading"] == pytest.approx([1.0])
         assert found["v_east"] == pytest.approx([np.sin(radians(1.0))])
 
+    @pytest.mark.parametrize(
+        ("headings", "mean", "flag", "reason"),
+        [
+            ([350.0, 10.0], 0.0, 1, 0),  # the cosine of 10° is 0.985
+            ([340.0, 20.0], 0.0, 3, 128),  # and that of 20° is 0.940
+            ([10.0, 189.0], 99.5, 3, 128),
+        ],
+    )
+    def test_headings_that_cancel_are_told(
+        self, cal: Calibration, headings: list[float], mean: float, flag: int, reason: int
+    ) -> None:
+        flow = {"heading": headings, "u": [1.0, 1.0], "v": [0.0, 0.0], "w": [0.0, 0.0]}
+        found = cal.apply(rows(**flow), average=2, velocity="u,v,w")
+        assert found["heading"] == pytest.approx([mean])
+        assert 0.0 <= found["heading"][0] < 360.0
+        assert (found["flag"].tolist(), found["reason"].tolist()) == ([flag], [reason])
+
     @pytest.mark.parametrize("every", ["10q", "0s", "-1", "", "1.2.3s"])
     def test_a_wrong_time_is_refused(self, every: str) -> None:
         with pytest.raises(UsageError, match="--every takes a time such as 10s"):

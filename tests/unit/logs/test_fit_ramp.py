@@ -111,6 +111,25 @@ def test_temperatures_that_jump_are_left_out_and_named(record, calibration):
     assert drift[0, 0] == pytest.approx(calibration.coefficients.thermal.drift[0, 0], abs=u)
 
 
+def test_a_channel_that_keeps_one_value_is_stuck(record):
+    held = {**record, "x": np.full(len(record["x"]), 1024.0)}
+    with pytest.raises(EstimateError, match="x reads 1024 in all 2400 rows"):
+        fit("ramp", held, serial="S-1", sensor="sca100t-d02", jig=0.0, columns={"time": "seconds"})
+
+
+def test_the_step_of_a_thermometer_that_is_not_stated_is_in_the_uncertainty_of_a_temperature(record, tmp_path):
+    """Rounding to 0.9 °C has a standard deviation of 0.9/√12 °C = 0.26 °C."""
+    base = tmp_path / "base.yaml"
+    base.write_text(
+        "tiltcal: 1\nkind: tilt\nsensor: {model: built-here, serial: S-1, unit: count, channels: [x, y]}\n"
+        "calibration:\n  offset: {x: 1024.0, y: 1020.0}\n"
+        "  sensitivity: {x: {x: 819.0, y: 0.0}, y: {x: 0.0, y: 819.0}}\n"
+    )
+    stepped = {**record, "temperature": np.round(record["temperature"] / 0.9) * 0.9}
+    found = fit("ramp", stepped, base=base, jig=0.0, columns={"time": "seconds"})
+    assert found.record.uncertainty.single_reading["temperature"] == pytest.approx(0.26, abs=0.02)
+
+
 def test_a_log_without_times_is_refused(record):
     with pytest.raises(InputError, match="there is no column 'time'"):
         fit("ramp", record, serial="S-1", sensor="sca100t-d02")

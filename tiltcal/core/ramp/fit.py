@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array
 from tiltcal.core.ramp.loops import HalfLoop, Loops, error_of_hysteresis, loop_terms, loops
 from tiltcal.core.ramp.means import FittedMeans
-from tiltcal.core.ramp.noise import joint_least_squares, noise_covariance, whitener
+from tiltcal.core.ramp.noise import joint_least_squares, noise_covariance, noise_of_temperature, whitener
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
 from tiltcal.core.ramp.second_lag import element_of_pair, over_lags
 from tiltcal.errors import EstimateError
@@ -322,7 +322,7 @@ def _with_lag(means: FittedMeans, lag: float, one: Array, covariance: Array) -> 
         solution, of_loop, _ = joint_least_squares([whiten], [ways], left[:, c : c + 1])
         found.append(HalfLoop(solution, of_loop))
     covariance = covariance.copy()
-    covariance[:-1, :-1] = mean.covariance
+    covariance[:-1, :-1] = mean.covariance + noise_of_temperature(mean.element, mean.coefficients, means.shift)
     lag = means.closest_lag(mean.element, lag)
     u_element = mean.distance(means.element(lag))
     return _Estimate(lag, u_element, mean.coefficients, covariance, _widened(found, powers, covariance))
@@ -350,6 +350,7 @@ def _without_lag(means: FittedMeans, order: int) -> _Estimate:
         if not loop.certain:
             solution, of_solution, _ = joint_least_squares([whitener(means, x, values)], [x], values[:, None])
         coefficients[c], covariance[own, own] = solution[:p], of_solution[:p, :p]
+    covariance[:-1, :-1] += noise_of_temperature(x[:, 1], coefficients, means.shift)
     return _Estimate(0.0, 0.0, coefficients, covariance, _widened(found, x, covariance))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from tiltcal.core.thermal_lag import ThermalLag
 
 BLOCKS = 256
 """Means of a record that are fitted."""
+
+END_WEIGHT = 4.0
+"""The end of a line through n points has this weight over n (its leverage)."""
 
 LONGEST = 1.2
 """The longest correlation of the noise, in times of the record."""
@@ -39,10 +43,14 @@ class FittedMeans:
         self._record = record
         self._reference = reference
         n = len(record.time)
-        self._starts = np.unique(np.linspace(0, n, min(BLOCKS, n) + 1).astype(int)[:-1])
+        # Over a whole step of the thermometer its rounding averages out; parts of one would look like noise that lasts.
+        steps = sum(leg.high - leg.low for leg in legs) / record.step if record.step else np.inf
+        self._starts = np.unique(np.linspace(0, n, int(min(BLOCKS, n, steps)) + 1).astype(int)[:-1])
         self._sizes = np.diff([*self._starts, n])
         self._elements: dict[float, Array] = {}
         self.legs = legs
+        self.shift = min(END_WEIGHT * len(legs) / steps, 1.0) * record.step / sqrt(12.0)
+        """By how much the curve is shifted because rounding does not average out at the turns, °C."""
         self.time = self._mean(record.time)
         self.readings = np.stack([self._mean(column) for column in record.readings.T], axis=1)
         self.leg: NDArray[np.intp] = np.searchsorted([one.start for one in legs], self._starts, side="right") - 1

@@ -23,6 +23,9 @@ _PRIOR = np.concatenate([[0.5], np.full(len(_RATIOS) - 1, 0.5 / (len(_RATIOS) - 
 
 _BISECTIONS = 40
 
+_DISTANCES = (1, 2, 4, 8)
+"""Means between which second differences are taken; a step of the thermometer may last several."""
+
 
 def whitener(means: FittedMeans, design: Array, values: Array) -> Array:
     """Return the matrix that makes the noise of a channel white, of variance 1: see :func:`noise_covariance`."""
@@ -80,6 +83,8 @@ def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:
 
     n, p = design.shape
     x = np.linalg.qr(design)[0]
+    off = values - x @ (x.T @ values)
+    least = min(_short_variance(off), float(off @ off) / (n - p))
     likelihood, variances, spreads = [], [], []
     for _, eigenvalues, vectors in means.correlations:
         xr, yr = vectors.T @ x, vectors.T @ values
@@ -87,9 +92,10 @@ def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:
         normal = np.einsum("ni,rn,nj->rij", xr, weight, xr, optimize=True)
         solution = np.linalg.solve(normal, ((weight * yr) @ xr)[:, :, None])[:, :, 0]
         left = yr - solution @ xr.T
-        variance = np.maximum(np.sum(weight * left**2, axis=1) / (n - p), np.finfo(float).tiny)
+        square = np.sum(weight * left**2, axis=1)
+        variance = np.maximum(square / (n - p), least)
         determinant = np.linalg.slogdet(normal)[1] - np.sum(np.log(weight), axis=1)
-        likelihood.append(np.log(_PRIOR) - 0.5 * ((n - p) * np.log(variance) + determinant))
+        likelihood.append(np.log(_PRIOR) - 0.5 * ((n - p) * np.log(variance) + square / variance + determinant))
         variances.append(variance)
         spreads.append(np.sqrt(variance / normal[:, 0, 0]))
     weights = np.exp(np.array(likelihood) - np.max(likelihood))
@@ -107,3 +113,45 @@ def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:
     for (correlation, _, _), part in zip(means.correlations, parts, strict=True):
         covariance += share * float(part @ _RATIOS) * correlation
     return covariance
+
+
+def noise_of_temperature(element: Array, coefficients: Array, shift: float) -> Array:
+    """Return the covariance of polynomials because the temperature has noise of its own, channel by channel.
+
+    Noise in the temperature flattens a fitted curve (W. A. Fuller, Measurement Error Models, 1987). By how much is
+    known only where none of it is rounding, so the whole of it is taken as a standard uncertainty. Rounding averages
+    out over a step, but for the turns: they shift the curve.
+
+    Parameters
+    ----------
+    element : ndarray, shape (means,)
+        °C from the reference.
+    coefficients : ndarray, shape (channels, p)
+    shift : float
+        By rounding, °C.
+    """
+    channels, p = coefficients.shape
+    powers = np.vander(element, p, increasing=True)
+    slopes = np.pad(coefficients[:, 1:] * np.arange(1, p), ((0, 0), (0, 1))).T
+    by_temperature = np.column_stack([np.zeros(len(element)), powers[:, :-1] * np.arange(1, p)])
+    flattened = np.linalg.pinv(powers.T @ powers) @ by_temperature.T @ powers @ slopes
+    found = np.zeros((channels, p, channels, p))
+    for c, (flat, shifted) in enumerate(
+        zip(_variance_between(element, 1) * flattened.T, shift * slopes.T, strict=True)
+    ):
+        found[c, :, c] = np.outer(flat, flat) + np.outer(shifted, shifted)
+    return found.reshape(coefficients.size, coefficients.size)
+
+
+def _short_variance(left: Array) -> float:
+    """Return the variance of what lasts no longer than a few means, which no drift of the zero explains.
+
+    The thermometer's noise and steps are among it. A process that took them up would take up the drift with them.
+    """
+    return max(float(np.finfo(float).tiny), *(_variance_between(left, k) for k in _DISTANCES if 2 * k < len(left)))
+
+
+def _variance_between(values: Array, distance: int) -> float:
+    """Return the variance of white noise that second differences over a distance of some values show."""
+    second = values[2 * distance :] - 2.0 * values[distance:-distance] + values[: -2 * distance]
+    return float(np.mean(second**2)) / 6.0

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tiltcal.core.model import Array
+from tiltcal.core.quantisation import StepFinder
 from tiltcal.core.ramp.temperature_jumps import JumpDetector, TemperatureJumps
 from tiltcal.errors import EstimateError
 
@@ -22,6 +23,9 @@ SMALLEST_RANGE = 2.0
 
 OVERLAP = 0.5
 """Part of the whole range that the ways up and the ways down must both cover."""
+
+FEWEST_STEPS = 8
+"""Steps of the thermometer that the whole range must have."""
 
 FEWEST_ROWS = 32
 """Rows of a record."""
@@ -45,6 +49,8 @@ class RampRecord:
         Rows of the record that have all values.
     jumps : TemperatureJumps or None
         Of the temperatures that were left out.
+    step : float
+        Of the thermometer's reading, °C; 0 where it is continuous.
     """
 
     time: Array
@@ -53,6 +59,7 @@ class RampRecord:
     noise: Array
     rows: int
     jumps: TemperatureJumps | None = None
+    step: float = 0.0
 
 
 class RecordAverager:
@@ -66,6 +73,7 @@ class RecordAverager:
 
     def __init__(self, channels: int, row: int = 0) -> None:
         self._jumps = JumpDetector(row)
+        self._step = StepFinder()
         self._sums = np.zeros((0, 2 + channels))
         self._waiting = np.zeros((0, 2 + channels))
         self._size = 1
@@ -85,6 +93,7 @@ class RecordAverager:
         rows = np.column_stack([time, temperature, readings])
         rows = rows[np.isfinite(rows).all(axis=1) & ~self._jumps(time, temperature)]
         self._rows += len(rows)
+        self._step.add(rows[:, 1])
         self._squares += np.sum(np.diff(np.concatenate([self._last, rows])[:, 2:], axis=0) ** 2, axis=0)
         self._last = rows[-1:] if len(rows) else self._last
         waiting = np.concatenate([self._waiting, rows])
@@ -114,7 +123,9 @@ class RecordAverager:
             raise EstimateError(f"the record has {self._rows} rows with time, temperature and readings: too few")
         means = self._sums / self._size
         noise = np.sqrt(self._squares / (2.0 * max(self._rows - 1, 1)))
-        return RampRecord(means[:, 0], means[:, 1], means[:, 2:], noise, self._rows, self._jumps.found)
+        return RampRecord(
+            means[:, 0], means[:, 1], means[:, 2:], noise, self._rows, self._jumps.found, self._step.result()
+        )
 
 
 @dataclass(frozen=True)
@@ -163,6 +174,11 @@ def legs_of(record: RampRecord) -> list[Leg]:
         raise EstimateError(
             f"the temperature changes by {whole:.2g} °C in the record: a drift takes at least {SMALLEST_RANGE:g} °C, "
             "up and down again"
+        )
+    if record.step * FEWEST_STEPS > whole:
+        raise EstimateError(
+            f"the temperature changes by {whole:.2g} °C in steps of {record.step:.2g} °C, too coarse to tell drift "
+            f"from rounding: let it change by at least {FEWEST_STEPS * record.step:.2g} °C, or read a finer thermometer"
         )
     bounds = [*_turns(record.temperature, TURN * whole), len(record.time)]
     legs = [_leg(record, start, end) for start, end in pairwise(bounds)]

@@ -172,6 +172,21 @@ def test_two_lags_leave_the_curve_where_it_is(second, share, lag, legs):
     assert fit.u_element == pytest.approx(np.sqrt(np.mean(apart**2)), rel=0.15)
 
 
+@pytest.mark.parametrize(("noise", "steps"), [(0.0, 1.5), (0.0, 4.0), (1.0, 0.0)])
+def test_noise_and_steps_of_the_thermometer_are_not_taken_for_drift_of_a_quiet_sensor(noise, steps):
+    seconds = np.arange(0.0, 9600.0, 4.0)
+    true = chamber(seconds, 0.5)
+    draw = np.random.default_rng(5)
+    thermometer = true + noise * draw.normal(size=len(true))
+    thermometer = np.round(thermometer / steps) * steps if steps else thermometer
+    record = recorded(seconds, thermometer, 3.0 * read(true) + 0.02 * draw.normal(size=(len(seconds), 2)))
+    assert record.step == pytest.approx(steps)
+    fit = fit_ramp(record, reference=REFERENCE)
+    error = np.abs(curve_error(fit.coefficients / 3.0))
+    assert np.max(error) < 0.2
+    assert np.mean([error[c] <= 1.96 / 3.0 * u_of_curve(fit, c) for c in (0, 1)]) > 0.85
+
+
 def test_the_legs_are_told_by_the_turns_of_the_temperature():
     legs = legs_of(made(2.0, legs=3))
     assert [leg.way for leg in legs] == ["up", "down", "up"]
