@@ -115,7 +115,7 @@ class Ads1115:
         return answer
 
     def _advice(self) -> str:
-        larger = [one for one in RANGES if one > self._full_scale]
+        larger = [full_scale for full_scale in RANGES if full_scale > self._full_scale]
         return f"take a larger one (range={min(larger):g})" if larger else "its inputs may not exceed its supply"
 
 
@@ -169,7 +169,9 @@ def front_end(address: Address) -> FrontEnd:
         A bus address, full scale or rate that it does not have.
     """
     if "address" in address.options and not address.simulated and address.integer("address") not in ADDRESSES:
-        address.refuse(f"an ADS1115 is at {_listed([hex(one) for one in ADDRESSES])}, not at {address.text('address')}")
+        address.refuse(
+            f"an ADS1115 is at {_listed([hex(known) for known in ADDRESSES])}, not at {address.text('address')}"
+        )
     full_scale, rate = address.number("range", RANGES[0]), address.integer("rate", 128)
     if full_scale not in RANGES:
         address.refuse(f"option range={address.text('range')} is not a full scale of an ADS1115 ({_listed(RANGES)} V)")

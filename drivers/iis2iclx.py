@@ -136,7 +136,7 @@ def _tailored(address: Address) -> Model:
     """Return the model with the range and rate of the address."""
     rate = address.number("rate", 104.0)
     if rate not in RATES:
-        address.refuse(f"option rate={rate:g} is none of {', '.join(f'{one:g}' for one in RATES)}")
+        address.refuse(f"option rate={rate:g} is none of {', '.join(f'{known:g}' for known in RATES)}")
     return _model(Iis2iclxSettings(choose_range(address, RANGES, RANGES["2g"]), rate))
 
 

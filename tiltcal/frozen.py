@@ -59,20 +59,20 @@ def _fields(value: object) -> tuple[Field[Any], ...]:
 def _init(self: Any, *args: Any, **values: Any) -> None:
     known = _fields(self)
     if args:
-        places = [one.name for one in known if not one.kw_only]
+        places = [parameter.name for parameter in known if not parameter.kw_only]
         if len(args) > len(places) or not values.keys().isdisjoint(places[: len(args)]):
             raise TypeError(f"{type(self).__name__}() takes {', '.join(places) or 'no value'} by position, each once")
         values.update(zip(places, args, strict=False))
-    for one in known:
-        if one.name not in values:
-            if one.default is not MISSING:
-                values[one.name] = one.default
-            elif one.default_factory is not MISSING:
-                values[one.name] = one.default_factory()
+    for parameter in known:
+        if parameter.name not in values:
+            if parameter.default is not MISSING:
+                values[parameter.name] = parameter.default
+            elif parameter.default_factory is not MISSING:
+                values[parameter.name] = parameter.default_factory()
             else:
-                raise TypeError(f"{type(self).__name__}() needs {one.name!r}")
+                raise TypeError(f"{type(self).__name__}() needs {parameter.name!r}")
     if len(values) > len(known):
-        surplus = values.keys() - {one.name for one in known}
+        surplus = values.keys() - {parameter.name for parameter in known}
         raise TypeError(f"{type(self).__name__}() has no field {min(surplus)!r}")
     self.__dict__.update(values)
     if hasattr(self, "__post_init__"):
@@ -80,12 +80,12 @@ def _init(self: Any, *args: Any, **values: Any) -> None:
 
 
 def _repr(self: object) -> str:
-    shown = ", ".join(f"{one.name}={getattr(self, one.name)!r}" for one in _fields(self))
+    shown = ", ".join(f"{parameter.name}={getattr(self, parameter.name)!r}" for parameter in _fields(self))
     return f"{type(self).__qualname__}({shown})"
 
 
 def _compared(value: object) -> tuple[Any, ...]:
-    return tuple(getattr(value, one.name) for one in _fields(value) if one.compare)
+    return tuple(getattr(value, parameter.name) for parameter in _fields(value) if parameter.compare)
 
 
 def _equal(self: object, other: object) -> bool:

@@ -71,7 +71,7 @@ def open_serial(address: Address, model: Model) -> SerialLink:
     }
     handler, url, _ = address.path.partition("://")
     if url and handler.lower() not in HANDLERS:
-        address.refuse(f"{handler}:// cannot be used: name a port, or {', '.join(f'{one}://' for one in HANDLERS)}")
+        address.refuse(f"{handler}:// cannot be used: name a port, or {', '.join(f'{known}://' for known in HANDLERS)}")
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=3600.0)
     serial = _pyserial()
     try:

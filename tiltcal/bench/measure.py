@@ -154,7 +154,7 @@ def measure(
             table=sensors.table if table_lean is None else table_lean,
             heading=sensors.heading if heading is None else heading,
         )
-        bases = bases_of(steps, base, [one.serial for one in sensors.sensors])
+        bases = bases_of(steps, base, [connected.serial for connected in sensors.sensors])
         outputs, beside = _outputs(steps, sensors, bench, None if output is None else Path(output))
         path = Path(resume or journal or free_journal(beside, remark))
         plan = plan_session(
@@ -186,10 +186,10 @@ def measure(
 def _remark_notes(calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool) -> None:
     """Say each note once, with the sensors that have it; after ``level``, those of the calibration before were said."""
     having: dict[str, list[str]] = {}
-    for one in calibrations:
-        for note in one.fit.notes:
+    for calibration in calibrations:
+        for note in calibration.fit.notes:
             if not renewed or note == NO_LEVEL:
-                having.setdefault(note, []).append(one.sensor.serial)
+                having.setdefault(note, []).append(calibration.sensor.serial)
     for note, serials in having.items():
         every = len(serials) == len(calibrations) > 1
         remark(f"{'all sensors' if every else ', '.join(serials)}: {note}")
@@ -244,13 +244,13 @@ def _results(
         from tiltcal.calibration.pair_calibration import PairCalibration
 
         return PairCalibration(found[0])  # type: ignore[arg-type]
-    calibrations = [Calibration(one) for one in found if isinstance(one, CalibrationRecord)]
+    calibrations = [Calibration(record) for record in found if isinstance(record, CalibrationRecord)]
     _remark_notes(calibrations, remark, renewed=session.plan.procedure.determines.level)
-    for one in calibrations:
+    for calibration in calibrations:
         if session.plan.procedure.determines.level:
-            remark(level_summary(one.record))
+            remark(level_summary(calibration.record))
         if session.plan.procedure.closes:
-            remark(changes_in_words(one.record))
+            remark(changes_in_words(calibration.record))
     return calibrations[0] if len(session.plan.sensors) == 1 else calibrations
 
 
@@ -289,12 +289,14 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
     if plan.procedure.rotation is not None:
         from tiltcal.bench.channel_map import map_channels
 
-        for why in map_channels(plan.procedure.rotation, [(one.serial, one.model) for one in plan.sensors]).left_out:
+        for why in map_channels(
+            plan.procedure.rotation, [(sensor.serial, sensor.model) for sensor in plan.sensors]
+        ).left_out:
             remark(why)
         if len(plan.sensors) > 1:
             remark("several devices are read one after the other: the delay of one, times 2 pi f, goes into q")
         return
-    for device in {(one.model_name, one.orientation): one for one in plan.sensors}.values():
+    for device in {(sensor.model_name, sensor.orientation): sensor for sensor in plan.sensors}.values():
         expected = predict(
             plan.procedure,
             device.model,

@@ -65,7 +65,8 @@ class PositionResult:
         if not count:
             return self
         measurements = {
-            serial: replace(one, when={**one.when, "left_out": count}) for serial, one in self.measurements.items()
+            serial: replace(measurement, when={**measurement.when, "left_out": count})
+            for serial, measurement in self.measurements.items()
         }
         return replace(self, measurements=measurements, left_out=count)
 
@@ -75,12 +76,12 @@ class PositionResult:
 
     def values(self, serial: str) -> dict[str, Any]:
         """Return mean, scatter, number and temperature of one sensor, as the journal and a program get them."""
-        one = self.measurements[serial]
+        measurement = self.measurements[serial]
         return {
-            "mean": {channel: summary.mean for channel, summary in one.summaries.items()},
-            "std": {channel: summary.std for channel, summary in one.summaries.items()},
-            "n": next(iter(one.summaries.values())).n,
-            "temperature": one.temperature,
+            "mean": {channel: summary.mean for channel, summary in measurement.summaries.items()},
+            "std": {channel: summary.std for channel, summary in measurement.summaries.items()},
+            "n": next(iter(measurement.summaries.values())).n,
+            "temperature": measurement.temperature,
             **({"left_out": self.left_out} if self.left_out else {}),
         }
 

@@ -86,7 +86,7 @@ class PositionRunner:
         """
         positions = self._procedure.positions
         accepted: list[PositionResult] = []
-        models = {one.serial: one.model for one in self._sensors.sensors}
+        models = {sensor.serial: sensor.model for sensor in self._sensors.sensors}
         self._operator.begin(self._procedure.title, len(positions), models)
         while len(accepted) < len(positions):
             position = positions[len(accepted)]
@@ -186,7 +186,7 @@ class PositionRunner:
                 return held, left_out
             left_out += len(wrong)
             require_few(left_out, wanted, next(iter(wrong.values())))
-            held = [one for number, one in enumerate(held) if number not in wrong]
+            held = [reading for number, reading in enumerate(held) if number not in wrong]
 
     def _result(
         self, position: Position, held: Sequence[Timed], typed: float | None, accepted: Sequence[PositionResult]
@@ -203,13 +203,13 @@ class PositionRunner:
             raise Unsettled(f"moved while it was sampled: {moved}")
         measurements, expected, expectations = {}, {}, self._expectations(accepted)
         time = self._now()
-        for index, one in enumerate(self._sensors.sensors):
+        for index, sensor in enumerate(self._sensors.sensors):
             readings = [sample[index] for _, sample in held]
-            require_off_rails(readings, one.model)
-            measurements[one.serial] = measurement_of(one, position, readings, typed, time)
-            gravity = measurements[one.serial].gravity
-            predicted = one.model.scaled and not self._procedure.determines.free and not self._mounted
-            expected[one.serial] = expectations[one.serial].expected(gravity) if predicted else {}
+            require_off_rails(readings, sensor.model)
+            measurements[sensor.serial] = measurement_of(sensor, position, readings, typed, time)
+            gravity = measurements[sensor.serial].gravity
+            predicted = sensor.model.scaled and not self._procedure.determines.free and not self._mounted
+            expected[sensor.serial] = expectations[sensor.serial].expected(gravity) if predicted else {}
         return PositionResult(position, measurements, typed is not None, expected)
 
     def _now(self) -> str:
@@ -231,21 +231,21 @@ class PositionRunner:
                 why = level.objection(self._plan.bases[serial].calibration, measurement)
                 if why:
                     raise Unsettled(why)
-        for one in self._sensors.sensors:
-            require_not_stuck(one, result, accepted, last=last)
+        for sensor in self._sensors.sensors:
+            require_not_stuck(sensor, result, accepted, last=last)
         self._require_plausible(result, self._expectations(accepted), accepted)
 
     def _expectations(self, accepted: Sequence[PositionResult]) -> dict[str, ExpectedReadings]:
         """Return what predicts each sensor's readings: its model and the positions accepted so far."""
         expectations = {}
-        for one in self._sensors.sensors:
-            model = one.model
-            expectations[one.serial] = expectation = ExpectedReadings(
+        for sensor in self._sensors.sensors:
+            model = sensor.model
+            expectations[sensor.serial] = expectation = ExpectedReadings(
                 model.channels, model.offset, model.sensitivity, model.offset_spread, model.sensitivity_spread
             )
             for result in accepted:
-                before = result.measurements[one.serial]
-                expectation.learn(before.gravity, result.mean(one.serial), before.temperature)
+                before = result.measurements[sensor.serial]
+                expectation.learn(before.gravity, result.mean(sensor.serial), before.temperature)
         return expectations
 
     def _require_plausible(
@@ -259,15 +259,17 @@ class PositionRunner:
             self._require_new(result, expectations, accepted)
             return
         positions = {position.name: position.gravity for position in self._procedure.positions}
-        positions |= {one.position.name: one.position.gravity for one in (*accepted, result)}
-        for one in self._sensors.sensors:
-            if not one.model.scaled:
+        positions |= {measured.position.name: measured.position.gravity for measured in (*accepted, result)}
+        for sensor in self._sensors.sensors:
+            if not sensor.model.scaled:
                 continue
-            seen = {name: one.orientation.seen(gravity) for name, gravity in positions.items()}
-            temperature = result.measurements[one.serial].temperature
-            why = expectations[one.serial].objection(result.position.name, seen, result.mean(one.serial), temperature)
+            seen = {name: sensor.orientation.seen(gravity) for name, gravity in positions.items()}
+            temperature = result.measurements[sensor.serial].temperature
+            why = expectations[sensor.serial].objection(
+                result.position.name, seen, result.mean(sensor.serial), temperature
+            )
             if why:
-                raise Unsettled(why if len(self._sensors.sensors) == 1 else f"{one.serial}: {why}")
+                raise Unsettled(why if len(self._sensors.sensors) == 1 else f"{sensor.serial}: {why}")
 
     @property
     def _mounted(self) -> bool:
@@ -278,10 +280,10 @@ class PositionRunner:
         self, result: PositionResult, expectations: Mapping[str, ExpectedReadings], accepted: Sequence[PositionResult]
     ) -> None:
         """Refuse an attitude that is there already, as a sensor of three axes sees it."""
-        for one in self._sensors.sensors:
-            if one.model.scaled and len(one.model.channels) == 3:
-                before = {result.position.name: result.mean(one.serial) for result in accepted}
-                why = expectations[one.serial].repeated(before, result.mean(one.serial))
+        for sensor in self._sensors.sensors:
+            if sensor.model.scaled and len(sensor.model.channels) == 3:
+                before = {result.position.name: result.mean(sensor.serial) for result in accepted}
+                why = expectations[sensor.serial].repeated(before, result.mean(sensor.serial))
                 if why:
                     raise Unsettled(why)
 

@@ -52,16 +52,16 @@ class RampRunner(PositionRunner):
     ) -> None:
         super().__init__(plan, sensors, operator, log, clock, fixture)
         self._ramp = ramp
-        self._rows: dict[str, list[tuple[float, ...]]] = {one.serial: [] for one in sensors.sensors}
+        self._rows: dict[str, list[tuple[float, ...]]] = {sensor.serial: [] for sensor in sensors.sensors}
 
     @property
     def records(self) -> Mapping[str, RampRecord]:
         found = {}
-        for one in self._sensors.sensors:
-            rows = np.array(self._rows[one.serial]).reshape(-1, 2 + len(one.model.channels))
-            averager = RecordAverager(len(one.model.channels))
+        for sensor in self._sensors.sensors:
+            rows = np.array(self._rows[sensor.serial]).reshape(-1, 2 + len(sensor.model.channels))
+            averager = RecordAverager(len(sensor.model.channels))
             averager.add(rows[:, 0], rows[:, 1], rows[:, 2:])
-            found[one.serial] = averager.record()
+            found[sensor.serial] = averager.record()
         return found
 
     def _attempt(self, position: Position, accepted: Sequence[PositionResult]) -> PositionResult | str:
@@ -96,9 +96,9 @@ class RampRunner(PositionRunner):
             temperature = sample[0].temperature
             if temperature is None:
                 raise UsageError(NO_THERMOMETER)
-            for one, reading in zip(self._sensors.sensors, sample, strict=True):
+            for sensor, reading in zip(self._sensors.sensors, sample, strict=True):
                 seen = np.nan if reading.temperature is None else reading.temperature
-                self._rows[one.serial].append((now_ns / 1e9, seen, *reading.values))
+                self._rows[sensor.serial].append((now_ns / 1e9, seen, *reading.values))
             samples.append(sample)
             if abs(temperature - wanted) <= self._ramp.within and len(samples) > 1:
                 return samples
@@ -119,8 +119,8 @@ class RampRunner(PositionRunner):
         """
         measurements = {}
         time = self._now()
-        for index, one in enumerate(self._sensors.sensors):
+        for index, sensor in enumerate(self._sensors.sensors):
             readings = [sample[index] for sample in samples]
-            require_off_rails(readings, one.model)
-            measurements[one.serial] = measurement_of(one, position, readings, None, time)
+            require_off_rails(readings, sensor.model)
+            measurements[sensor.serial] = measurement_of(sensor, position, readings, None, time)
         return PositionResult(position, measurements, asked=position.temperature)

@@ -135,9 +135,11 @@ def column_name(serial: str, channel: str, *, alone: bool) -> str:
 def header(connected: Sequence[ConnectedSensor], *, thermometer: bool) -> list[str]:
     """Column names: ``x``, ``y``, ``temperature`` of a single sensor; of several each begins with the serial number."""
     names = ["time"]
-    for one in connected:
-        own = ["temperature"] if one.model.thermometer and not thermometer else []
-        names += [column_name(one.serial, name, alone=len(connected) == 1) for name in (*one.model.channels, *own)]
+    for device in connected:
+        own = ["temperature"] if device.model.thermometer and not thermometer else []
+        names += [
+            column_name(device.serial, name, alone=len(connected) == 1) for name in (*device.model.channels, *own)
+        ]
     return names + (["temperature"] if thermometer else [])
 
 
@@ -163,7 +165,7 @@ def sample_rows(
 
     def row(sample: Mapping[str, Reading]) -> None:
         moment = started + timedelta(microseconds=events.now_ns() / 1000)
-        write(_cells(connected, [sample.get(one.serial) for one in connected], moment, thermometer))
+        write(_cells(connected, [sample.get(device.serial) for device in connected], moment, thermometer))
 
     write(header(connected, thermometer=thermometer))
     return row
@@ -225,11 +227,11 @@ def _cells(
 ) -> list[str]:
     cells = [stamp(moment)]
     common = None
-    for one, reading in zip(connected, readings, strict=True):
-        cells += [""] * len(one.model.channels) if reading is None else [f"{value:.10g}" for value in reading.values]
+    for device, reading in zip(connected, readings, strict=True):
+        cells += [""] * len(device.model.channels) if reading is None else [f"{value:.10g}" for value in reading.values]
         temperature = None if reading is None else reading.temperature
         common = temperature if common is None else common
-        if one.model.thermometer and not thermometer:
+        if device.model.thermometer and not thermometer:
             cells.append(_temperature(temperature))
     return cells + ([_temperature(common)] if thermometer else [])
 

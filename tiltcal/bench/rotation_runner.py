@@ -263,9 +263,9 @@ class RotationRunner:
     def _say_damage(self) -> None:
         """Tell, once a turn, that something was lost on the way."""
         damaged = sum(
-            _unused(one.sensor.link_statistics())
-            for one in self._sensors.sensors
-            if isinstance(one.sensor, StreamingSensor)
+            _unused(sensor.sensor.link_statistics())
+            for sensor in self._sensors.sensors
+            if isinstance(sensor.sensor, StreamingSensor)
         )
         if damaged > self._damaged and not self._told_damage and not self._held:
             self._told_damage = True
@@ -282,12 +282,13 @@ def _unused(link_statistics: Mapping[str, int]) -> int:
 def pair_calibration(plan: SessionPlan, channels: ChannelMap, result: RotationResult, ending: SessionEnd) -> PairRecord:
     """Return what a rotation found, with its provenance."""
     sensors = tuple(
-        BenchSensorRecord(serial=one.serial, model=one.model_name, address=one.address) for one in plan.sensors
+        BenchSensorRecord(serial=sensor.serial, model=sensor.model_name, address=sensor.address)
+        for sensor in plan.sensors
     )
     provenance = PairProvenance(
         **session_provenance(plan, ending),
         bench=BenchRecord(sensors=sensors),
-        link_statistics={serial: dict(one) for serial, one in ending.link_statistics_by_serial.items()},
+        link_statistics={serial: dict(statistics) for serial, statistics in ending.link_statistics_by_serial.items()},
         procedure=plan.procedure.name,
         samples=SamplesRecord(used=result.samples, left_out=result.left_out),
         stopped=result.ended,

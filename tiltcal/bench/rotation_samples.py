@@ -188,8 +188,15 @@ class RotationSamples:
 
     def online(self) -> dict[str, PairCoefficients]:
         """Return p and q so far, by the name of the pair; pairs without an estimate are left out."""
-        found = {pair.name: PairCoefficients(one.p, one.q, *one.uncertainty()) for pair, one in self._online.items()}
-        return {name: one for name, one in found.items() if isfinite(one.u_p) and isfinite(one.u_q)}
+        found = {
+            pair.name: PairCoefficients(estimator.p, estimator.q, *estimator.uncertainty())
+            for pair, estimator in self._online.items()
+        }
+        return {
+            name: coefficients
+            for name, coefficients in found.items()
+            if isfinite(coefficients.u_p) and isfinite(coefficients.u_q)
+        }
 
     def known_to(self, uncertainty: float) -> bool:
         """Return whether p and q of every pair are known with this standard uncertainty.
@@ -198,14 +205,18 @@ class RotationSamples:
         turns scatter and by the noise within them.
         """
         online = self.online()
-        proposed = len(online) == len(self._pairs) and all(_within(one, uncertainty) for one in online.values())
+        proposed = len(online) == len(self._pairs) and all(
+            _within(coefficients, uncertainty) for coefficients in online.values()
+        )
         if not proposed and self._before is None:
             return False
         try:
             whole = self.whole().demodulator.result()
             # Of a few turns some scatter less than their noise allows, by chance: who waits for that would be misled.
             white = replace(whole, scores=whole.scores[:0], weights=whole.weights[:0])
-            return all(_within(solve(one, pair), uncertainty) for one in (whole, white) for pair in self._pairs)
+            return all(
+                _within(solve(components, pair), uncertainty) for components in (whole, white) for pair in self._pairs
+            )
         except EstimateError:
             return False
 

@@ -92,8 +92,11 @@ def require_agreement(result: PositionResult, accepted: Sequence[PositionResult]
                 f"the thermometer reads {temperature:g} °C in every sample, as a DS18B20 does that converts nothing: "
                 "see to its supply, or take it out of the bench file"
             )
-        alike = [one.measurements[serial].temperature for one in accepted if one.asked == asked]
-        others = [(asked, "was asked for"), *((one, "was measured in a position before") for one in alike)]
+        alike = [result.measurements[serial].temperature for result in accepted if result.asked == asked]
+        others = [
+            (asked, "was asked for"),
+            *((temperature, "was measured in a position before") for temperature in alike),
+        ]
         for other, whose in others:
             if temperature is not None and other is not None and abs(temperature - other) > AGREEMENT:
                 raise Unsettled(f"{temperature:g} °C {source}, and {other:g} °C {whose}: one of them is wrong")
@@ -121,15 +124,18 @@ def require_not_stuck(
     """
     now = result.measurements[sensor.serial]
     for channel, summary in now.summaries.items():
-        before = [one.measurements[sensor.serial] for one in accepted]
+        before = [result.measurements[sensor.serial] for result in accepted]
         same = [
-            one
-            for one in before
-            if summary.std == one.summaries[channel].std == 0.0 and summary.mean == one.summaries[channel].mean
+            measurement
+            for measurement in before
+            if summary.std == measurement.summaries[channel].std == 0.0
+            and summary.mean == measurement.summaries[channel].mean
         ]
-        turned = any(abs(one.gravity[_axis(channel)] - now.gravity[_axis(channel)]) > TILTED for one in same)
+        turned = any(
+            abs(measurement.gravity[_axis(channel)] - now.gravity[_axis(channel)]) > TILTED for measurement in same
+        )
         if same and (turned or (last and len(same) == len(before))):
-            count = summary.n + sum(one.summaries[channel].n for one in same)
+            count = summary.n + sum(measurement.summaries[channel].n for measurement in same)
             raise Unsettled(
                 f"{channel} of {sensor.serial} is stuck: all {count} samples of {len(same) + 1} positions read "
                 f"{summary.mean:.6g} {sensor.model.unit}; see that the sensor converts, and that its axis is wired"
@@ -143,7 +149,7 @@ def _axis(channel: str) -> int:
 def _absurd_temperatures(readings: Sequence[Reading]) -> dict[int, str]:
     """Return the samples whose temperature no bench has, or that none of the others has."""
     low, high = TEMPERATURES
-    known = {number: one.temperature for number, one in enumerate(readings) if one.temperature is not None}
+    known = {number: reading.temperature for number, reading in enumerate(readings) if reading.temperature is not None}
     possible = [temperature for temperature in known.values() if low <= temperature <= high]
     middle = median(possible) if possible else None
     return {

@@ -82,12 +82,12 @@ class SensorSet:
     @property
     def sensors(self) -> tuple[ConnectedSensor, ...]:
         """The sensors that were not given up."""
-        return tuple(one for one in self._all if one.serial not in self.lost)
+        return tuple(sensor for sensor in self._all if sensor.serial not in self.lost)
 
     @property
     def models(self) -> tuple[Model, ...]:
         """The models of the same sensors."""
-        return tuple(one.model for one in self.sensors)
+        return tuple(sensor.model for sensor in self.sensors)
 
     def listen(self, listener: Listener) -> None:
         """Pass every sample that :meth:`read` takes from here on to a listener."""
@@ -109,9 +109,9 @@ class SensorSet:
         if fresh:
             self.discard()
         readings = []
-        for one in self.sensors:
-            with self._named(one.serial):
-                readings.append(one.sensor.read())
+        for sensor in self.sensors:
+            with self._named(sensor.serial):
+                readings.append(sensor.sensor.read())
         if self._thermometer is not None:
             with self._named(self.THERMOMETER):
                 temperature = self._thermometer.read().temperature
@@ -122,16 +122,16 @@ class SensorSet:
 
     def by_serial(self, sample: Sequence[Reading]) -> dict[str, Reading]:
         """Return the readings of a sample by serial number."""
-        return {one.serial: reading for one, reading in zip(self.sensors, sample, strict=True)}
+        return {sensor.serial: reading for sensor, reading in zip(self.sensors, sample, strict=True)}
 
     def read_available(self) -> tuple[list[Reading | None], list[str]]:
         """Return one sample of every sensor that answers, None for the others, and why they did not."""
         readings: list[Reading | None] = []
         reasons = []
-        for one in self.sensors:
+        for sensor in self.sensors:
             try:
-                with self._named(one.serial):
-                    readings.append(one.sensor.read())
+                with self._named(sensor.serial):
+                    readings.append(sensor.sensor.read())
             except SensorError as error:
                 readings.append(None)
                 reasons.append(str(error))
@@ -153,9 +153,9 @@ class SensorSet:
         SensorError
             One of them failed.
         """
-        for one in self.sensors:
-            with self._named(one.serial):
-                one.sensor.discard()
+        for sensor in self.sensors:
+            with self._named(sensor.serial):
+                sensor.sensor.discard()
         if self._thermometer is not None:
             with self._named(self.THERMOMETER):
                 self._thermometer.discard()
@@ -219,14 +219,14 @@ def connected(
     devices = (*sensors, thermometer) if thermometer is not None else tuple(sensors)
     links = [
         RecordedLink(
-            log, partial(open_device, one, virtual), link_letter(parse_address(one.address), one.model), number
+            log, partial(open_device, device, virtual), link_letter(parse_address(device.address), device.model), number
         )
-        for number, one in enumerate(devices)
+        for number, device in enumerate(devices)
     ]
-    drivers = [one.model.driver(link, clock) for one, link in zip(devices, links, strict=True)]
+    drivers = [device.model.driver(link, clock) for device, link in zip(devices, links, strict=True)]
     at_work = [
-        ConnectedSensor(one.model, one.serial, driver, one.orientation)
-        for one, driver in zip(sensors, drivers, strict=False)
+        ConnectedSensor(sensor.model, sensor.serial, driver, sensor.orientation)
+        for sensor, driver in zip(sensors, drivers, strict=False)
     ]
     try:
         yield SensorSet(at_work, drivers[-1] if thermometer is not None else None)

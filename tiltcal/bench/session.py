@@ -237,7 +237,7 @@ class Session:
         with self._open(live=True) as opened:
             accepted = self._position_runner(opened, operator).run()
             (sensor,), jig = self.plan.sensors, self.plan.jig
-            measurements = [one.measurements[sensor.serial] for one in accepted]
+            measurements = [result.measurements[sensor.serial] for result in accepted]
             found = verify_positions(calibration, measurements, jig)
             self._finish(opened)
             return Verification(calibration.sensor, found, limit, jig)
@@ -299,9 +299,9 @@ class Session:
         sha256 = opened.log.finish()
         self.finished = True
         statistics = {
-            one.serial: one.sensor.link_statistics()
-            for one in opened.sensors.sensors
-            if isinstance(one.sensor, StreamingSensor)
+            sensor.serial: sensor.sensor.link_statistics()
+            for sensor in opened.sensors.sensors
+            if isinstance(sensor.sensor, StreamingSensor)
         }
         return SessionEnd(ended, sha256, opened.sensors.lost, statistics)
 

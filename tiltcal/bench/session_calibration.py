@@ -65,26 +65,26 @@ def tilt_calibrations(
         The positions cannot determine the coefficients.
     """
     # The steps of the sensors' own thermometers count where those are the only ones.
-    own_thermometers = plan.thermometer is None and not any(one.typed for one in accepted)
+    own_thermometers = plan.thermometer is None and not any(result.typed for result in accepted)
     found = calibrate(
         [
             MeasuredSensor(
-                one.identity,
-                [result.measurements[one.serial] for result in accepted],
-                Nominal.of(one.model),
-                one.orientation.matrix,
-                one.model.thermometer_rounding if own_thermometers else None,
-                base.calibration if (base := plan.bases.get(one.serial)) else None,
-                records.get(one.serial),
+                sensor.identity,
+                [result.measurements[sensor.serial] for result in accepted],
+                Nominal.of(sensor.model),
+                sensor.orientation.matrix,
+                sensor.model.thermometer_rounding if own_thermometers else None,
+                base.calibration if (base := plan.bases.get(sensor.serial)) else None,
+                records.get(sensor.serial),
             )
-            for one in sensors
+            for sensor in sensors
         ],
         plan.procedure,
         BenchUncertainty(plan.jig, plan.thermometer_uncertainty, plan.table, plan.heading),
         typical_temperature=plan.typical,
         settings={"samples": plan.settings.samples, "settle_seconds": plan.settings.settle},
     )
-    return {one.serial: record for one, record in zip(sensors, found, strict=True)}
+    return {sensor.serial: record for sensor, record in zip(sensors, found, strict=True)}
 
 
 def tilt_provenance(plan: SessionPlan, device: DeviceSetup, ending: SessionEnd) -> Provenance:

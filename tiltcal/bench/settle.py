@@ -179,7 +179,7 @@ def _drifting(held: deque[Timed], models: Sequence[Model], seconds: float) -> st
     now = held[-1][0]
     if now - held[0][0] < seconds:
         return f"steady for {now - held[0][0]:.0f} s of {seconds:.0f} s"
-    return movement([one for one in held if now - one[0] <= seconds], models, still=SOAKED)
+    return movement([reading for reading in held if now - reading[0] <= seconds], models, still=SOAKED)
 
 
 def movement(

@@ -106,28 +106,29 @@ class Verification:
             "worst": {"position": self.worst.position, "error": _finite(self.worst.error)},
             "positions": [
                 {
-                    "position": one.position,
-                    "expected": one.expected,
-                    "measured": {axis: _finite(angle) for axis, angle in one.measured.items()},
-                    "error": _finite(one.error),
-                    "expanded": one.expanded,
-                    "flag": one.flag,
-                    "verdict": one.verdict(self.limit),
-                    "passed": one.verdict(self.limit) == PASSED,
+                    "position": position.position,
+                    "expected": position.expected,
+                    "measured": {axis: _finite(angle) for axis, angle in position.measured.items()},
+                    "error": _finite(position.error),
+                    "expanded": position.expanded,
+                    "flag": position.flag,
+                    "verdict": position.verdict(self.limit),
+                    "passed": position.verdict(self.limit) == PASSED,
                 }
-                for one in self.positions
+                for position in self.positions
             ],
         }
 
     def __str__(self) -> str:
         lines = [f"{self.sensor.model} {self.sensor.serial}, limit {self.limit:g}°"]
-        for one in self.positions:
+        for position in self.positions:
             angles = "  ".join(
-                f"{axis} {angle:+8.3f}° read {one.measured[axis]:+8.3f}°" for axis, angle in one.expected.items()
+                f"{axis} {angle:+8.3f}° read {position.measured[axis]:+8.3f}°"
+                for axis, angle in position.expected.items()
             )
             lines.append(
-                f"  {one.position:<12} {angles}   off by {one.error:.3f}° ± {one.expanded:.2g}°   "
-                f"{_loud(one.verdict(self.limit))}"
+                f"  {position.position:<12} {angles}   off by {position.error:.3f}° ± {position.expanded:.2g}°   "
+                f"{_loud(position.verdict(self.limit))}"
             )
         worst = f"worst {self.worst.error:.3f}° at {self.worst.position}"
         return "\n".join([*lines, f"{_loud(self.verdict)}: {worst}"])
@@ -149,19 +150,21 @@ def verify_positions(
     # What is judged is the sensor's own frame, in which positions are set; the mounting is the application's.
     compensation = Compensation(replace(coefficients, mounting=None), calibration.limits)
     found = []
-    for one in measurements:
-        readings = np.array([[one.summaries[channel].mean for channel in coefficients.channels]])
-        result = compensation(readings, None if one.temperature is None else np.array([one.temperature]))
-        expected = _tilt(one.gravity)
+    for measurement in measurements:
+        readings = np.array([[measurement.summaries[channel].mean for channel in coefficients.channels]])
+        result = compensation(
+            readings, None if measurement.temperature is None else np.array([measurement.temperature])
+        )
+        expected = _tilt(measurement.gravity)
         whole = len(compensation.axes) == 3
         found.append(
             VerifiedPosition(
-                one.position,
+                measurement.position,
                 {axis: expected[axis] for axis in compensation.axes},
                 dict(zip(compensation.axes, result.tilt[0].tolist(), strict=True)),
-                _between(one.gravity, result.gravity[0].tolist()) if whole else None,
+                _between(measurement.gravity, result.gravity[0].tolist()) if whole else None,
                 int(result.flag[0]),
-                (DIRECTION if whole else ANGLE) * hypot(jig or 0.0, _noise(calibration, one, whole)),
+                (DIRECTION if whole else ANGLE) * hypot(jig or 0.0, _noise(calibration, measurement, whole)),
             )
         )
     return tuple(found)

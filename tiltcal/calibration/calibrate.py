@@ -69,20 +69,20 @@ def calibrate(
     for sensor in sensors:
         require_own_readings(sensor)
     if procedure.determines.mounting:
-        found = [mount(_base(one), one.measurements, jig=bench.jig) for one in sensors]
+        found = [mount(_base(sensor), sensor.measurements, jig=bench.jig) for sensor in sensors]
     elif procedure.determines.level:
         bench = _with_thermometer(bench, sensors)
-        found = [level(_base(one), one.measurements, procedure, bench) for one in sensors]
+        found = [level(_base(sensor), sensor.measurements, procedure, bench) for sensor in sensors]
     elif procedure.ramp is not None:
-        found = [calibrate_ramp(one, procedure, bench) for one in sensors]
+        found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
     else:
         found = _fitted(sensors, procedure, _with_thermometer(bench, sensors))
         if typical_temperature:
-            found = [with_typical_temperature(one, its) for one, its in zip(found, sensors, strict=True)]
+            found = [with_typical_temperature(record, its) for record, its in zip(found, sensors, strict=True)]
         if table:
-            found = [_of_table(one, its.measurements) for one, its in zip(found, sensors, strict=True)]
-    found = [replace(one, procedure=_as_run(one.procedure, procedure, settings or {})) for one in found]
-    return found if gravity is None else [_of_local_gravity(one, gravity) for one in found]
+            found = [_of_table(record, its.measurements) for record, its in zip(found, sensors, strict=True)]
+    found = [replace(record, procedure=_as_run(record.procedure, procedure, settings or {})) for record in found]
+    return found if gravity is None else [_of_local_gravity(record, gravity) for record in found]
 
 
 def _as_run(record: ProcedureRecord, procedure: Procedure, settings: Mapping[str, Any]) -> ProcedureRecord:
@@ -104,7 +104,7 @@ def _with_thermometer(bench: BenchUncertainty, sensors: Sequence[MeasuredSensor]
     """Return the same bench, with the step of the sensors' thermometers where no uncertainty of theirs is stated."""
     if bench.thermometer is not None:
         return bench
-    return replace(bench, thermometer=max((one.thermometer or 0.0 for one in sensors), default=0.0) or None)
+    return replace(bench, thermometer=max((sensor.thermometer or 0.0 for sensor in sensors), default=0.0) or None)
 
 
 def _fitted(
@@ -116,23 +116,25 @@ def _fitted(
     if procedure.determines.free:
         sensors = directed(sensors)
         found = fit_jointly(sensors, procedure, bench)
-        return [with_verdict(one, its.measurements) for one, its in zip(found, sensors, strict=True)]
+        return [with_verdict(record, its.measurements) for record, its in zip(found, sensors, strict=True)]
     if not procedure.determines.cross_validated:
         return fit_jointly(sensors, procedure, bench)
     choice = choose_order(sensors, procedure, bench)
     found = fit_jointly(sensors, with_order(procedure, choice.order), bench)
-    return [swept(one, its.measurements, choice) for one, its in zip(found, sensors, strict=True)]
+    return [swept(record, its.measurements, choice) for record, its in zip(found, sensors, strict=True)]
 
 
 def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:
     """Keep in the record of positions what the table states, and nothing else."""
-    stated = any(summary.u > summary.quantisation for one in measurements for summary in one.summaries.values())
+    stated = any(
+        summary.u > summary.quantisation for measurement in measurements for summary in measurement.summaries.values()
+    )
     if not stated and not calibration.fit.degrees_of_freedom:
         raise EstimateError(
             "the table states no uncertainties (ux, uy, uz) and has no position more than there are unknowns: nothing "
             "says how good the result is; add either"
         )
-    kept = (replace(one, std=None, u=one.u if stated else None) for one in calibration.positions)
+    kept = (replace(position, std=None, u=position.u if stated else None) for position in calibration.positions)
     return replace(calibration, positions=tuple(kept))
 
 

@@ -56,8 +56,8 @@ class CalibrationLibrary:
     @cached_property
     def _files(self) -> dict[str, list[CalibrationFile]]:
         found: dict[str, list[CalibrationFile]] = {}
-        for one in self.index.files:
-            found.setdefault(one.serial, []).append(one)
+        for file in self.index.files:
+            found.setdefault(file.serial, []).append(file)
         return found
 
     @property
@@ -78,7 +78,7 @@ class CalibrationLibrary:
         if serial not in self._histories:
             if serial not in self._files:
                 raise UsageError(self._unknown(serial))
-            self._histories[serial] = SensorHistory.of([self._dated(one) for one in self._files[serial]])
+            self._histories[serial] = SensorHistory.of([self._dated(file) for file in self._files[serial]])
         return self._histories[serial]
 
     def stability(self, serial: str, stated: float | None = None) -> Stability:
@@ -165,7 +165,7 @@ class CalibrationLibrary:
         """Return the histories of other sensors of the same model and unit that have several calibrations."""
         sensor = history.sensor
         found: list[SensorHistory] = []
-        others = sorted(self._files.items(), key=lambda one: -len(one[1]))
+        others = sorted(self._files.items(), key=lambda item: -len(item[1]))
         for serial, files in others:
             if serial == sensor.serial or files[0].model != sensor.model or len(files) < 2 or len(found) == FLEET:
                 continue
@@ -204,12 +204,12 @@ def open_calibrations(folder: str | Path) -> CalibrationLibrary:
 def calibration_at(history: SensorHistory, time: float, stability: Stability | None = None) -> Calibration:
     """Return the calibration of a sensor at a time, seconds since 1970."""
     dated = history.calibrations
-    times = [one.date.timestamp() for one in dated]
+    times = [calibration.date.timestamp() for calibration in dated]
     if time <= times[0]:
         return Calibration(extrapolate(dated[0].record, (times[0] - time) / DAY, stability))
     if time >= times[-1]:
         return Calibration(extrapolate(dated[-1].record, (time - times[-1]) / DAY, stability))
-    k = max(i for i, one in enumerate(times) if one <= time)
+    k = max(i for i, date in enumerate(times) if date <= time)
     span = times[k + 1] - times[k]
     return Calibration(
         interpolate(dated[k].record, dated[k + 1].record, (time - times[k]) / span, span / DAY, stability)

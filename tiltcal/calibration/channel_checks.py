@@ -39,12 +39,12 @@ def require_own_readings(sensor: MeasuredSensor) -> None:
     """
     known = rails_of(sensor.sensor.channels, sensor.nominal, sensor.base) if sensor.ramp is None else {}
     for channel, (low, high) in known.items():
-        for one in sensor.measurements:
-            if not low < one.summaries[channel].mean < high:
-                reads = f"{one.summaries[channel].mean:.6g} {sensor.sensor.unit} in {one.position}"
+        for measurement in sensor.measurements:
+            if not low < measurement.summaries[channel].mean < high:
+                reads = f"{measurement.summaries[channel].mean:.6g} {sensor.sensor.unit} in {measurement.position}"
                 raise EstimateError(at_rail(channel, reads, (low, high)))
     for first, second in combinations(sensor.sensor.channels, 2):
-        pairs = [(one.summaries[first], one.summaries[second]) for one in sensor.measurements]
+        pairs = [(measurement.summaries[first], measurement.summaries[second]) for measurement in sensor.measurements]
         if any(a.std for a, _ in pairs) and all(a.mean == b.mean and a.std == b.std for a, b in pairs):
             raise EstimateError(f"{first} and {second} read the same in every position: {_COPIES}")
 

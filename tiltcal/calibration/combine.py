@@ -55,34 +55,35 @@ def combine(
     --------
     >>> both = tiltcal.combine(["S-0042.yaml"], mounting="roll=180")
     """
-    sessions = _named([CombinedSession.of(one) for one in calibrations])
+    sessions = _named([CombinedSession.of(calibration) for calibration in calibrations])
     known = stated_mounting(mounting) if mounting else None
     if len(sessions) < 2 and known is None:
         raise UsageError("name two calibrations or more, or a --mounting")
     _require_one_sensor(sessions)
     _require_independent(sessions)
     if known is not None:
-        sessions = [replace(one, record=with_mounting(one.record, known)) for one in sessions]
+        sessions = [replace(session, record=with_mounting(session.record, known)) for session in sessions]
     if len(sessions) == 1:
-        (one,) = sessions
-        return Calibration(replace(one.record, provenance=combined_provenance(sessions)))
+        return Calibration(replace(sessions[0].record, provenance=combined_provenance(sessions)))
     return Calibration(_combined(sessions))
 
 
 def _named(sessions: Sequence[CombinedSession]) -> list[CombinedSession]:
     """Return the sessions with labels that differ."""
-    labels = [one.label for one in sessions]
+    labels = [session.label for session in sessions]
     return [
-        one if labels.count(one.label) == 1 else replace(one, label=f"{one.label} ({number})")
-        for number, one in enumerate(sessions, start=1)
+        session if labels.count(session.label) == 1 else replace(session, label=f"{session.label} ({number})")
+        for number, session in enumerate(sessions, start=1)
     ]
 
 
 def _require_one_sensor(sessions: Sequence[CombinedSession]) -> None:
-    for one, other in combinations(sessions, 2):
-        models = {one.record.sensor.model, other.record.sensor.model} - {UNKNOWN_MODEL}
-        alike = replace(other.record.sensor, model=one.record.sensor.model) if len(models) < 2 else other.record.sensor
-        require_same_sensor(one.record, replace(other.record, sensor=alike), (one.label, other.label))
+    for session, other in combinations(sessions, 2):
+        models = {session.record.sensor.model, other.record.sensor.model} - {UNKNOWN_MODEL}
+        alike = (
+            replace(other.record.sensor, model=session.record.sensor.model) if len(models) < 2 else other.record.sensor
+        )
+        require_same_sensor(session.record, replace(other.record, sensor=alike), (session.label, other.label))
 
 
 def _require_independent(sessions: Sequence[CombinedSession]) -> None:
@@ -92,13 +93,13 @@ def _require_independent(sessions: Sequence[CombinedSession]) -> None:
     ------
     UsageError
     """
-    for one, other in combinations(sessions, 2):
-        if one.sha256 == other.sha256:
-            raise UsageError(f"{one.label} and {other.label} are one calibration: name it once")
-        shared = _origins(one) & _origins(other)
+    for session, other in combinations(sessions, 2):
+        if session.sha256 == other.sha256:
+            raise UsageError(f"{session.label} and {other.label} are one calibration: name it once")
+        shared = _origins(session) & _origins(other)
         if shared:
             raise UsageError(
-                f"{one.label} and {other.label} hold the same measurements, which would count twice: name the "
+                f"{session.label} and {other.label} hold the same measurements, which would count twice: name the "
                 "calibrations of the sessions themselves"
             )
 
@@ -106,7 +107,7 @@ def _require_independent(sessions: Sequence[CombinedSession]) -> None:
 def _origins(session: CombinedSession) -> set[str]:
     """Return the checksums of the calibrations whose measurements a calibration holds, its own among them."""
     provenance = session.record.provenance
-    held = {session.sha256, *(one.sha256 for one in provenance.sources if one.sha256)}
+    held = {session.sha256, *(source.sha256 for source in provenance.sources if source.sha256)}
     if provenance.base is not None and provenance.base.sha256 and not session.assumes("sensitivity"):
         held.add(provenance.base.sha256)
     return held
@@ -116,7 +117,7 @@ def _combined(sessions: Sequence[CombinedSession]) -> CalibrationRecord:
     target = _target(sessions)
     found, remarks = _estimate(sessions, target, unlevelled=True)
     verdict = judge([change for _, change in found.differences])
-    if verdict.changed and any(one.level_unstated for one in sessions):
+    if verdict.changed and any(session.level_unstated for session in sessions):
         try:
             found, remarks = _estimate(sessions, target, unlevelled=False)
         except EstimateError:
@@ -137,61 +138,61 @@ def _estimate(
     EstimateError
         No session determines an offset.
     """
-    stated = [one.statement(target, unlevelled=unlevelled) for one in sessions]
-    statements = [one for one, _ in stated if one.names]
+    stated = [session.statement(target, unlevelled=unlevelled) for session in sessions]
+    statements = [statement for statement, _ in stated if statement.names]
     remarks = [remark for _, remark in stated if remark]
-    names = [name for name in values(target) if any(name in one.names for one in statements)]
+    names = [name for name in values(target) if any(name in statement.names for statement in statements)]
     lost = [name for name in values(target) if name.startswith("offset.") and name not in names]
-    if lost and not any(lost[0] in one.exact for one in sessions):
+    if lost and not any(lost[0] in session.exact for session in sessions):
         raise EstimateError(f"no calibration determines {' and '.join(lost)}: {'; '.join(remarks)}")
     assumed = _assumed(sessions, names, target)
-    every = [*names, *(name for one in assumed for name in one.names)]
+    every = [*names, *(name for statement in assumed for name in statement.names)]
     return combine_statements([*statements, *assumed], target, every), remarks
 
 
 def _target(sessions: Sequence[CombinedSession]) -> Coefficients:
     """Return the coefficients to determine, with a first guess of each."""
-    scaled = [one for one in sessions if not one.assumes("sensitivity")] or [
-        min(sessions, key=lambda one: "nominal" in (one.assumes("sensitivity") or ""))
+    scaled = [session for session in sessions if not session.assumes("sensitivity")] or [
+        min(sessions, key=lambda session: "nominal" in (session.assumes("sensitivity") or ""))
     ]
-    drifted = [one for one in sessions if one.coefficients.thermal is not None]
-    drifted = [one for one in drifted if not one.assumes("temperature")] or drifted[:1]
+    drifted = [session for session in sessions if session.coefficients.thermal is not None]
+    drifted = [session for session in drifted if not session.assumes("temperature")] or drifted[:1]
     first = scaled[0]
-    for one in scaled[1:]:
-        if set(one.coefficients.axes) != set(first.coefficients.axes):
+    for session in scaled[1:]:
+        if set(session.coefficients.axes) != set(first.coefficients.axes):
             raise UsageError(
-                f"{first.label} determines the sensitivity to {', '.join(first.coefficients.axes)} and {one.label} to "
-                f"{', '.join(one.coefficients.axes)}: an offset of the one is not that of the other; combine sessions "
-                "of the same axes"
+                f"{first.label} determines the sensitivity to {', '.join(first.coefficients.axes)} and "
+                f"{session.label} to {', '.join(session.coefficients.axes)}: an offset of the one is not that of the "
+                "other; combine sessions of the same axes"
             )
-    for one, other in combinations(drifted, 2):
-        a, b = one.coefficients.thermal, other.coefficients.thermal
+    for session, other in combinations(drifted, 2):
+        a, b = session.coefficients.thermal, other.coefficients.thermal
         for what in ("drift", "gain"):
             orders = [getattr(t, what).shape[1] for t in (a, b)]
             if min(orders) and orders[0] != orders[1]:
                 raise UsageError(
-                    f"the {what} of {one.label} has order {orders[0]} and that of {other.label} {orders[1]}: a "
+                    f"the {what} of {session.label} has order {orders[0]} and that of {other.label} {orders[1]}: a "
                     "polynomial of one order is not weighed against one of another; combine one of them"
                 )
     _require_exact_once(sessions)
     _require_one_mounting(sessions)
-    thermals = [one.coefficients.thermal for one in drifted if one.coefficients.thermal is not None]
-    bent = [one.coefficients.nonlinearity for one in scaled if one.coefficients.nonlinearity is not None]
+    thermals = [session.coefficients.thermal for session in drifted if session.coefficients.thermal is not None]
+    bent = [session.coefficients.nonlinearity for session in scaled if session.coefficients.nonlinearity is not None]
     return replace(
         first.coefficients,
         thermal=_thermal(thermals) if thermals else None,
         nonlinearity=bent[0] if bent else None,
-        mounting=next((one.coefficients.mounting for one in sessions if one.coefficients.mounting), None),
+        mounting=next((session.coefficients.mounting for session in sessions if session.coefficients.mounting), None),
     )
 
 
 def _thermal(thermals: Sequence[Thermal]) -> Thermal:
     """Return temperature terms of the highest orders, at the first one's reference."""
     drift, gain = (
-        max((getattr(one, what) for one in thermals), key=lambda t: t.shape[1]) for what in ("drift", "gain")
+        max((getattr(thermal, what) for thermal in thermals), key=lambda t: t.shape[1]) for what in ("drift", "gain")
     )
-    ranges = [one.range for one in thermals if one.range is not None]
-    lags = {one.lag for one in thermals if one.lag}
+    ranges = [thermal.range for thermal in thermals if thermal.range is not None]
+    lags = {thermal.lag for thermal in thermals if thermal.lag}
     if len(lags) > 1:
         raise UsageError(
             f"the lags contradict: {' s and '.join(f'{lag:g}' for lag in sorted(lags))} s; combine one of them"
@@ -201,23 +202,27 @@ def _thermal(thermals: Sequence[Thermal]) -> Thermal:
 
 
 def _require_exact_once(sessions: Sequence[CombinedSession]) -> None:
-    for one in sessions:
+    for session in sessions:
         for other in sessions:
-            twice = sorted(one.exact & (set(values(other.coefficients)) - other.assumed)) if other is not one else []
+            twice = (
+                sorted(session.exact & (set(values(other.coefficients)) - other.assumed))
+                if other is not session
+                else []
+            )
             if twice:
                 raise UsageError(
-                    f"{one.label} states no uncertainty of {', '.join(twice)}, which {other.label} has too: it cannot "
-                    "be weighed"
+                    f"{session.label} states no uncertainty of {', '.join(twice)}, which {other.label} has too: "
+                    "it cannot be weighed"
                 )
 
 
 def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
-    mounted = [one for one in sessions if one.coefficients.mounting is not None]
-    for one in mounted[1:]:
-        if one.coefficients.mounting != mounted[0].coefficients.mounting:
+    mounted = [session for session in sessions if session.coefficients.mounting is not None]
+    for session in mounted[1:]:
+        if session.coefficients.mounting != mounted[0].coefficients.mounting:
             told = " and ".join(
                 f"{s.label} has {mounting_in_words(s.coefficients.mounting)}"
-                for s in (mounted[0], one)
+                for s in (mounted[0], session)
                 if s.coefficients.mounting is not None
             )
             raise UsageError(f"the mountings contradict: {told}; state one with --mounting")
@@ -226,10 +231,13 @@ def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
 def _assumed(sessions: Sequence[CombinedSession], measured: Sequence[str], target: Coefficients) -> list[Statement]:
     """Return what nobody has measured as it was assumed, once."""
     for kind in KINDS:
-        if all(one.assumes(kind) or (kind == "temperature" and one.coefficients.thermal is None) for one in sessions):
+        if all(
+            session.assumes(kind) or (kind == "temperature" and session.coefficients.thermal is None)
+            for session in sessions
+        ):
             source = min(
-                (one for one in sessions if one.assumes(kind)),
-                key=lambda one: "nominal" in (one.assumes(kind) or ""),
+                (session for session in sessions if session.assumes(kind)),
+                key=lambda session: "nominal" in (session.assumes(kind) or ""),
                 default=None,
             )
             if source is None:
@@ -275,7 +283,7 @@ def _refuse(sessions: Sequence[CombinedSession], found: Combination, verdict: Ve
                 f"{change.name} is {change.after:.6g} in {label} and {change.before:.6g} by the others, apart by "
                 f"{abs(change.difference):.3g} ± {expanded:.2g} (E_n {abs(change.difference) / expanded:.1f})"
             )
-    alone = [one.label for one in sessions if one.record.fit.uncertainty_from == NOISE_ALONE]
+    alone = [session.label for session in sessions if session.record.fit.uncertainty_from == NOISE_ALONE]
     why = (
         f"; the uncertainty of {' and '.join(alone)} leaves out how well positions were set: state the --jig there"
         if alone

@@ -35,17 +35,19 @@ def combined_record(
     sessions: Sequence[CombinedSession], found: Combination, remarks: Sequence[str]
 ) -> CalibrationRecord:
     """Return the calibration that a combination gives, with remarks on what it left out."""
-    records = [one.record for one in sessions]
-    scaled = [one for one in sessions if not one.assumes("sensitivity")]
+    records = [session.record for session in sessions]
+    scaled = [session for session in sessions if not session.assumes("sensitivity")]
     positions, renamed = _positions(sessions)
-    sensor = next((one.sensor for one in records if one.sensor.model != UNKNOWN_MODEL), records[0].sensor)
+    sensor = next((record.sensor for record in records if record.sensor.model != UNKNOWN_MODEL), records[0].sensor)
     derived = derived_record(found, "", mounted=True) if scaled else records[0].derived
-    kept = tuple(sessions[0].assumes(kind) or "" for kind in KINDS if all(one.assumes(kind) for one in sessions))
+    kept = tuple(
+        sessions[0].assumes(kind) or "" for kind in KINDS if all(session.assumes(kind) for session in sessions)
+    )
     return CalibrationRecord(
         sensor=sensor,
         coefficients=replace(rounded(found), mounting=found.coefficients.mounting),
         uncertainty=_uncertainty(sessions, found),
-        limits=_limits(records, [one.record for one in scaled] or records),
+        limits=_limits(records, [session.record for session in scaled] or records),
         derived=replace(derived, assumed=tuple(kept)),
         fit=_fit(sessions, found, renamed, remarks),
         procedure=_procedure(sessions, renamed),
@@ -61,34 +63,36 @@ def _fit(
     remarks: Sequence[str],
 ) -> FitRecord:
     """Return how well the sessions agree in themselves and with each other."""
-    fits = [one.record.fit for one in sessions]
-    dofs = [one.degrees_of_freedom for one in fits]
-    sources = {one.uncertainty_from for one in fits if one.uncertainty_from}
-    left = [note for one in fits for note in one.notes if note != NO_FREEDOM or not found.dof]
-    judged = all(one.chi_square is not None or not one.degrees_of_freedom for one in fits)
-    chi_square = found.chi_square + sum(one.chi_square or 0.0 for one in fits)
+    fits = [session.record.fit for session in sessions]
+    dofs = [fit.degrees_of_freedom for fit in fits]
+    sources = {fit.uncertainty_from for fit in fits if fit.uncertainty_from}
+    left = [note for fit in fits for note in fit.notes if note != NO_FREEDOM or not found.dof]
+    judged = all(fit.chi_square is not None or not fit.degrees_of_freedom for fit in fits)
+    chi_square = found.chi_square + sum(fit.chi_square or 0.0 for fit in fits)
     return FitRecord(
-        residuals={renamed[n, name]: row for n, one in enumerate(fits) for name, row in one.residuals.items()},
-        degrees_of_freedom=None if None in dofs else sum(one or 0 for one in dofs) + found.dof,
+        residuals={renamed[n, name]: row for n, fit in enumerate(fits) for name, row in fit.residuals.items()},
+        degrees_of_freedom=None if None in dofs else sum(dof or 0 for dof in dofs) + found.dof,
         chi_square=significant(chi_square, DIGITS) if judged else None,
         uncertainty_from=NOISE_ALONE if NOISE_ALONE in sources else "; ".join(sorted(sources)) or None,
-        thermometer_celsius=max((one.thermometer_celsius or 0.0 for one in fits), default=0.0) or None,
+        thermometer_celsius=max((fit.thermometer_celsius or 0.0 for fit in fits), default=0.0) or None,
         budget=_budget(sessions, found),
         notes=tuple(dict.fromkeys([f"combined of {' and '.join(map(_told, sessions))}", *remarks, *left])),
-        mounting=next((one.mounting for one in fits if one.mounting), None),
-        level=next((one.level for one in fits if one.level), None),
+        mounting=next((fit.mounting for fit in fits if fit.mounting), None),
+        level=next((fit.level for fit in fits if fit.level), None),
     )
 
 
 def _procedure(sessions: Sequence[CombinedSession], renamed: Mapping[tuple[int, str], str]) -> ProcedureRecord:
     """Return what was set in all sessions."""
-    each = [one.record.procedure for one in sessions]
+    each = [session.record.procedure for session in sessions]
     return ProcedureRecord(
-        name=" + ".join(one.record.procedure.name or one.label for one in sessions),
+        name=" + ".join(session.record.procedure.name or session.label for session in sessions),
         title=f"Combined of {len(sessions)} calibrations",
-        set={renamed[n, name]: one for n, procedure in enumerate(each) for name, one in procedure.set.items()},
-        mounting=next((one.mounting for one in each if one.mounting), None),
-        level=next((one.level for one in each if one.level), None),
+        set={
+            renamed[n, name]: position for n, procedure in enumerate(each) for name, position in procedure.set.items()
+        },
+        mounting=next((procedure.mounting for procedure in each if procedure.mounting), None),
+        level=next((procedure.level for procedure in each if procedure.level), None),
     )
 
 
@@ -100,7 +104,7 @@ def _told(session: CombinedSession) -> str:
 
 def _positions(sessions: Sequence[CombinedSession]) -> tuple[tuple[PositionRecord, ...], dict[tuple[int, str], str]]:
     """Return all positions, and the name that each has now by the number of its session and its name there."""
-    every = [(n, one.position) for n, session in enumerate(sessions) for one in session.record.positions]
+    every = [(n, position.position) for n, session in enumerate(sessions) for position in session.record.positions]
     every += [(n, name) for n, session in enumerate(sessions) for name in session.record.fit.residuals]
     every += [(n, name) for n, session in enumerate(sessions) for name in session.record.procedure.set]
     every = list(dict.fromkeys(every))
@@ -115,18 +119,18 @@ def _positions(sessions: Sequence[CombinedSession]) -> tuple[tuple[PositionRecor
         mounted = record.positions_with(level=())[len(fitted) :]
         levelled = record.positions[len(fitted) + len(mounted) :]
         for group, own in zip(groups, (fitted, mounted, levelled), strict=True):
-            group += [replace(one, position=renamed[n, one.position]) for one in own]
-    return tuple(one for group in groups for one in group), renamed
+            group += [replace(position, position=renamed[n, position.position]) for position in own]
+    return tuple(position for group in groups for position in group), renamed
 
 
 def _uncertainty(sessions: Sequence[CombinedSession], found: Combination) -> Uncertainty:
     """Return the uncertainty of all coefficients, and that of a mounting with its covariance."""
     single: dict[str, float] = {}
-    for one in sessions:
-        for name, u in one.record.uncertainty.single_reading.items():
+    for session in sessions:
+        for name, u in session.record.uncertainty.single_reading.items():
             single[name] = max(u, single.get(name, 0.0))
     both = uncertainty_of(found, single)
-    both = replace(both, alignment=max(one.record.uncertainty.alignment for one in sessions))
+    both = replace(both, alignment=max(session.record.uncertainty.alignment for session in sessions))
     for session in sessions:
         known = session.known
         turns = np.flatnonzero(is_turn(known.names)).tolist()
@@ -154,10 +158,12 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Combination) -> Unc
 def _budget(sessions: Sequence[CombinedSession], found: Combination) -> dict[str, dict[str, float]]:
     """Return the share of each source in each variance, by the sessions' own budgets."""
     shares: dict[str, dict[str, float]] = {}
-    measured = {one.label: one.names for one in found.statements}
+    measured = {statement.label: statement.names for statement in found.statements}
     own = {
-        one.label: {name: row for name, row in one.record.fit.budget.items() if name in measured.get(one.label, ())}
-        for one in sessions
+        session.label: {
+            name: row for name, row in session.record.fit.budget.items() if name in measured.get(session.label, ())
+        }
+        for session in sessions
     }
     for k, name in enumerate(found.names):
         row: dict[str, float] = {}
@@ -173,29 +179,30 @@ def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRe
     """Return the tilts that the sensitivity was measured in, the temperatures of the drift, the rails of all."""
     tilt: dict[str, tuple[float, float]] = {}
     reading: dict[str, tuple[float, float]] = {}
-    for one in scaled:
-        for axis, (low, high) in one.limits.tilt.items():
+    for session in scaled:
+        for axis, (low, high) in session.limits.tilt.items():
             before = tilt.get(axis, (low, high))
             tilt[axis] = min(low, before[0]), max(high, before[1])
-    for one in records:
-        for channel, (low, high) in one.limits.reading.items():
+    for record in records:
+        for channel, (low, high) in record.limits.reading.items():
             before = reading.get(channel, (low, high))
             reading[channel] = max(low, before[0]), min(high, before[1])
-    met = [one.limits.temperature for one in records if one.limits.temperature and one.coefficients.thermal]
+    met = [record.limits.temperature for record in records if record.limits.temperature and record.coefficients.thermal]
     return Limits(tilt, (min(low for low, _ in met), max(high for _, high in met)) if met else None, reading)
 
 
 def combined_provenance(sessions: Sequence[CombinedSession]) -> Provenance:
     """Return where the calibrations come from, with their SHA-256."""
-    each = [one.record.provenance for one in sessions]
+    each = [session.record.provenance for session in sessions]
     started, ended = (
-        [t for t in times if t] for times in zip(*((one.started, one.ended) for one in each), strict=True)
+        [t for t in times if t]
+        for times in zip(*((provenance.started, provenance.ended) for provenance in each), strict=True)
     )
-    made = dict.fromkeys(one.made_by for one in each if one.made_by)
+    made = dict.fromkeys(provenance.made_by for provenance in each if provenance.made_by)
     return Provenance(
         made_by=f"combination of calibrations by {' and '.join(made)}" if made else "combination of calibrations",
-        operator=" and ".join(dict.fromkeys(one.operator for one in each if one.operator)) or None,
-        sources=tuple(FileRecord(name=one.label, sha256=one.sha256) for one in sessions),
+        operator=" and ".join(dict.fromkeys(provenance.operator for provenance in each if provenance.operator)) or None,
+        sources=tuple(FileRecord(name=session.label, sha256=session.sha256) for session in sessions),
         software=f"tiltcal {tiltcal.__version__}",
         started=min(started) if started else None,
         ended=max(ended) if ended else None,

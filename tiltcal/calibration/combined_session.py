@@ -51,7 +51,7 @@ class CombinedSession:
 
     def assumes(self, kind: str) -> str | None:
         """Return what the session has assumed of ``sensitivity`` or ``temperature``; None where it measured it."""
-        return next((one for one in self.record.derived.assumed if one.startswith(f"{kind}:")), None)
+        return next((name for name in self.record.derived.assumed if name.startswith(f"{kind}:")), None)
 
     @cached_property
     def assumed(self) -> frozenset[str]:
@@ -86,7 +86,7 @@ class CombinedSession:
         thermal, fit = self.coefficients.thermal, self.record.fit
         if thermal is not None:
             return thermal.reference, 0.0
-        met = [one.temperature for one in self.record.positions if one.temperature is not None]
+        met = [position.temperature for position in self.record.positions if position.temperature is not None]
         if not met:
             return None
         stated = fit.thermometer_celsius
@@ -96,11 +96,11 @@ class CombinedSession:
     def gravity(self) -> Array | None:
         """Up in the sensor's frame, where it is the same in every position of the session."""
         seen = [
-            np.array(one.gravity if one.tilt is None else gravity_from_tilt(one.tilt))
-            for one in self.record.procedure.set.values()
-            if one.gravity is not None or one.tilt is not None
+            np.array(position.gravity if position.tilt is None else gravity_from_tilt(position.tilt))
+            for position in self.record.procedure.set.values()
+            if position.gravity is not None or position.tilt is not None
         ]
-        return seen[0] if seen and all(np.allclose(one, seen[0], atol=1e-6) for one in seen) else None
+        return seen[0] if seen and all(np.allclose(gravity, seen[0], atol=1e-6) for gravity in seen) else None
 
     @property
     def level_unstated(self) -> bool:

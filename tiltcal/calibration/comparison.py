@@ -38,10 +38,10 @@ class Comparison:
         """The verdict in one word, and by how much each changed coefficient has changed."""
         if self.verdict.word != "changed":
             return self.verdict.word
-        changed = [one for one in self.changes if one.name in self.verdict.changed]
+        changed = [change for change in self.changes if change.name in self.verdict.changed]
         return "changed: " + ", ".join(
-            f"{one.name} by {one.difference:+.3g} ± {one.u or 0.0:.2g} {unit_of(one.name, self.sensor.unit)}".rstrip()
-            for one in changed
+            f"{c.name} by {c.difference:+.3g} ± {c.u or 0.0:.2g} {unit_of(c.name, self.sensor.unit)}".rstrip()
+            for c in changed
         )
 
     def as_data(self) -> dict[str, Any]:
@@ -97,9 +97,11 @@ def compare(old: Calibration, new: Calibration) -> Comparison:
     --------
     >>> print(tiltcal.compare(tiltcal.read("spring.yaml"), tiltcal.read("autumn.yaml")))
     """
-    for one in (old, new):
-        if not isinstance(one, Calibration):
-            raise UsageError(f"compare takes two tilt calibrations, as tiltcal.read returns them, not {one!r:.40}")
+    for calibration in (old, new):
+        if not isinstance(calibration, Calibration):
+            raise UsageError(
+                f"compare takes two tilt calibrations, as tiltcal.read returns them, not {calibration!r:.40}"
+            )
     return compare_records(old.record, new.record)
 
 
@@ -107,7 +109,11 @@ def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Compariso
     """Compare the contents of two calibration files, as :func:`compare` does."""
     require_same_sensor(old, new)
     found = tuple(changes_between(old, new))
-    alone = [which for which, one in (("older", old), ("newer", new)) if one.fit.uncertainty_from == NOISE_ALONE]
+    alone = [
+        which
+        for which, calibration in (("older", old), ("newer", new))
+        if calibration.fit.uncertainty_from == NOISE_ALONE
+    ]
     return Comparison(
         new.sensor, found, judge(found, _INCOMPLETE.format(which=" and the ".join(alone)) if alone else "")
     )

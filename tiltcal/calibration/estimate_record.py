@@ -163,11 +163,11 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         chi_square=significant(found.chi_square, 4),
         p_value=significant(found.p, SHARE_DIGITS),
         suspect_positions={
-            one.position: SuspectPosition(
-                off_degrees=significant(float(np.linalg.norm(one.turn)), SHARE_DIGITS),
-                chi_square=significant(one.chi_square, SHARE_DIGITS),
+            attitude.position: SuspectPosition(
+                off_degrees=significant(float(np.linalg.norm(attitude.turn)), SHARE_DIGITS),
+                chi_square=significant(attitude.chi_square, SHARE_DIGITS),
             )
-            for one in found.suspects()
+            for attitude in found.suspects()
         },
     )
 
@@ -203,9 +203,9 @@ def _printed(
 ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
     """Return values, standard uncertainties and coverage factors, rounded; what is exact has no factor."""
     return (
-        {name: round_to(one.value, one.u) for name, one in quantities.items()},
-        {name: significant(one.u, DIGITS) for name, one in quantities.items()},
-        {name: round(one.factor, 3) for name, one in quantities.items() if one.u > 0.0},
+        {name: round_to(quantity.value, quantity.u) for name, quantity in quantities.items()},
+        {name: significant(quantity.u, DIGITS) for name, quantity in quantities.items()},
+        {name: round(quantity.factor, 3) for name, quantity in quantities.items() if quantity.u > 0.0},
     )
 
 

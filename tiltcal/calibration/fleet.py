@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from itertools import chain
 from statistics import mode
 from typing import Any
 
@@ -121,13 +122,13 @@ class FleetHistory:
         return {
             "folder": self.folder,
             "interval_days": self.interval / timedelta(days=1),
-            "sensors": [self._sensor(one) for one in self.histories],
+            "sensors": [self._sensor(history) for history in self.histories],
             "fleets": [
                 {
                     "model": fleet.model,
                     "unit": fleet.unit,
                     "reference": fleet.reference,
-                    "coefficients": [one.as_data() for one in fleet.distributions],
+                    "coefficients": [distribution.as_data() for distribution in fleet.distributions],
                 }
                 for fleet in self.models
             ],
@@ -140,7 +141,9 @@ class FleetHistory:
             "serial": history.sensor.serial,
             "model": history.sensor.model,
             "unit": history.sensor.unit,
-            "calibrations": [{"file": one.path, "date": to_the_second(one.date)} for one in dated],
+            "calibrations": [
+                {"file": calibration.path, "date": to_the_second(calibration.date)} for calibration in dated
+            ],
             "changes": [
                 {"before": a.name, "after": b.name, "days": (b.date - a.date) / timedelta(days=1)} | found.as_data()
                 for a, b, found in zip(dated, dated[1:], history.comparisons, strict=False)
@@ -157,9 +160,9 @@ class FleetHistory:
             due = history.due(self.interval)
             word = "was due" if self.is_due(history) else "due"
             lines.append(f"{history.sensor.model} {history.sensor.serial}: {word} {due:%Y-%m-%d}")
-            for place, one in enumerate(history.calibrations):
+            for place, calibration in enumerate(history.calibrations):
                 told = f"  {history.comparisons[place - 1].in_words}" if place else ""
-                lines.append(f"  {one.date:%Y-%m-%d}  {one.name}{told}")
+                lines.append(f"  {calibration.date:%Y-%m-%d}  {calibration.name}{told}")
             for a, b in history.gaps(self.interval):
                 lines.append(f"  gap: {(b.date - a.date).days} days from {a.date:%Y-%m-%d} to {b.date:%Y-%m-%d}")
             lines += [f"  note: {remark}" for remark in history.remarks]
@@ -168,7 +171,7 @@ class FleetHistory:
             lines += ["", f"{len(fleet.histories)} {fleet.model}, {fleet.unit}{at}"]
             lines.append(f"  {'':<26} {'median':>12} {'spread':>12} {'least':>12} {'most':>12}   outliers")
             lines += [found.line for found in fleet.distributions]
-        lines += ["", *(f"problem: {one}" for one in self.problems)] if self.problems else []
+        lines += ["", *(f"problem: {problem}" for problem in self.problems)] if self.problems else []
         return "\n".join(lines)
 
 
@@ -191,28 +194,30 @@ def fleet_history(library: CalibrationLibrary, interval: timedelta, now: datetim
             problems.append(str(problem))
             continue
         histories.append(history)
-    kinds = dict.fromkeys((one.sensor.model, one.sensor.unit, one.sensor.channels) for one in histories)
-    models = [
-        _of_model([one for one in histories if (one.sensor.model, one.sensor.unit, one.sensor.channels) == kind])
-        for kind in kinds
-    ]
+    kinds = dict.fromkeys(_kind(known) for known in histories)
+    models = [_of_model([known for known in histories if _kind(known) == kind]) for kind in kinds]
     return FleetHistory(
         str(library.folder),
         interval,
         now,
         tuple(histories),
-        tuple(one for one in models if one.distributions),
+        tuple(model for model in models if model.distributions),
         tuple(problems),
     )
 
 
+def _kind(history: SensorHistory) -> tuple[object, ...]:
+    """Return what sensors share whose coefficients can be compared."""
+    return history.sensor.model, history.sensor.unit, history.sensor.channels
+
+
 def _of_model(histories: Sequence[SensorHistory]) -> ModelFleet:
-    last = {one.sensor.serial: one.calibrations[-1].record.coefficients for one in histories}
-    references = [one.thermal.reference for one in last.values() if one.thermal is not None]
+    last = {history.sensor.serial: history.calibrations[-1].record.coefficients for history in histories}
+    references = [coefficients.thermal.reference for coefficients in last.values() if coefficients.thermal is not None]
     reference = mode(references) if references else None
-    named = {serial: values(one if reference is None else referred(one, reference)) for serial, one in last.items()}
-    names = dict.fromkeys(name for one in named.values() for name in one)
-    sets = {name: {serial: one[name] for serial, one in named.items() if name in one} for name in names}
+    named = {serial: values(c if reference is None else referred(c, reference)) for serial, c in last.items()}
+    names = dict.fromkeys(chain.from_iterable(named.values()))
+    sets = {name: {serial: row[name] for serial, row in named.items() if name in row} for name in names}
     sets = {name: found for name, found in sets.items() if len(found) >= FEWEST_SENSORS}
     rate = 1.0 - COVERAGE ** (1.0 / max(1, len(sets)))
     sensor = histories[0].sensor

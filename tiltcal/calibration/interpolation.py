@@ -72,15 +72,17 @@ def interpolate(
     """
     require_same_sensor(before, after)
     for what in ("axes", "thermal", "mounting"):
-        one, other = getattr(before.coefficients, what), getattr(after.coefficients, what)
-        if (one != other) if what == "axes" else ((one is None) != (other is None)):
+        earlier, later = getattr(before.coefficients, what), getattr(after.coefficients, what)
+        if (earlier != later) if what == "axes" else ((earlier is None) != (later is None)):
             named = {"thermal": "temperature terms", "mounting": "a mounting"}.get(what, "other axes")
             raise UsageError(
                 f"one of two calibrations has {named} and the other has not: give both the same coefficients, such as "
                 "with `tiltcal combine`"
             )
     reference = None if after.coefficients.thermal is None else after.coefficients.thermal.reference
-    parts = [_Part.of(one, reference, weight) for one, weight in ((before, 1.0 - share), (after, share))]
+    parts = [
+        _Part.of(calibration, reference, weight) for calibration, weight in ((before, 1.0 - share), (after, share))
+    ]
     coefficients = _blended([part.coefficients for part in parts], share)
     bridge = {
         name: (walk.rate * days * share * (1.0 - share), walk.dof)
@@ -176,7 +178,7 @@ def _joined(
     matrix = with_turns_scaled(names, covariance, degrees(1.0))
     u = np.sqrt(np.diag(matrix))
     return Uncertainty(
-        {name: float(one) for name, one in zip(names, u, strict=True) if not name.startswith(TURN)},
+        {name: float(u_value) for name, u_value in zip(names, u, strict=True) if not name.startswith(TURN)},
         single,
         {name: float(k) for name, k in zip(names, factors, strict=True) if k > NORMAL_FACTOR * 1.001},
         Covariance(parameters=names, matrix=tuple(tuple(row) for row in matrix.tolist())),
@@ -195,7 +197,7 @@ def _blended(both: Sequence[Coefficients], share: float) -> Coefficients:
     def line(before: Array, after: Array) -> Array:
         columns = max(before.shape[-1], after.shape[-1])
         first, last = (
-            np.pad(one, [(0, 0)] * (one.ndim - 1) + [(0, columns - one.shape[-1])]) for one in (before, after)
+            np.pad(terms, [(0, 0)] * (terms.ndim - 1) + [(0, columns - terms.shape[-1])]) for terms in (before, after)
         )
         return np.asarray((1.0 - share) * first + share * last)
 
@@ -212,7 +214,9 @@ def _blended(both: Sequence[Coefficients], share: float) -> Coefficients:
         )
     if shares is not None or before.nonlinearity is not None:
         none = np.zeros((len(after.channels), 1))
-        shares = line(*(none if one.nonlinearity is None else one.nonlinearity for one in both))
+        shares = line(
+            *(none if coefficients.nonlinearity is None else coefficients.nonlinearity for coefficients in both)
+        )
     return replace(
         after,
         offset=line(before.offset, after.offset),
@@ -233,7 +237,7 @@ def _mounting(before: Mounting | None, after: Mounting | None, share: float) -> 
 
 def _limits(before: Limits, after: Limits) -> Limits:
     """Return the ranges that both calibrations cover."""
-    tilt = {axis: overlap(before.tilt.get(axis), one) or one for axis, one in after.tilt.items()}
+    tilt = {axis: overlap(before.tilt.get(axis), limits) or limits for axis, limits in after.tilt.items()}
     return Limits(tilt, overlap(before.temperature, after.temperature), after.reading)
 
 

@@ -51,13 +51,13 @@ def fit_jointly(
     EstimateError
         The positions cannot determine the coefficients.
     """
-    observed = [observed_sensor(one, procedure, bench) for one in sensors]
+    observed = [observed_sensor(sensor, procedure, bench) for sensor in sensors]
     calibrations = []
     for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
         design = seen.design
         remarks = () if design.priors else judge_channels(sensor, estimated)
-        one = _with_remarks(with_hysteresis(estimated, seen), sensor.measurements, design)
-        found = record_of(one, design, sensor, procedure)
+        estimate = _with_remarks(with_hysteresis(estimated, seen), sensor.measurements, design)
+        found = record_of(estimate, design, sensor, procedure)
         calibrations.append(replace(found, fit=replace(found.fit, notes=(*found.fit.notes, *remarks))))
     return calibrations
 
@@ -206,7 +206,10 @@ def no_sensitivity(procedure: Procedure) -> str:
 def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]) -> list[Observation]:
     """Return the positions for the estimator, each one's noise made better known by that of the others."""
     correlated = correlated_noise(_summaries(measurements, channels))
-    noise = [noise_of_means([one.summaries[channel] for one in measurements], correlated) for channel in channels]
+    noise = [
+        noise_of_means([measurement.summaries[channel] for measurement in measurements], correlated)
+        for channel in channels
+    ]
     observations = []
     before: Measurement | None = None
     for number, measurement in enumerate(measurements):

@@ -77,14 +77,15 @@ def level(
     EstimateError
         A position is not level, or its temperature is missing and counts.
     """
-    why = next(filter(None, (objection(base, one) for one in measurements)), "")
+    why = next(filter(None, (objection(base, measurement) for measurement in measurements)), "")
     if why:
         raise EstimateError(why)
     found = _Renewal.of(base, measurements, bench)
     stated = bench.jig is not None or bench.table is not None
     u = found.budget.u[: len(found.offset)]
     coefficients = replace(
-        base.coefficients, offset=np.array([round_to(*one) for one in zip(found.offset, u, strict=True)])
+        base.coefficients,
+        offset=np.array([round_to(value, u_value) for value, u_value in zip(found.offset, u, strict=True)]),
     )
     notes = [note for note in base.fit.notes if note != NO_LEVEL]
     record = replace(
@@ -100,9 +101,11 @@ def level(
         ),
         procedure=replace(
             base.procedure,
-            level=CompletingRun(positions=tuple(one.position for one in measurements)),
+            level=CompletingRun(positions=tuple(measurement.position for measurement in measurements)),
         ),
-        positions=base.positions_with(level=[one.record(base.coefficients.channels) for one in measurements]),
+        positions=base.positions_with(
+            level=[measurement.record(base.coefficients.channels) for measurement in measurements]
+        ),
     )
     before = base.derived.intrinsic
     if before is None:
@@ -164,13 +167,13 @@ class _Renewal:
         known, covariance, factors = stated.names, stated.covariance, stated.factors
         at_level = _LevelReading(coefficients, seen)
         slopes = at_level.slopes(known)
-        change = np.mean([one.mean for one in seen], axis=0) - at_level(known, at_level.start(known))
+        change = np.mean([measurement.mean for measurement in seen], axis=0) - at_level(known, at_level.start(known))
         own = np.array([[float(name == f"offset.{channel}") for name in known] for channel in channels])
         rest = [k for k, name in enumerate(known) if not name.startswith("offset.")]
         # An old offset is read anew: only what the other coefficients share with it is left.
         followed = np.vstack([own - slopes, np.eye(len(known))[rest]])
         errors = list(_errors_of_bench(at_level, seen, bench))
-        alone = [replace(one, by=np.vstack([one.by, np.zeros((len(rest), one.by.shape[1]))])) for one in errors]
+        alone = [replace(error, by=np.vstack([error.by, np.zeros((len(rest), error.by.shape[1]))])) for error in errors]
         budget = Budget.of([Part(BASE, followed, covariance, factors), *alone])
         changed = Budget.of([Part(BASE, slopes, covariance, factors), *errors])
         offsets = coefficients.offset + change
@@ -218,18 +221,23 @@ class _Renewal:
         """Return by how much the offsets have changed, for the file."""
         channels = self.base.coefficients.channels
         incomplete = NO_LEVEL if bench.jig is None and bench.table is None else ""
-        lean = [one for one in (bench.jig, bench.table) if one is not None]
+        lean = [angle for angle in (bench.jig, bench.table) if angle is not None]
         return LevelFit(
-            change={c: round_to(one.difference, one.u or 0.0) for c, one in zip(channels, self.changes, strict=True)},
+            change={
+                c: round_to(change.difference, change.u or 0.0)
+                for c, change in zip(channels, self.changes, strict=True)
+            },
             change_uncertainty={
-                c: significant(one.u, DIGITS) for c, one in zip(channels, self.changes, strict=True) if one.u
+                c: significant(change.u, DIGITS) for c, change in zip(channels, self.changes, strict=True) if change.u
             },
             change_coverage_factor={
-                c: round(one.threshold(COVERAGE), 3) for c, one in zip(channels, self.changes, strict=True) if one.u
+                c: round(change.threshold(COVERAGE), 3)
+                for c, change in zip(channels, self.changes, strict=True)
+                if change.u
             },
             verdict=str(judge(self.changes, incomplete)),
             temperature=None if self.temperature is None else round(self.temperature, 3),
-            jig_degrees=significant(sqrt(sum(one**2 for one in lean)), DIGITS) if lean else None,
+            jig_degrees=significant(sqrt(sum(angle**2 for angle in lean)), DIGITS) if lean else None,
         )
 
 
@@ -263,13 +271,15 @@ class _LevelReading:
         mounting = self.coefficients.mounting
         gravity = up if mounting is None else up @ mounting_matrix(mounting)
         thermal = coefficients.thermal is not None
-        temperatures = np.array([one.temperature for one in self.seen], dtype=float) + warmer if thermal else None
+        temperatures = (
+            np.array([measurement.temperature for measurement in self.seen], dtype=float) + warmer if thermal else None
+        )
         return np.asarray(coefficients.predict(gravity, temperatures).mean(axis=0))
 
     @property
     def up(self) -> Array:
         """Up in the application's frame as it was set, shape (positions, 3)."""
-        return np.array([one.gravity for one in self.seen])
+        return np.array([measurement.gravity for measurement in self.seen])
 
     def start(self, names: Sequence[str]) -> Array:
         """Return the values of the coefficients, and 0 for the turns of the mounting."""
@@ -295,14 +305,14 @@ class _LevelReading:
 def _errors_of_bench(at_level: _LevelReading, seen: Sequence[Observation], bench: BenchUncertainty) -> Iterator[Part]:
     """Yield what noise, jig, table and thermometer add to the mean reading."""
     count, channels = len(seen), len(at_level.coefficients.channels)
-    adc = np.array([np.zeros(channels) if one.adc is None else one.adc for one in seen])
-    noise = np.array([one.u for one in seen]) ** 2 - adc**2
-    for one, variance in zip(seen, noise, strict=True):
-        dof = np.full(channels, inf) if one.dof is None else one.dof
+    adc = np.array([np.zeros(channels) if measurement.adc is None else measurement.adc for measurement in seen])
+    noise = np.array([measurement.u for measurement in seen]) ** 2 - adc**2
+    for measurement, variance in zip(seen, noise, strict=True):
+        dof = np.full(channels, inf) if measurement.dof is None else measurement.dof
         yield Part(NOISE, np.eye(channels) / count, np.diag(variance), coverage_factor(dof))
     # Rounding is alike in every position: it does not average out.
     yield Part.known(ADC, np.eye(channels), np.diag(np.max(adc, axis=0) ** 2))
-    headings = [one.heading or 0.0 for one in seen]
+    headings = [measurement.heading or 0.0 for measurement in seen]
     for source, angle, by, number in (
         (JIG, bench.jig, at_level.by_lean([0.0] * count), count),
         (TABLE, bench.table, at_level.by_lean(headings), 1),

@@ -81,7 +81,7 @@ def _best(
     read = _directions(coefficients, measurements)
     sides = [np.ones(3)] if len(coefficients.channels) == 3 else [np.ones(3), np.array([1.0, 1.0, -1.0])]
     found = [(solve_mounting(read * side, known, _sigma(known, jig)), side) for side in sides]
-    return min(found, key=lambda one: float(np.sum(one[0].residuals ** 2)))
+    return min(found, key=lambda candidate: float(np.sum(candidate[0].residuals ** 2)))
 
 
 def _sigma(known: Array, jig: float | None) -> Array | None:

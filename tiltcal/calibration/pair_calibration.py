@@ -123,8 +123,11 @@ def _pair_rows(matching: Matching) -> Iterator[str]:
     for name, text in names.items():
         cells = []
         for stage in STAGES:
-            one = matching.components[stage][name]
-            cells += [f"   {bracketed(one.sin, one.u_sin):<13}", f" {bracketed(one.cos, one.u_cos):<14}"]
+            component = matching.components[stage][name]
+            cells += [
+                f"   {bracketed(component.sin, component.u_sin):<13}",
+                f" {bracketed(component.cos, component.u_cos):<14}",
+            ]
         yield f"{text:<{wide}}" + "".join(cells).rstrip()
 
 

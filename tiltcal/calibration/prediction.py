@@ -64,7 +64,7 @@ class PredictedUncertainty:
             "uncertainty": self.uncertainty,
             "degrees_of_freedom": self.prediction.dof,
             "correlations": [list(pair) for pair in self.prediction.correlations],
-            "worth_adding": [list(one) for one in self.prediction.worth_adding],
+            "worth_adding": [list(position) for position in self.prediction.worth_adding],
             "closing": self.closing or None,
         }
 
@@ -155,7 +155,7 @@ def predict_mounting(
 
 def along_ramp(procedure: Procedure) -> Procedure:
     """Return a ramp as positions on the way between its turning points, by which its uncertainty is predicted."""
-    turns = [one.temperature or 0.0 for one in procedure.positions]
+    turns = [position.temperature or 0.0 for position in procedure.positions]
     ways = pairwise([procedure.reference or turns[-1], *turns])
     positions = tuple(
         replace(procedure.positions[0], name=f"leg-{leg}-{part + 1}", temperature=start + (end - start) * part / PARTS)

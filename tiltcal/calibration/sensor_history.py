@@ -8,6 +8,7 @@ from datetime import datetime, timedelta
 from functools import cached_property
 from itertools import pairwise
 from math import inf
+from operator import attrgetter
 
 import numpy as np
 
@@ -79,31 +80,31 @@ class SensorHistory:
         """
         kept: list[DatedCalibration] = []
         remarks: list[str] = []
-        for one in sorted(found, key=lambda one: one.date):
+        for calibration in sorted(found, key=attrgetter("date")):
             if not kept:
-                kept.append(one)
+                kept.append(calibration)
                 continue
             before = kept[-1]
             try:
-                require_same_sensor(before.record, one.record)
+                require_same_sensor(before.record, calibration.record)
             except UsageError as failure:
                 raise InputError(
-                    f"{one.record.sensor.serial} is {failure}, in {before.path}: give each sensor a serial number of "
-                    "its own, or move one of the files",
-                    file=one.path,
+                    f"{calibration.record.sensor.serial} is {failure}, in {before.path}: give each sensor a serial "
+                    "number of its own, or move one of the files",
+                    file=calibration.path,
                 ) from None
-            if before.date == one.date:
-                if values(before.record.coefficients) != values(one.record.coefficients):
+            if before.date == calibration.date:
+                if values(before.record.coefficients) != values(calibration.record.coefficients):
                     raise InputError(
-                        f"{before.path} has the same date, {to_the_second(one.date)}, and other coefficients of "
-                        f"{one.record.sensor.serial}: keep one of them in the folder",
-                        file=one.path,
+                        f"{before.path} has the same date, {to_the_second(calibration.date)}, and other coefficients "
+                        f"of {calibration.record.sensor.serial}: keep one of them in the folder",
+                        file=calibration.path,
                     )
-                remarks.append(f"{one.name} is a copy of {before.name}")
+                remarks.append(f"{calibration.name} is a copy of {before.name}")
                 continue
-            if moment(one.started, one.path) < before.date:
-                remarks.append(f"the sessions of {before.name} and {one.name} overlap")
-            kept.append(one)
+            if moment(calibration.started, calibration.path) < before.date:
+                remarks.append(f"the sessions of {before.name} and {calibration.name} overlap")
+            kept.append(calibration)
         return cls(tuple(kept), tuple(remarks))
 
     @property
@@ -130,14 +131,14 @@ class SensorHistory:
         last = self.calibrations[-1].record.coefficients
         reference = None if last.thermal is None else last.thermal.reference
         found = []
-        for one in self.calibrations:
-            coefficients = one.record.coefficients
+        for calibration in self.calibrations:
+            coefficients = calibration.record.coefficients
             moved = coefficients if reference is None else referred(coefficients, reference)
-            known = known_coefficients(one.record.uncertainty, coefficients, reference)
-            day = one.date.timestamp() / DAY
+            known = known_coefficients(calibration.record.uncertainty, coefficients, reference)
+            day = calibration.date.timestamp() / DAY
             found.append({name: (day, value, known[name].u) for name, value in values(moved).items() if name in known})
-        common = [name for name in found[-1] if all(name in one for one in found)]
-        return {name: tuple(np.array([one[name] for one in found]).T) for name in common}
+        common = [name for name in found[-1] if all(name in row for row in found)]
+        return {name: tuple(np.array([row[name] for row in found]).T) for name in common}
 
     def contrasts(self, kind: str, *, steady: bool) -> WalkContrasts:
         """Return the contrasts of all coefficients of a kind, such as ``offset``."""
@@ -183,8 +184,8 @@ def estimated_stability(history: SensorHistory, fleet: Sequence[SensorHistory]) 
     between: dict[str, RandomWalk] = {}
     beyond: dict[str, RandomWalk] = {}
     for kind in WANDERING:
-        free = WalkContrasts.joined([one.contrasts(kind, steady=False) for one in asked])
-        steady = WalkContrasts.joined([one.contrasts(kind, steady=True) for one in asked])
+        free = WalkContrasts.joined([history.contrasts(kind, steady=False) for history in asked])
+        steady = WalkContrasts.joined([history.contrasts(kind, steady=True) for history in asked])
         walk = estimate_walk(free)
         if walk is None:
             continue

@@ -96,7 +96,7 @@ def objections(fit: FitRecord) -> list[str]:
             f"not credible: {cause}"
         )
     if fit.suspect_positions:
-        named = [f"{position} ({one.off_degrees:g}°)" for position, one in fit.suspect_positions.items()]
+        named = [f"{position} ({suspect.off_degrees:g}°)" for position, suspect in fit.suspect_positions.items()]
         more = f" and {len(named) - SHOWN} more" if len(named) > SHOWN else ""
         found.append(f"further off than the stated jig allows, the worst first: {', '.join(named[:SHOWN])}{more}")
     return found

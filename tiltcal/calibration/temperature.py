@@ -99,13 +99,13 @@ def swept(
 def _left_out(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty) -> Array:
     """Squared error of predicting each position from the others, over its variance; over 1 where none is known."""
     found: list[float] = []
-    noise = [_uncertainties(one, observed_sensor(one, procedure, bench).design.channels) for one in sensors]
+    noise = [_uncertainties(sensor, observed_sensor(sensor, procedure, bench).design.channels) for sensor in sensors]
     for number in range(len(sensors[0].measurements)):
         rest = [
             replace(sensor, measurements=[m for k, m in enumerate(sensor.measurements) if k != number])
             for sensor in sensors
         ]
-        estimates = estimate_jointly([observed_sensor(one, procedure, bench) for one in rest])
+        estimates = estimate_jointly([observed_sensor(sensor, procedure, bench) for sensor in rest])
         for sensor, u, estimate in zip(sensors, noise, estimates, strict=True):
             out = sensor.measurements[number]
             gravity, temperature = np.array([out.gravity]), np.array([out.temperature], dtype=float)
@@ -125,12 +125,12 @@ def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measureme
     """Return the largest difference of residuals at one temperature that was met twice, per channel, unit."""
     residuals = calibration.fit.residuals
     met_twice = [
-        (one.position, other.position)
-        for one, other in combinations(measurements, 2)
-        if one.gravity == other.gravity
-        and one.temperature is not None
-        and other.temperature is not None
-        and abs(one.temperature - other.temperature) <= ALIKE
+        (first.position, second.position)
+        for first, second in combinations(measurements, 2)
+        if first.gravity == second.gravity
+        and first.temperature is not None
+        and second.temperature is not None
+        and abs(first.temperature - second.temperature) <= ALIKE
     ]
     loops = {}
     for channel in calibration.coefficients.channels:

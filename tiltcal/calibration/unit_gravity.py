@@ -58,11 +58,11 @@ def directed(sensors: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
     EstimateError
         No sensor has three channels, or the readings lie on no ellipsoid.
     """
-    leader = next((one for one in sensors if set(AXES) <= set(one.sensor.channels)), None)
+    leader = next((sensor for sensor in sensors if set(AXES) <= set(sensor.sensor.channels)), None)
     if leader is None:
         raise EstimateError("free positions need a sensor of three channels: unit gravity does not determine fewer")
-    seen = directions([one.summaries for one in leader.measurements]) @ np.array(leader.orientation)
-    return [replace(one, measurements=_turned(one, seen)) for one in sensors]
+    seen = directions([measurement.summaries for measurement in leader.measurements]) @ np.array(leader.orientation)
+    return [replace(sensor, measurements=_turned(sensor, seen)) for sensor in sensors]
 
 
 def directions(positions: Sequence[Mapping[str, SampleSummary]]) -> Array:
@@ -107,11 +107,13 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
         that are missing.
     """
     coefficients = calibration.coefficients
-    attitudes = np.array([one.gravity for one in measurements])
+    attitudes = np.array([measurement.gravity for measurement in measurements])
     distinct = count_distinct(attitudes)
     fit = replace(calibration.fit, distinct_attitudes=distinct)
     if len(coefficients.channels) == len(coefficients.axes) == len(AXES):
-        mean = np.array([[one.summaries[channel].mean for channel in coefficients.channels] for one in measurements])
+        mean = np.array(
+            [[measurement.summaries[channel].mean for channel in coefficients.channels] for measurement in measurements]
+        )
         misfit = misfits(mean, coefficients.offset, coefficients.sensitivity)
         fit = replace(fit, misfit_rms_mg=significant(1e3 * float(np.sqrt(np.mean(misfit**2))), 3))
     warnings = []
@@ -176,6 +178,6 @@ def _turned(sensor: MeasuredSensor, directions: Array) -> list[Measurement]:
     """Return a sensor's positions in directions of the fixture's frame."""
     own = directions @ np.array(sensor.orientation).T
     return [
-        replace(one, gravity=(x, y, z), tilt=None)
-        for one, (x, y, z) in zip(sensor.measurements, own.tolist(), strict=True)
+        replace(measurement, gravity=(x, y, z), tilt=None)
+        for measurement, (x, y, z) in zip(sensor.measurements, own.tolist(), strict=True)
     ]

@@ -28,8 +28,8 @@ def command(as_json: bool) -> None:
             click.echo(f"  {'' if number else 'address':<10} {address}")
         click.echo("             sim: for the virtual twin (sim:?twin=FILE&seed=N)")
         click.echo("  the twin does not model")
-        for one in model.not_modelled:
-            click.echo(f"    - {one}")
+        for effect in model.not_modelled:
+            click.echo(f"    - {effect}")
         click.echo()
 
 

@@ -120,6 +120,6 @@ def _write_segments(path: Path, calibration: Calibration) -> None:
     from tiltcal.files.atomic import write_whole
 
     lines = ["position,start,end"]
-    for one in calibration.positions:
-        lines += [f"{one.position},{start},{end}" for start, end in one.rows or ()]
+    for position in calibration.positions:
+        lines += [f"{position.position},{start},{end}" for start, end in position.rows or ()]
     write_whole(path, "\n".join(lines) + "\n")

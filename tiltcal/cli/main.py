@@ -87,7 +87,9 @@ def run(args: list[str] | None = None) -> int:
         return error.exit_code
     except TiltcalError as error:
         # The message may quote a file: control characters in it could be escape sequences.
-        message = "".join(one if one.isprintable() or one == "\n" else "?" for one in str(error))
+        message = "".join(
+            character if character.isprintable() or character == "\n" else "?" for character in str(error)
+        )
         click.echo(f"tiltcal: {message}", err=True)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):

@@ -148,6 +148,7 @@ def _as_data(matching: Matching) -> dict[str, Any]:
         "u_q": matching.u_q,
         "suppression": matching.suppression,
         "components": {
-            stage: {name: [one.sin, one.cos] for name, one in row.items()} for stage, row in matching.components.items()
+            stage: {name: [component.sin, component.cos] for name, component in row.items()}
+            for stage, row in matching.components.items()
         },
     }

@@ -74,7 +74,7 @@ def left_at_default(option: str) -> bool:
 
 def remark(text: str) -> None:
     """Print a remark on the session; control characters, which could be escape sequences, become question marks."""
-    shown = "".join(one if one.isprintable() or one == "\n" else "?" for one in text)
+    shown = "".join(character if character.isprintable() or character == "\n" else "?" for character in text)
     click.echo(wrapped(shown) if sys.stderr.isatty() else shown, err=True)
 
 

@@ -27,11 +27,11 @@ def command(procedure: str | None, source: bool, as_json: bool) -> None:
     if source and procedure is not None:
         click.echo(Path(shipped_procedures().get(procedure, Path(procedure))).read_text(), nl=False)
     elif as_json:
-        click.echo(json.dumps([dict(one.record) for one in shown], indent=2, ensure_ascii=False))
+        click.echo(json.dumps([dict(found.record) for found in shown], indent=2, ensure_ascii=False))
     elif procedure is None:
-        width = max(len(one.name) for one in shown)
-        for one in shown:
-            click.echo(f"{one.name:<{width}} {one.title} ({_length(one)})")
+        width = max(len(found.name) for found in shown)
+        for found in shown:
+            click.echo(f"{found.name:<{width}} {found.title} ({_length(found)})")
     else:
         _show(shown[0])
 

@@ -73,8 +73,8 @@ def capture(
     log = output.with_name(output.name + ".csv") if output.suffix == ".parquet" else output
     sensors, thermometer = devices_of(named)
     devices = sensors if thermometer is None else (*sensors, thermometer)
-    virtual = all(parse_address(one.address).simulated for one in devices)
-    interval = 1.0 / rate if rate else max(one.model.interval for one in sensors)
+    virtual = all(parse_address(device.address).simulated for device in devices)
+    interval = 1.0 / rate if rate else max(sensor.model.interval for sensor in sensors)
     wanted = rows if seconds is None else min(rows or sys.maxsize, max(1, round(seconds / interval)))
     if virtual and wanted is None:
         raise UsageError("a recording on the virtual bench needs --rows or --for")

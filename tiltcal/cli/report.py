@@ -110,7 +110,7 @@ def _tilt_page(
 
     last = calibrations[-1]
     found = [_look_over(log, last, Path(names[-1]), columns, skip_bad_rows) for log in logs]
-    earlier = [(one, Path(name).name) for one, name in zip(calibrations[:-1], names, strict=False)]
+    earlier = [(calibration, Path(name).name) for calibration, name in zip(calibrations[:-1], names, strict=False)]
     return tilt_page(last, _source(names[-1]), earlier, found)
 
 

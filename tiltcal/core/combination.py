@@ -126,12 +126,12 @@ def combine_statements(statements: Sequence[Statement], start: Coefficients, nam
     """
     names = tuple(names)
     theta = vector_of(start, names)
-    statements = [_warmed(one, start) for one in statements]
-    weights = [_weight(one) for one in statements]
+    statements = [_warmed(statement, start) for statement in statements]
+    weights = [_weight(statement) for statement in statements]
     for _ in range(ROUNDS):
-        slopes = [_slopes(one, start, names, theta) for one in statements]
+        slopes = [_slopes(statement, start, names, theta) for statement in statements]
         normal = np.sum([a.T @ w @ a for a, w in zip(slopes, weights, strict=True)], axis=0)
-        left = [one.values - one.expected(with_vector(start, names, theta)) for one in statements]
+        left = [statement.values - statement.expected(with_vector(start, names, theta)) for statement in statements]
         right = np.sum([a.T @ w @ r for a, w, r in zip(slopes, weights, left, strict=True)], axis=0)
         step = _solved(normal, right, names)
         theta = theta + step
@@ -140,10 +140,13 @@ def combine_statements(statements: Sequence[Statement], start: Coefficients, nam
             break
     parts = [inverse @ a.T @ w for a, w in zip(slopes, weights, strict=True)]
     budget = Budget.of(
-        [Part(one.label, by, one.covariance, one.factors) for one, by in zip(statements, parts, strict=True)]
+        [
+            Part(statement.label, by, statement.covariance, statement.factors)
+            for statement, by in zip(statements, parts, strict=True)
+        ]
     )
     found = with_vector(start, names, theta)
-    left = [one.values - one.expected(found) for one in statements]
+    left = [statement.values - statement.expected(found) for statement in statements]
     chi_square = float(sum(r @ w @ r for r, w in zip(left, weights, strict=True)))
     return Combination(
         found,
@@ -153,39 +156,39 @@ def combine_statements(statements: Sequence[Statement], start: Coefficients, nam
         tuple(parts),
         tuple(_differences(statements, slopes, weights, inverse, left)),
         chi_square,
-        sum(len(one.names) for one in statements) - len(names),
+        sum(len(statement.names) for statement in statements) - len(names),
     )
 
 
-def _warmed(one: Statement, start: Coefficients) -> Statement:
+def _warmed(statement: Statement, start: Coefficients) -> Statement:
     """Return the statement with the uncertainty of its temperature in its offsets."""
     thermal = start.thermal
-    if one.temperature is None or thermal is None or not one.u_temperature:
-        return one
-    dt = np.array(one.temperature - thermal.reference)
+    if statement.temperature is None or thermal is None or not statement.u_temperature:
+        return statement
+    dt = np.array(statement.temperature - thermal.reference)
     slope = dict(zip(start.channels, (float(polynomial_slope(row, dt)) for row in thermal.drift), strict=True))
-    by = np.array([slope[name.split(".")[1]] if name.startswith("offset.") else 0.0 for name in one.names])
-    added = np.outer(by, by) * one.u_temperature**2
-    covariance = one.covariance + added
-    factors, own = one.factors.copy(), np.diag(one.covariance)
+    by = np.array([slope[name.split(".")[1]] if name.startswith("offset.") else 0.0 for name in statement.names])
+    added = np.outer(by, by) * statement.u_temperature**2
+    covariance = statement.covariance + added
+    factors, own = statement.factors.copy(), np.diag(statement.covariance)
     for k in np.flatnonzero(np.diag(added)):
-        dof = Part("", np.eye(1), one.covariance[k : k + 1, k : k + 1], one.factors[k : k + 1]).dof
+        dof = Part("", np.eye(1), statement.covariance[k : k + 1, k : k + 1], statement.factors[k : k + 1]).dof
         factors[k] = coverage_factor(welch_satterthwaite(covariance[k, k : k + 1], [(own[k : k + 1], dof)]))[0]
-    return replace(one, covariance=covariance, factors=factors)
+    return replace(statement, covariance=covariance, factors=factors)
 
 
-def _weight(one: Statement) -> Array:
+def _weight(statement: Statement) -> Array:
     """Return the inverse of the covariance; what rests on few residuals weighs less, as its interval is wider."""
-    wider = np.maximum(one.factors / coverage_factor(np.array([inf]))[0], 1.0)
-    scale = np.sqrt(np.diag(one.covariance)) * wider
-    values, vectors = np.linalg.eigh(one.covariance * np.outer(wider, wider) / np.outer(scale, scale))
+    wider = np.maximum(statement.factors / coverage_factor(np.array([inf]))[0], 1.0)
+    scale = np.sqrt(np.diag(statement.covariance)) * wider
+    values, vectors = np.linalg.eigh(statement.covariance * np.outer(wider, wider) / np.outer(scale, scale))
     return np.asarray((vectors / np.maximum(values, DIGITS)) @ vectors.T / np.outer(scale, scale))
 
 
-def _slopes(one: Statement, start: Coefficients, names: Sequence[str], theta: Array) -> Array:
+def _slopes(statement: Statement, start: Coefficients, names: Sequence[str], theta: Array) -> Array:
     """Return the derivatives of what a session should state by the coefficients, shape (k, names)."""
     steps = 1e-6 * np.maximum(np.abs(theta), 1e-3)
-    return central_differences(lambda vector: one.expected(with_vector(start, names, vector)), theta, steps)
+    return central_differences(lambda vector: statement.expected(with_vector(start, names, vector)), theta, steps)
 
 
 def _solved(normal: Array, right: Array, names: Sequence[str]) -> Array:
@@ -208,30 +211,34 @@ def _differences(
     """Return by coefficient what one statement differs by from what all others give."""
     worst: dict[str, tuple[str, CoefficientChange]] = {}
     dofs = {
-        (one.label, name): float(dof)
-        for one in statements
-        for name, dof in zip(one.names, Part("", np.eye(len(one.names)), one.covariance, one.factors).dof, strict=True)
+        (statement.label, name): float(dof)
+        for statement in statements
+        for name, dof in zip(
+            statement.names,
+            Part("", np.eye(len(statement.names)), statement.covariance, statement.factors).dof,
+            strict=True,
+        )
     }
-    for one, a, w, r in zip(statements, slopes, weights, left, strict=True):
+    for statement, a, w, r in zip(statements, slopes, weights, left, strict=True):
         checked = w - w @ a @ inverse @ a.T @ w
-        for k, name in enumerate(one.names):
-            others = [other.label for other in statements if other is not one and name in other.names]
+        for k, name in enumerate(statement.names):
+            others = [other.label for other in statements if other is not statement and name in other.names]
             if not others or checked[k, k] <= REDUNDANT * w[k, k]:
                 continue
             difference = float((w @ r)[k] / checked[k, k])
             u2 = 1.0 / float(checked[k, k])
-            own = float(one.covariance[k, k])
+            own = float(statement.covariance[k, k])
             dof = welch_satterthwaite(
                 np.array([u2]),
                 [
-                    (np.array([own]), dofs[one.label, name]),
+                    (np.array([own]), dofs[statement.label, name]),
                     (np.array([max(u2 - own, 0.0)]), min(dofs[other, name] for other in others)),
                 ],
             )
-            value = float(one.values[k])
+            value = float(statement.values[k])
             change = CoefficientChange(name, value - difference, value, sqrt(u2), float(dof[0]))
             if name not in worst or (change.ratio or 0.0) > (worst[name][1].ratio or 0.0):
-                worst[name] = one.label, change
+                worst[name] = statement.label, change
     return list(worst.values())
 
 

@@ -78,7 +78,7 @@ def with_uncertainty(
         uncertain.factors,
     )
     each = zip(function(coefficients).tolist(), u.tolist(), factors.tolist(), strict=True)
-    return {name: DerivedQuantity(*one) for name, one in zip(names, each, strict=True)}
+    return {name: DerivedQuantity(*values) for name, values in zip(names, each, strict=True)}
 
 
 def _row(coefficients: Coefficients, channel: str) -> tuple[float, list[float]]:

@@ -64,7 +64,10 @@ class EarthUncertainty:
         """
         expanded, factors = self._propagation.half_widths(
             chunk,
-            [self._through(one, frame, field, chunk.share) for one in _gradients(frame, velocity)[field is None :]],
+            [
+                self._through(gradient, frame, field, chunk.share)
+                for gradient in _gradients(frame, velocity)[field is None :]
+            ],
         )
         if velocity is not None:
             _add_second_order(expanded[-3:], velocity)

@@ -101,7 +101,7 @@ class EarthFrame:
             In the application's frame.
         """
         known = np.isfinite(self.heading)
-        turned = np.stack([np.einsum("in,in->n", instrument, one) for one in (self.east, self.north, self.up)])
+        turned = np.stack([np.einsum("in,in->n", instrument, axis) for axis in (self.east, self.north, self.up)])
         turned[:2, ~known] = np.nan
         return turned
 

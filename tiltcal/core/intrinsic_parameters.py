@@ -104,7 +104,10 @@ def _mounting(coefficients: Coefficients, uncertain: UncertaintyInputs) -> tuple
         return np.asarray(np.degrees(np.mod(there - turned + np.pi, 2 * np.pi) - np.pi))
 
     off = with_uncertainty(("roll", "pitch", "yaw"), roll_pitch_yaw, coefficients, uncertain)
-    found = {name: replace(one, value=degrees(angle)) for (name, one), angle in zip(off.items(), turned, strict=True)}
+    found = {
+        name: replace(quantity, value=degrees(angle))
+        for (name, quantity), angle in zip(off.items(), turned, strict=True)
+    }
     if angles.gimbal_lock or is_locked(angles.mounting.pitch, radians(found["pitch"].u)):
         found |= {
             name: replace(found[name], u=degrees(UNKNOWN_ANGLE), factor=UNKNOWN_FACTOR) for name in ("roll", "yaw")

@@ -207,7 +207,7 @@ def _apart(before: KnownCoefficient | None, after: KnownCoefficient | None) -> t
     if before is None or after is None:
         return None, inf
     total = before.u**2 + after.u**2
-    parts = [(np.array([one.u**2]), one.dof) for one in (before, after)]
+    parts = [(np.array([value.u**2]), value.dof) for value in (before, after)]
     return sqrt(total), float(welch_satterthwaite(np.array([total]), parts)[0])
 
 

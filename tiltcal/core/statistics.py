@@ -110,7 +110,7 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     if spread == 0.0:
         return 0.0, 0.0
     slope = fsum(map(mul, later, off)) / spread
-    rest = fsum([(one - slope * time) ** 2 for time, one in zip(later, off, strict=True)])
+    rest = fsum([(value - slope * time) ** 2 for time, value in zip(later, off, strict=True)])
     span = times[-1] - times[0]
     return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
 
@@ -139,7 +139,7 @@ def _type_a(samples: NDArray[np.float64], std: float) -> tuple[float, float, flo
     means = [_sum(samples[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
     centre = fsum(means) / BLOCKS
     off = [mean - centre for mean in means]
-    squares = fsum(one**2 for one in off)
-    neighbours = fsum(one * other for one, other in pairwise(off))
+    squares = fsum(value**2 for value in off)
+    neighbours = fsum(value * other for value, other in pairwise(off))
     correlation = neighbours / squares if squares > 0.0 else None
     return sqrt(squares / (BLOCKS - 1) / BLOCKS), BLOCKS - 1.0, correlation

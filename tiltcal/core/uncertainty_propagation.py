@@ -103,8 +103,10 @@ class Propagation:
         whole += [inputs.names.index(TURN + axis) for axis in AXES] if self._rotated else []
         self._whole = [covariance[np.ix_(whole, whole)] for covariance in covariances]
         self._raw = _pairs(len(parameters))
-        self._rows = min(_ROWS, _ONE_THREAD // max(1, *(len(one) ** 2 for one in parameters)))
-        blocks = ([one[np.ix_(parameters[a], parameters[b])] for one in covariances] for a, b in self._raw)
+        self._rows = min(_ROWS, _ONE_THREAD // max(1, *(len(parameter) ** 2 for parameter in parameters)))
+        blocks = (
+            [covariance[np.ix_(parameters[a], parameters[b])] for covariance in covariances] for a, b in self._raw
+        )
         self._covariances = [block if np.any(block) else [] for block in blocks]
         lift = self._lift(compensation)
         self._pair_lift = _pair_lift(lift)
@@ -195,14 +197,14 @@ class Propagation:
         """Return the variance of a quantity, shape (kinds, n), from its gradients."""
         derivatives, slopes, by_temperature = signals
         by_signal = self._compensation.inverse.T @ by_measured
-        terms = [one * table for one, table in zip(by_signal, derivatives, strict=True)]
+        terms = [signal * table for signal, table in zip(by_signal, derivatives, strict=True)]
         table = np.concatenate([*terms, by_turn] if self._rotated else terms)
         found = np.zeros((1 if self._known else 3, by_signal.shape[1]))
         for kind, covariance in enumerate(self._whole):
             np.einsum("kn,kn->n", table, covariance @ table, out=found[kind])
         found[-1] += np.einsum("cn,cn->n", by_signal, np.stack(by_temperature)) ** 2
-        for one, slope, noise in zip(by_signal, slopes, self._readings, strict=True):
-            found[-1] += (one * slope * noise) ** 2 * chunk.share
+        for signal, slope, noise in zip(by_signal, slopes, self._readings, strict=True):
+            found[-1] += (signal * slope * noise) ** 2 * chunk.share
         return found
 
     # ------------------------------------------------------------------------------------- from errors to components
@@ -387,9 +389,9 @@ def _slope_of_root(root: Array, half: Array) -> Array:
     return np.copysign(np.where(half > _EXACT * square, slope, size), root)
 
 
-def _length(one: Array, other: Array) -> Array:
+def _length(a: Array, b: Array) -> Array:
     """Compute the hypotenuse in half the time of ``hypot``: nothing here comes near an overflow."""
-    return np.asarray(np.sqrt(one * one + other * other))
+    return np.asarray(np.sqrt(a * a + b * b))
 
 
 def _through_arcsine(argument: Array, half: Array) -> Array:

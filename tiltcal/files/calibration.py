@@ -246,5 +246,8 @@ def changes_between(before: CalibrationRecord, after: CalibrationRecord) -> list
     """Return the change of every coefficient between two calibrations, at the later one's reference temperature."""
     thermal = after.coefficients.thermal
     reference = None if thermal is None else thermal.reference
-    known = (known_coefficients(one.uncertainty, one.coefficients, reference) for one in (before, after))
+    known = (
+        known_coefficients(calibration.uncertainty, calibration.coefficients, reference)
+        for calibration in (before, after)
+    )
     return changes(before.coefficients, after.coefficients, *known)

@@ -149,8 +149,8 @@ def entry(form: Format[Any], text: str, *, default: Any = MISSING, **more: Any) 
 
 def entries_of(record: type[Any]) -> dict[str, KeyDeclaration]:
     """Return the entries of a section by the names of their fields, in the order of the file."""
-    found = {one.name: one.metadata[_ENTRY] for one in fields(record) if _ENTRY in one.metadata}
-    return {name: replace(one, key=one.key or name) for name, one in found.items()}
+    found = {each.name: each.metadata[_ENTRY] for each in fields(record) if _ENTRY in each.metadata}
+    return {name: replace(declaration, key=declaration.key or name) for name, declaration in found.items()}
 
 
 @frozen
@@ -264,7 +264,7 @@ class ListOf(Format[tuple[T, ...]]):
         return tuple(self.item.read(item, context) for item in items)
 
     def write(self, value: tuple[T, ...]) -> list[Any]:
-        return [self.item.write(one) for one in value]
+        return [self.item.write(member) for member in value]
 
     def schema(self) -> dict[str, Any]:
         bounds = {"minItems": self.least or None, "maxItems": self.most}
@@ -282,7 +282,7 @@ class ByName(Format[Mapping[str, T]]):
         return {name: self.item.read(value, context) for name, value in node.entries().items()}
 
     def write(self, value: Mapping[str, T]) -> dict[str, Any]:
-        return {name: self.item.write(one) for name, one in value.items()}
+        return {name: self.item.write(member) for name, member in value.items()}
 
     def schema(self) -> dict[str, Any]:
         return {"type": "object", "additionalProperties": self.item.schema()}
@@ -306,7 +306,7 @@ class ByKey(Format[Mapping[str, T]]):
         return self._read(node, self.keys, context)
 
     def write(self, value: Mapping[str, T]) -> dict[str, Any]:
-        return {name: self.item.write(one) for name, one in value.items()}
+        return {name: self.item.write(member) for name, member in value.items()}
 
     def schema(self) -> dict[str, Any]:
         item = self.item.schema()
@@ -445,39 +445,43 @@ class Section(Format[T]):
     kind: str = ""
 
     def read(self, node: Node, context: Context = ANY) -> T:
-        declared = {one.key: (name, one) for name, one in entries_of(self.record).items()}
-        _refuse_former_names(node, [one for _, one in declared.values()])
+        declared = {declaration.key: (name, declaration) for name, declaration in entries_of(self.record).items()}
+        _refuse_former_names(node, [declaration for _, declaration in declared.values()])
         values = node.mapping(
-            required=[*self._fixed(), *(key for key, (_, one) in declared.items() if one.required)],
-            optional=[key for key, (_, one) in declared.items() if not one.required],
+            required=[*self._fixed(), *(key for key, (_, declaration) in declared.items() if declaration.required)],
+            optional=[key for key, (_, declaration) in declared.items() if not declaration.required],
         )
         found: dict[str, Any] = {}
-        for key, (name, one) in declared.items():
+        for key, (name, declaration) in declared.items():
             if key in values:
-                found[name] = one.form.read(values[key], context)
+                found[name] = declaration.form.read(values[key], context)
             context = context if self.follow is None else self.follow(key, found, context)
         return self.record(**found)
 
     def write(self, value: T) -> dict[str, Any]:
         """Return the section as plain data, without the entries that have their default."""
         plain = self._fixed()
-        for name, one in entries_of(self.record).items():
+        for name, declaration in entries_of(self.record).items():
             content = getattr(value, name)
-            if one.required or one.kept or content != one.default:
-                plain[one.key] = one.form.write(content)
+            if declaration.required or declaration.kept or content != declaration.default:
+                plain[declaration.key] = declaration.form.write(content)
         return plain
 
     def keys(self) -> dict[str, bool]:
         """Return the keys, and whether each is required."""
-        return {one.key: one.required for one in entries_of(self.record).values()}
+        return {declaration.key: declaration.required for declaration in entries_of(self.record).values()}
 
     def schema(self) -> dict[str, Any]:
         declared = entries_of(self.record).values()
         fixed: dict[str, Any] = {name: {"const": value} for name, value in self._fixed().items()}
         return {
             "type": "object",
-            "properties": fixed | {one.key: {"description": one.text, **one.form.schema()} for one in declared},
-            "required": [*fixed, *(one.key for one in declared if one.required)],
+            "properties": fixed
+            | {
+                declaration.key: {"description": declaration.text, **declaration.form.schema()}
+                for declaration in declared
+            },
+            "required": [*fixed, *(declaration.key for declaration in declared if declaration.required)],
             "additionalProperties": False,
         }
 
@@ -488,7 +492,7 @@ class Section(Format[T]):
 
 def _refuse_former_names(node: Node, declared: Sequence[KeyDeclaration]) -> None:
     """Refuse a key by its name in earlier versions, with the name that it has now."""
-    former = {one.formerly: one.key for one in declared if one.formerly}
+    former = {declaration.formerly: declaration.key for declaration in declared if declaration.formerly}
     for name, value in node.entries().items():
         if name in former:
             raise value.error(f"the key {name!r} is called {former[name]!r} now; rename it")

@@ -152,9 +152,11 @@ def _section_of(matching: Matching) -> PairEntry:
         q=matching.q,
         uncertainty=CoefficientUncertainty(p=matching.u_p, q=matching.u_q),
         suppression=Suppression(**{name: significant(value, _DIGITS) for name, value in matching.suppression.items()}),
-        components={stage: {name: (one.sin, one.cos) for name, one in row} for stage, row in rows.items()},
+        components={
+            stage: {name: (component.sin, component.cos) for name, component in row} for stage, row in rows.items()
+        },
         component_uncertainty={
-            stage: {name: (one.u_sin, one.u_cos) for name, one in row} for stage, row in rows.items()
+            stage: {name: (component.u_sin, component.u_cos) for name, component in row} for stage, row in rows.items()
         },
     )
 
@@ -273,12 +275,12 @@ def _rounded(matching: Matching) -> Matching:
     components = {
         stage: {
             name: Component(
-                round_to(one.sin, one.u_sin),
-                round_to(one.cos, one.u_cos),
-                significant(one.u_sin, _DIGITS),
-                significant(one.u_cos, _DIGITS),
+                round_to(component.sin, component.u_sin),
+                round_to(component.cos, component.u_cos),
+                significant(component.u_sin, _DIGITS),
+                significant(component.u_cos, _DIGITS),
             )
-            for name, one in row.items()
+            for name, component in row.items()
         }
         for stage, row in matching.components.items()
     }

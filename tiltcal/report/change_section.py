@@ -45,16 +45,16 @@ def change_section(before: CalibrationRecord, name: str, after: CalibrationRecor
     """Return every coefficient that both files have, the earlier ones at the later one's reference temperature."""
     comparison = compare_records(before, after)
     found, verdict = comparison.changes, comparison.verdict
-    old = column(_told(one.before, before.uncertainty.get(one.name)) for one in found)
-    new = column(_told(one.after, after.uncertainty.get(one.name)) for one in found)
-    moved = column(_told(one.difference, one.u) for one in found)
-    ratios = column("" if one.ratio is None else f"{one.ratio:.2f}" for one in found)
+    old = column(_told(change.before, before.uncertainty.get(change.name)) for change in found)
+    new = column(_told(change.after, after.uncertainty.get(change.name)) for change in found)
+    moved = column(_told(change.difference, change.u) for change in found)
+    ratios = column("" if change.ratio is None else f"{change.ratio:.2f}" for change in found)
     unit = after.sensor.unit
     rows = [
         CoefficientChangeRow(
-            words(one.name), symbol(one.name), *texts, unit_of(one.name, unit), one.name in verdict.changed
+            words(change.name), symbol(change.name), *texts, unit_of(change.name, unit), change.name in verdict.changed
         )
-        for one, texts in zip(found, zip(old, new, moved, ratios, strict=True), strict=True)
+        for change, texts in zip(found, zip(old, new, moved, ratios, strict=True), strict=True)
     ]
     when = period(before.provenance)
     return ChangeSection(f"{name}, {when}" if when else name, _sentence(str(verdict)), rows)

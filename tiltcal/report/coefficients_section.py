@@ -127,7 +127,7 @@ def budget(calibration: CalibrationRecord) -> list[Shares]:
     known = list(values(calibration.coefficients))
     for name in sorted(stated_of, key=lambda name: known.index(name) if name in known else len(known)):
         stated = stated_of[name]
-        order = [*(source for source in SOURCES if source in stated), *(one for one in stated if one not in SOURCES)]
+        order = [*(source for source in SOURCES if source in stated), *(name for name in stated if name not in SOURCES)]
         before, total = {}, 0.0
         for source in order:
             before[source] = total
@@ -138,7 +138,7 @@ def budget(calibration: CalibrationRecord) -> list[Shares]:
 
 def sources_of(shares: Sequence[Shares]) -> list[str]:
     """Return the sources that a budget contains, in the order of the bars."""
-    met = {source for one in shares for source in one.shares}
+    met = {source for share in shares for source in share.shares}
     return [*(source for source in SOURCES if source in met), *sorted(met - set(SOURCES))]
 
 

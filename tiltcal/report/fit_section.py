@@ -57,8 +57,8 @@ def position_table(calibration: CalibrationRecord) -> list[PositionRow]:
             as_set(calibration.procedure.set.get(name, PositionSet())) if fitted[k] else "for the mounting",
             temperatures[k],
             "" if records[k].n is None else str(records[k].n),
-            [one[k] for one in means],
-            [one[k] for one in left],
+            [mean[k] for mean in means],
+            [residuals[k] for residuals in left],
             fitted[k] and name in fit.suspect_positions,
         )
         for k, name in enumerate(names)
@@ -87,7 +87,7 @@ def remarks(calibration: CalibrationRecord) -> list[str]:
     """Return the notes and warnings of the file, word for word."""
     fit = calibration.fit
     warned = [fit.warning] if fit.warning else []
-    return [*fit.notes, *warned, *(f"assumed: {one}" for one in calibration.derived.assumed)]
+    return [*fit.notes, *warned, *(f"assumed: {name}" for name in calibration.derived.assumed)]
 
 
 def _sentences(fit: FitRecord, unit: str) -> Iterator[str]:

@@ -45,7 +45,7 @@ def distribution_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
 
 def drift_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
     """Return the change of the offsets since the first calibration; None where no sensor has two."""
-    if not any(len(one.calibrations) > 1 for one in fleet.histories):
+    if not any(len(history.calibrations) > 1 for history in fleet.histories):
         return None
     return picture(
         f"drift-{number}",
@@ -60,11 +60,11 @@ def drift_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
 def _of_kind(fleet: ModelFleet, kind: str) -> list[CoefficientDistribution]:
     """Return the distributions of a kind that vary; of sensitivities those to the channel's own axis."""
     found = []
-    for one in fleet.distributions:
-        parts = one.name.split(".")
+    for distribution in fleet.distributions:
+        parts = distribution.name.split(".")
         cross = parts[0] == "sensitivity" and parts[1] != parts[2]
-        if one.name.startswith(f"{kind}.") and not cross and len(set(one.values.values())) > 1:
-            found.append(one)
+        if distribution.name.startswith(f"{kind}.") and not cross and len(set(distribution.values.values())) > 1:
+            found.append(distribution)
     return found
 
 
@@ -74,9 +74,9 @@ def _plot_distributions(
     heights = [0.55 + 0.32 * len(found) for _, found in panels]
     axes = figure.subplots(len(panels), 1, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
     for panel, (kind, found) in zip(axes, panels, strict=True):
-        for row, one in enumerate(found):
-            _plot_row(panel, row, one)
-        panel.set_yticks(range(len(found)), [words(one.name) for one in found])
+        for row, distribution in enumerate(found):
+            _plot_row(panel, row, distribution)
+        panel.set_yticks(range(len(found)), [words(distribution.name) for distribution in found])
         panel.set_ylim(len(found) - 0.4, -0.6)
         panel.tick_params(axis="y", length=0)
         panel.spines["left"].set_visible(False)
@@ -84,18 +84,26 @@ def _plot_distributions(
         panel.set_xlabel(f"{_KINDS[kind]} [{unit}]" if len({unit_of(o.name, fleet.unit) for o in found}) == 1 else kind)
 
 
-def _plot_row(panel: Axes, row: int, one: CoefficientDistribution) -> None:
-    numbers = np.array(list(one.values.values()))
-    channel = next((part for part in one.name.split(".") if part in CHANNELS), "x")
+def _plot_row(panel: Axes, row: int, distribution: CoefficientDistribution) -> None:
+    numbers = np.array(list(distribution.values.values()))
+    channel = next((part for part in distribution.name.split(".") if part in CHANNELS), "x")
     colour, mark, _ = CHANNELS[channel]
-    reach = 2.0 * one.spread
-    panel.plot([one.median - reach, one.median + reach], [row, row], color=GREY, linewidth=4.0, alpha=0.35)
-    panel.plot([one.median, one.median], [row - 0.28, row + 0.28], color=INK, linewidth=0.8)
+    reach = 2.0 * distribution.spread
+    panel.plot(
+        [distribution.median - reach, distribution.median + reach], [row, row], color=GREY, linewidth=4.0, alpha=0.35
+    )
+    panel.plot([distribution.median, distribution.median], [row - 0.28, row + 0.28], color=INK, linewidth=0.8)
     panel.plot(numbers, row + _apart(numbers), mark, color=colour, markersize=3.0, markeredgewidth=0.0, alpha=0.75)
-    for serial in one.outliers:
-        panel.plot(one.values[serial], row, "o", markersize=7.0, markerfacecolor="none", markeredgecolor=RED)
+    for serial in distribution.outliers:
+        panel.plot(distribution.values[serial], row, "o", markersize=7.0, markerfacecolor="none", markeredgecolor=RED)
         panel.annotate(
-            serial, (one.values[serial], row), (0, -9), textcoords="offset points", ha="center", fontsize=7, color=RED
+            serial,
+            (distribution.values[serial], row),
+            (0, -9),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7,
+            color=RED,
         )
 
 
@@ -125,7 +133,7 @@ def _plot_drift(figure: Figure, fleet: ModelFleet) -> None:
                 continue
             own = coefficients.sensitivity[coefficients.channels.index(channel), coefficients.axes.index(channel)]
             _, values, u = series
-            dates: list[datetime] = [one.date for one in history.calibrations]
+            dates: list[datetime] = [calibration.date for calibration in history.calibrations]
             panel.errorbar(
                 dates,
                 1000.0 * (values - values[0]) / own,

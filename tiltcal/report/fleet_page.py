@@ -69,7 +69,7 @@ def fleet_page(history: FleetHistory) -> str:
     UsageError
         The libraries of the extra ``report`` are not installed.
     """
-    rows = [_sensor_row(history, one) for one in history.histories]
+    rows = [_sensor_row(history, known) for known in history.histories]
     days = history.interval.days
     return render(
         "fleet.html.j2",
@@ -82,29 +82,29 @@ def fleet_page(history: FleetHistory) -> str:
             Fact("Due", f"{sum(row.is_due for row in rows)} on {history.now:%Y-%m-%d}"),
         ],
         sensors=rows,
-        changes=[row for one in history.histories for row in _change_rows(one)],
-        models=[_model_section(one, number) for number, one in enumerate(history.models, start=1)],
+        changes=[row for known in history.histories for row in _change_rows(known)],
+        models=[_model_section(model, number) for number, model in enumerate(history.models, start=1)],
         remarks=[
-            *(f"{one.sensor.serial}: {remark}" for one in history.histories for remark in one.remarks),
+            *(f"{known.sensor.serial}: {remark}" for known in history.histories for remark in known.remarks),
             *(
-                f"{one.sensor.serial}: no calibration for {(b.date - a.date).days} days, from {a.date:%Y-%m-%d}"
-                for one in history.histories
-                for a, b in one.gaps(history.interval)
+                f"{known.sensor.serial}: no calibration for {(b.date - a.date).days} days, from {a.date:%Y-%m-%d}"
+                for known in history.histories
+                for a, b in known.gaps(history.interval)
             ),
         ],
         problems=history.problems,
     )
 
 
-def _sensor_row(history: FleetHistory, one: SensorHistory) -> SensorRow:
+def _sensor_row(history: FleetHistory, known: SensorHistory) -> SensorRow:
     return SensorRow(
-        one.sensor.serial,
-        one.sensor.model,
-        len(one.calibrations),
-        f"{one.calibrations[0].date:%Y-%m-%d}",
-        f"{one.calibrations[-1].date:%Y-%m-%d}",
-        f"{one.due(history.interval):%Y-%m-%d}",
-        history.is_due(one),
+        known.sensor.serial,
+        known.sensor.model,
+        len(known.calibrations),
+        f"{known.calibrations[0].date:%Y-%m-%d}",
+        f"{known.calibrations[-1].date:%Y-%m-%d}",
+        f"{known.due(history.interval):%Y-%m-%d}",
+        history.is_due(known),
     )
 
 
@@ -125,17 +125,21 @@ def _model_section(fleet: ModelFleet, number: int) -> ModelSection:
     numbers = [
         column(plain(value, 4) for value in values)
         for values in (
-            [one.median for one in found],
-            [one.spread for one in found],
-            [min(one.values.values()) for one in found],
-            [max(one.values.values()) for one in found],
+            [distribution.median for distribution in found],
+            [distribution.spread for distribution in found],
+            [min(distribution.values.values()) for distribution in found],
+            [max(distribution.values.values()) for distribution in found],
         )
     ]
     rows = [
         DistributionRow(
-            words(one.name), symbol(one.name), cells, unit_of(one.name, fleet.unit), ", ".join(one.outliers)
+            words(distribution.name),
+            symbol(distribution.name),
+            cells,
+            unit_of(distribution.name, fleet.unit),
+            ", ".join(distribution.outliers),
         )
-        for one, cells in zip(found, zip(*numbers, strict=True), strict=True)
+        for distribution, cells in zip(found, zip(*numbers, strict=True), strict=True)
     ]
     at = "" if fleet.reference is None else f", at {fleet.reference:g} °C"
     heading = f"{len(fleet.histories)} {fleet.model}{at}"

@@ -81,12 +81,12 @@ def draw_spectra(panel: Axes, drawing: PairDrawing) -> None:
 def _draw_course(panel: Axes, drawing: PairDrawing) -> None:
     """Draw the distance of p and q of both estimators from the final recursive estimate."""
     course = drawing.course
-    turns = [one.turns for one in course]
+    turns = [estimate.turns for estimate in course]
     end = course[-1].recursive
     least = max(drawing.uncertainty / 5.0, 1e-9)
     for index, name in enumerate(("p", "q")):
         for kind, colour in (("loops", COLOURS[1]), ("recursive", COLOURS[2])):
-            away = [max(abs(getattr(one, kind)[index] - end[index]), least) for one in course]
+            away = [max(abs(getattr(estimate, kind)[index] - end[index]), least) for estimate in course]
             style = "-" if index == 0 else "--"
             panel.semilogy(turns, away, style, color=colour, linewidth=0.9, label=f"{name}, {kind}")
     if drawing.uncertainty:

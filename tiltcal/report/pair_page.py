@@ -49,7 +49,7 @@ def spectrum(name: str, number: int, drawing: PairDrawing) -> Spectrum:
         Counts the logs of the page.
     """
     shown = _outstanding(drawing.frequency, list(drawing.densities.values()))
-    densities = {said: one[shown] for said, one in drawing.densities.items()}
+    densities = {said: density[shown] for said, density in drawing.densities.items()}
     thinned = replace(drawing, frequency=drawing.frequency[shown], densities=densities)
 
     def plot(figure: Figure) -> None:
@@ -153,8 +153,8 @@ def _section(matching: Matching) -> PairSection:
     columns = []
     for stage in STAGES:
         row: list[Component] = [matching.components[stage][name] for name in names]
-        columns.append(column(measured(one.sin, one.u_sin) for one in row))
-        columns.append(column(measured(one.cos, one.u_cos) for one in row))
+        columns.append(column(measured(component.sin, component.u_sin) for component in row))
+        columns.append(column(measured(component.cos, component.u_cos) for component in row))
     p, q = column([measured(matching.p, matching.u_p), measured(matching.q, matching.u_q)])
     return PairSection(
         f"{pair.first} and {pair.second}, orthogonal {pair.orthogonal}",

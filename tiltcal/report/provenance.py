@@ -118,9 +118,9 @@ def _in_words(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:g}" if abs(value) < 1e6 else str(value)
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_in_words(one)}" for key, one in value.items())
+        return ", ".join(f"{key} {_in_words(member)}" for key, member in value.items())
     if isinstance(value, list):
-        return ", ".join(_in_words(one) for one in value)
+        return ", ".join(_in_words(member) for member in value)
     return str(value)
 
 

@@ -54,8 +54,8 @@ def tilt_figure(calibration: CalibrationRecord) -> SvgFigure | None:
         curves = _curves(calibration)
     except EstimateError:
         return None
-    largest = max(float(np.nanmax(one.alone)) for one in curves.values())
-    known = any(one.before is not None for one in curves.values())
+    largest = max(float(np.nanmax(curve.alone)) for curve in curves.values())
+    known = any(curve.before is not None for curve in curves.values())
     sides = "Left: error of the tilt with the coefficients of the data sheet. Right: half" if known else "Half"
     return picture(
         "tilt",
@@ -71,14 +71,14 @@ def tilt_figure(calibration: CalibrationRecord) -> SvgFigure | None:
 
 
 def _plot(figure: Figure, curves: dict[str, Curves]) -> None:
-    known = any(one.before is not None for one in curves.values())
+    known = any(curve.before is not None for curve in curves.values())
     panels = figure.subplots(1, 1 + known, squeeze=False)[0]
-    for axis, one in curves.items():
+    for axis, curve in curves.items():
         colour, _, line = CHANNELS[axis]
-        if one.before is not None:
-            panels[0].plot(one.tilt, one.before, line, color=colour, linewidth=1.1)
-        panels[-1].plot(one.tilt, one.alone, line, color=colour, linewidth=1.3, label=f"tilt of {axis}")
-        panels[-1].plot(one.tilt, one.reading, line, color=colour, linewidth=0.5)
+        if curve.before is not None:
+            panels[0].plot(curve.tilt, curve.before, line, color=colour, linewidth=1.1)
+        panels[-1].plot(curve.tilt, curve.alone, line, color=colour, linewidth=1.3, label=f"tilt of {axis}")
+        panels[-1].plot(curve.tilt, curve.reading, line, color=colour, linewidth=0.5)
     if known:
         panels[0].axhline(0.0, color=INK, linewidth=0.6)
         panels[0].set_ylabel("error, data sheet [°]")

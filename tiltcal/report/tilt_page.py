@@ -72,7 +72,7 @@ def tilt_page(
         procedure=procedure_facts(calibration),
         coefficients=coefficient_table(calibration),
         budget=shares,
-        sources={one: SOURCES.get(one, one) for one in sources_of(shares)},
+        sources={name: SOURCES.get(name, name) for name in sources_of(shares)},
         shaded=tuple(SOURCES),
         derived=derived_groups(calibration),
         positions=position_table(calibration),
@@ -84,6 +84,6 @@ def tilt_page(
         correlations=correlations(calibration),
         covered=covered(calibration),
         not_covered=not_covered(calibration),
-        drifts=[change_section(one, name, calibration) for one, name in earlier],
+        drifts=[change_section(calibration_, name, calibration) for calibration_, name in earlier],
         logs=[log_section(log, number) for number, log in enumerate(logs, start=1)],
     )

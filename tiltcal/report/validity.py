@@ -79,7 +79,7 @@ def _closed(calibration: CalibrationRecord) -> bool:
 
 def _held(calibration: CalibrationRecord) -> str:
     """Return the temperatures of the positions as text."""
-    met = [one.temperature for one in calibration.positions if one.temperature is not None]
+    met = [position.temperature for position in calibration.positions if position.temperature is not None]
     if not met:
         return ""
     low, high = min(met), max(met)

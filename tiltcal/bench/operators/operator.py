@@ -166,7 +166,7 @@ class StageTurn:
     left_out: int = 0
 
     def __str__(self) -> str:
-        parts = [f"turn {self.number} of {self.of}", *(pair_in_words(name, one) for name, one in self.pairs.items())]
+        parts = [f"turn {self.number} of {self.of}", *(pair_in_words(name, pair) for name, pair in self.pairs.items())]
         parts += [f"{name}: {why}" for name, why in self.unknown.items()]
         if self.left_out:
             parts.append(f"{self.left_out} samples left out")

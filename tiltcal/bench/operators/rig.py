@@ -186,8 +186,8 @@ class RigRotationOperator(_Rig):
         self._tell("refused", position=ROTATION, why=why)
 
     def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
-        by_name = {one.pair.name: one for one in matchings}
-        suppression = {name: one.suppression for name, one in by_name.items()}
+        by_name = {matching.pair.name: matching for matching in matchings}
+        suppression = {name: matching.suppression for name, matching in by_name.items()}
         self._tell("accepted", position=ROTATION, turns=turns, **_coefficients(by_name), suppression=suppression)
 
 
@@ -242,7 +242,7 @@ def _values(result: PositionResult, serial: str) -> dict[str, Any]:
 
 def _coefficients(pairs: Mapping[str, PairCoefficients | Matching]) -> dict[str, dict[str, float]]:
     """Return p, q and their uncertainties, each by the name of the pair."""
-    return {key: {name: getattr(one, key) for name, one in pairs.items()} for key in ("p", "q", "u_p", "u_q")}
+    return {key: {name: getattr(pair, key) for name, pair in pairs.items()} for key in ("p", "q", "u_p", "u_q")}
 
 
 def _temperature(value: object) -> float:

@@ -69,12 +69,12 @@ class SimOperator(_Sim):
 
     def accepted(self, result: PositionResult) -> None:
         self._refusals = 0
-        for serial, one in result.measurements.items():
+        for serial, measurement in result.measurements.items():
             values = "  ".join(
-                f"{name} {summary.mean:.6g} ± {summary.std:.2g}" for name, summary in one.summaries.items()
+                f"{name} {summary.mean:.6g} ± {summary.std:.2g}" for name, summary in measurement.summaries.items()
             )
             whose = f"{serial}  " if len(result.measurements) > 1 else ""
-            warmth = "" if one.temperature is None else f"  at {one.temperature:.1f} °C"
+            warmth = "" if measurement.temperature is None else f"  at {measurement.temperature:.1f} °C"
             unit = self._models[serial].unit
             self._say(f"  {self._number}/{self._positions} {result.position.name:<12} {whose}{values} {unit}{warmth}")
 
@@ -115,5 +115,5 @@ class SimRotationOperator(_Sim):
         raise Stopped(why)
 
     def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
-        for one in matchings:
-            self._say(f"  {pair_in_words(one.pair.name, one)} after {turns:.1f} turns")
+        for matching in matchings:
+            self._say(f"  {pair_in_words(matching.pair.name, matching)} after {turns:.1f} turns")

@@ -163,9 +163,9 @@ class TerminalOperator(_Terminal):
         table = Table(box=None, pad_edge=False, padding=(0, 2), header_style="dim")
         for heading in ("", "expected", "measured", "tilt", "noise", "n"):
             table.add_column(heading, justify="right")
-        for serial, one in result.measurements.items():
+        for serial, measurement in result.measurements.items():
             expected = result.expected.get(serial, {})
-            for channel, summary in one.summaries.items():
+            for channel, summary in measurement.summaries.items():
                 table.add_row(
                     Text(printable(f"{serial} {channel}")),
                     f"{expected[channel]:.6g}" if expected else "unknown",
@@ -174,8 +174,8 @@ class TerminalOperator(_Terminal):
                     f"{summary.std:.2g}",
                     str(summary.n),
                 )
-            if one.temperature is not None:
-                table.add_row(Text(printable(f"{serial} T")), "", f"{one.temperature:.2f} °C", "", "", "")
+            if measurement.temperature is not None:
+                table.add_row(Text(printable(f"{serial} T")), "", f"{measurement.temperature:.2f} °C", "", "", "")
         return table
 
     def _wait(self, live: Live) -> str | None:
@@ -295,8 +295,8 @@ class TerminalRotationOperator(_Terminal):
 
     def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
         self._clear()
-        for one in matchings:
-            self._say(f"  matched {pair_in_words(one.pair.name, one)} after {turns:.1f} turns", "green")
+        for matching in matchings:
+            self._say(f"  matched {pair_in_words(matching.pair.name, matching)} after {turns:.1f} turns", "green")
 
 
 def printable(text: str) -> str:

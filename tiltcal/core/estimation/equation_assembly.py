@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from math import inf, radians
 
 import numpy as np
@@ -48,8 +49,8 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
         gravity=gravity,
         settings=settings,
         lean_rotations=heading_rotations(np.radians(headings)) if lean_unknown and not design.free else None,
-        names=tuple(name for one in names for name in one),
-        sensors=np.repeat(np.arange(len(sensors)), [len(one) for one in names]),
+        names=tuple(chain.from_iterable(names)),
+        sensors=np.repeat(np.arange(len(sensors)), [len(name) for name in names]),
         prior_value=np.array([prior.value if prior else 0.0 for prior in priors]),
         prior_u=np.array([prior.u if prior else inf for prior in priors]),
         own_temperatures=own,
@@ -59,7 +60,7 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
         table_stated=design.table is not None,
         heading=radians(design.heading),
         thermometer=(design.thermometer or 0.0) if any(sensor.design.thermal for sensor in sensors) else 0.0,
-        noise_unknown=all(one.noise_unknown for sensor in sensors for one in sensor.observations),
+        noise_unknown=all(observation.noise_unknown for sensor in sensors for observation in sensor.observations),
     )
 
 
@@ -100,7 +101,9 @@ def _temperatures(sensors: Sequence[SensorObservations], places: dict[str, int])
     users: list[list[int]] = []
     read: list[Indices] = []
     for number, sensor in enumerate(sensors):
-        read_there = {places[one.position]: one.temperature or 0.0 for one in sensor.observations}
+        read_there = {
+            places[observation.position]: observation.temperature or 0.0 for observation in sensor.observations
+        }
         read.append(np.array(list(read_there), dtype=np.intp))
         for known, using in zip(thermometers, users, strict=True):
             common = known.keys() & read_there.keys()
@@ -111,13 +114,15 @@ def _temperatures(sensors: Sequence[SensorObservations], places: dict[str, int])
         else:
             thermometers.append(dict(read_there))
             users.append([number])
-    order = sorted(range(len(users)), key=lambda one: len(users[one]) > 1)
+    order = sorted(range(len(users)), key=lambda place: len(users[place]) > 1)
     numbers: dict[int, Indices] = {}
     counts = [0, 0]
-    for one in order:
-        at = {place: k + sum(counts) for k, place in enumerate(thermometers[one])}
-        counts[len(users[one]) > 1] += len(at)
-        numbers |= {user: np.array([at[place] for place in read[user].tolist()], dtype=np.intp) for user in users[one]}
+    for place in order:
+        at = {place: k + sum(counts) for k, place in enumerate(thermometers[place])}
+        counts[len(users[place]) > 1] += len(at)
+        numbers |= {
+            user: np.array([at[place] for place in read[user].tolist()], dtype=np.intp) for user in users[place]
+        }
     return [numbers[k] for k in range(len(sensors))], counts[0], counts[1]
 
 
@@ -127,8 +132,14 @@ def _blocks(
     """Yield the sensors in their order, as many at a time as are alike."""
     starts = np.cumsum([0, *(len(sensor.design.names) for sensor in sensors)])
     kinds = [
-        (one.design.models, one.design.thermal, one.design.reference, len(one.observations), int(errors[0]) < own)
-        for one, errors in zip(sensors, temperatures, strict=True)
+        (
+            sensor.design.models,
+            sensor.design.thermal,
+            sensor.design.reference,
+            len(sensor.observations),
+            int(errors[0]) < own,
+        )
+        for sensor, errors in zip(sensors, temperatures, strict=True)
     ]
     first = 0
     for last in range(1, len(sensors) + 1):
@@ -138,17 +149,27 @@ def _blocks(
         numbers = np.arange(first, last)
         group = sensors[first:last]
         size = len(models[0].coefficients)
-        read_there = np.array([[one.temperature or 0.0 for one in sensor.observations] for sensor in group])
-        mean = _table(group, lambda one: one.mean)
-        u = _table(group, lambda one: one.u)
-        adc = _table(group, lambda one: np.zeros(len(one.mean)) if one.adc is None else one.adc)
-        unknown = all(one.noise_unknown for sensor in group for one in sensor.observations)
-        dof = _table(group, lambda one: np.full(len(one.mean), inf) if one.dof is None else one.dof)
+        read_there = np.array(
+            [[observation.temperature or 0.0 for observation in sensor.observations] for sensor in group]
+        )
+        mean = _table(group, lambda observation: observation.mean)
+        u = _table(group, lambda observation: observation.u)
+        adc = _table(
+            group, lambda observation: np.zeros(len(observation.mean)) if observation.adc is None else observation.adc
+        )
+        unknown = all(observation.noise_unknown for sensor in group for observation in sensor.observations)
+        dof = _table(
+            group,
+            lambda observation: np.full(len(observation.mean), inf) if observation.dof is None else observation.dof,
+        )
         yield EquationBlock(
             models=models,
             sensors=numbers,
             columns=starts[first:last, None, None] + np.arange(len(models) * size).reshape(len(models), size),
-            places=np.array([[places[one.position] for one in sensor.observations] for sensor in group], dtype=np.intp),
+            places=np.array(
+                [[places[observation.position] for observation in sensor.observations] for sensor in group],
+                dtype=np.intp,
+            ),
             mean=mean,
             u=_alike(_floored(u, mean)) if unknown else _floored(u, mean),
             adc=adc,
@@ -162,7 +183,7 @@ def _blocks(
 
 def _table(group: Sequence[SensorObservations], value: Callable[[Observation], Array]) -> Array:
     """Return a value of each reading, shape (sensors, channels, positions)."""
-    rows = np.array([[value(one) for one in sensor.observations] for sensor in group], dtype=float)
+    rows = np.array([[value(observation) for observation in sensor.observations] for sensor in group], dtype=float)
     return np.asarray(rows.swapaxes(1, 2))
 
 

@@ -139,8 +139,8 @@ class Estimate(DeterminedCoefficients):
         significance : float
             Probability, over all positions together, of suspecting one of a jig that is as stated.
         """
-        worst = [one for one in self.attitudes if one.p < significance / len(self.attitudes)]
-        return sorted(worst, key=lambda one: one.chi_square, reverse=True)
+        worst = [attitude for attitude in self.attitudes if attitude.p < significance / len(self.attitudes)]
+        return sorted(worst, key=lambda attitude: attitude.chi_square, reverse=True)
 
 
 def estimate(observations: Sequence[Observation], design: Design) -> Estimate:
@@ -180,7 +180,7 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     found = _unstated(sensors, system) if design.jig is None else _stated(sensors, system)
     if design.table is not None or system.lean_rotations is not None:
         return found
-    return tuple(replace(one, notes=(*one.notes, LEAN_NOT_SHOWN)) for one in found)
+    return tuple(replace(estimate, notes=(*estimate.notes, LEAN_NOT_SHOWN)) for estimate in found)
 
 
 def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
@@ -302,7 +302,11 @@ def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estima
 
 def _noise_dof(sensors: Sequence[SensorObservations]) -> float:
     """Return the degrees of freedom of the noise, over all readings."""
-    return sum(inf if one.dof is None else float(np.sum(one.dof)) for sensor in sensors for one in sensor.observations)
+    return sum(
+        inf if observation.dof is None else float(np.sum(observation.dof))
+        for sensor in sensors
+        for observation in sensor.observations
+    )
 
 
 @frozen
@@ -389,7 +393,7 @@ def _estimates(
                 chi_square=found.chi_square,
                 p=p,
                 stated=found.stated,
-                attitudes=tuple(one for one in attitudes if one.position in here),
+                attitudes=tuple(attitude for attitude in attitudes if attitude.position in here),
                 estimated_jig=found.estimated_jig,
                 estimated_thermometer=found.estimated_thermometer,
                 estimated_noise=None if found.noise_dof is None else noise,

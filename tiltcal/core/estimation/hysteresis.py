@@ -71,7 +71,9 @@ def largest_loops(found: Estimate, observations: Sequence[Observation], jig: flo
             u = hypot(observations[i].u[column], observations[j].u[column], by_jig)
             measured.append(Loop(difference, u, (observations[i].position, observations[j].position)))
         # Readings of which no uncertainty is known have none here.
-        loops[channel] = max(measured, key=lambda one: abs(one.difference) / one.u if one.u else abs(one.difference))
+        loops[channel] = max(
+            measured, key=lambda loop: abs(loop.difference) / loop.u if loop.u else abs(loop.difference)
+        )
     return loops
 
 
@@ -114,8 +116,8 @@ def _follow(sensor: SensorObservations, rows: Sequence[int], column: int, loop: 
 
 def _moved_together(observations: Sequence[Observation]) -> Iterator[list[int]]:
     """Yield the positions of each setting that shows a loop, and each of them that was met once."""
-    settings, twice = _settings(observations), {one for pair in _met_twice(observations) for one in pair}
-    for setting in dict.fromkeys(settings[one] for one in sorted(twice)):
+    settings, twice = _settings(observations), {index for pair in _met_twice(observations) for index in pair}
+    for setting in dict.fromkeys(settings[index] for index in sorted(twice)):
         rows = [row for row, its in enumerate(settings) if its == setting]
         yield rows
         yield from ([row] for row in rows if row not in twice)
@@ -123,17 +125,17 @@ def _moved_together(observations: Sequence[Observation]) -> Iterator[list[int]]:
 
 def _settings(observations: Sequence[Observation]) -> list[int]:
     """Number how often the fixture had been set before each position."""
-    return [int(count) for count in np.cumsum([not one.held for one in observations])]
+    return [int(count) for count in np.cumsum([not observation.held for observation in observations])]
 
 
 def _met_twice(observations: Sequence[Observation]) -> list[tuple[int, int]]:
     """Return the pairs of positions with one attitude and one temperature."""
     return [
         (i, j)
-        for (i, one), (j, other) in combinations(enumerate(observations), 2)
-        if np.array_equal(one.gravity, other.gravity)
-        and one.heading == other.heading
-        and one.temperature is not None
-        and other.temperature is not None
-        and abs(one.temperature - other.temperature) <= ALIKE
+        for (i, first), (j, second) in combinations(enumerate(observations), 2)
+        if np.array_equal(first.gravity, second.gravity)
+        and first.heading == second.heading
+        and first.temperature is not None
+        and second.temperature is not None
+        and abs(first.temperature - second.temperature) <= ALIKE
     ]

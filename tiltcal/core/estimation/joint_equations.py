@@ -79,12 +79,12 @@ class EquationBlock:
         if not self.models[0].nonlinearity:
             return self.models[0].read(theta, gravity, dt)
         found = [
-            [model.read(one, up, temperature) for model, one in zip(self.models, sensor, strict=True)]
+            [model.read(coefficients, up, temperature) for model, coefficients in zip(self.models, sensor, strict=True)]
             for sensor, up, temperature in zip(theta, gravity, dt, strict=True)
         ]
         fields = ("value", "by_coefficient", "by_signal", "by_temperature", "sensitivity")
         return ModelReading(
-            *(np.array([[getattr(one, name) for one in sensor] for sensor in found]) for name in fields)
+            *(np.array([[getattr(reading, name) for reading in sensor] for sensor in found]) for name in fields)
         )
 
 
@@ -141,7 +141,10 @@ class Equations:
     @cached_property
     def cost(self) -> float:
         """The sum of squares of all residuals."""
-        return sum(float(np.vdot(one, one)) for one in (self.residual, *(block.residual for block in self.blocks)))
+        return sum(
+            float(np.vdot(residual, residual))
+            for residual in (self.residual, *(block.residual for block in self.blocks))
+        )
 
 
 @dataclass(frozen=True)
@@ -282,7 +285,7 @@ class System:
     def priors(self) -> int:
         """Number of equations that are no readings."""
         own = self.local - self.coefficients
-        return int(self.assumed.sum() + own + sum(one.stop - one.start for _, one, _ in self.shared_priors))
+        return int(self.assumed.sum() + own + sum(prior.stop - prior.start for _, prior, _ in self.shared_priors))
 
     def start(self) -> Array:
         """Return every unknown at its prior value, shape (unknowns,)."""
@@ -349,8 +352,8 @@ class System:
     @cached_property
     def _shared_known(self) -> tuple[Indices, Array]:
         """Shared unknown of each equation that is no reading, and its weight."""
-        columns = [np.arange(one.start, one.stop) for _, one, _ in self.shared_priors]
-        weight = [np.full(one.stop - one.start, 1.0 / u) for _, one, u in self.shared_priors]
+        columns = [np.arange(prior.start, prior.stop) for _, prior, _ in self.shared_priors]
+        weight = [np.full(prior.stop - prior.start, 1.0 / u) for _, prior, u in self.shared_priors]
         return np.concatenate([np.zeros(0, dtype=np.intp), *columns]), np.concatenate([np.zeros(0), *weight])
 
     @cached_property
@@ -411,7 +414,7 @@ class System:
             turns = self.orientations[block.sensors][:, None] @ derivative[block.places]
             by_angle = reading.by_signal[..., None] * (reading.sensitivity[:, None] @ turns).swapaxes(1, 2)
             if self.lean_rotations is not None:
-                rotations, slopes = (one[block.places] for one in self._lean(z))
+                rotations, slopes = (by_user[block.places] for by_user in self._lean(z))
                 parts.append((by_angle[..., None, :] @ rotations[:, None])[..., 0, :])
                 if self.heading_errors.stop > self.heading_errors.start:
                     parts.append(np.sum(by_angle * (slopes @ z[self.lean])[:, None], axis=3, keepdims=True))

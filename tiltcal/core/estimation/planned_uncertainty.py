@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from math import inf
+from operator import itemgetter
 
 import numpy as np
 
@@ -171,16 +172,16 @@ def _system(
     zero = np.zeros(len(design.channels))
     observations = [
         Observation(
-            one.name,
-            np.array(one.gravity),
+            position.name,
+            np.array(position.gravity),
             zero,
             np.maximum(u, 1e-12 * abs(sensitivity)),
-            one.temperature,
-            one.heading,
-            one.held,
+            position.temperature,
+            position.heading,
+            position.held,
             adc=np.full(len(design.channels), adc),
         )
-        for one in positions
+        for position in positions
     ]
     plan = [SensorObservations(stated, observations)] * sensors
     require_sound(plan)
@@ -208,7 +209,7 @@ def _worth_adding(
     """Return positions that would make some coefficient much better known."""
     found = []
     assumed = np.array([name in design.priors for name in design.names])
-    usual = next((one.temperature for one in positions if one.temperature is not None), None)
+    usual = next((position.temperature for position in positions if position.temperature is not None), None)
     candidates = [
         PlannedPosition(name, gravity, temperature, positions[0].heading)
         for name, gravity, temperature in _candidates(design, positions, usual)
@@ -224,7 +225,7 @@ def _worth_adding(
         most = int(np.argmin(np.round(share, 6)))
         if share[most] < WORTH:
             found.append((candidate.name, design.names[most], round(float(share[most]), 3)))
-    return tuple(sorted(found, key=lambda one: one[2]))
+    return tuple(sorted(found, key=itemgetter(2)))
 
 
 def _candidates(
@@ -237,7 +238,7 @@ def _candidates(
         if any(abs(gravity[AXES.index(axis)]) > 0.0 for axis in design.axes) or not design.axes
     ]
     if design.thermal and usual is not None:
-        temperatures = [one.temperature for one in positions if one.temperature is not None]
+        temperatures = [position.temperature for position in positions if position.temperature is not None]
         level = CANDIDATES["level (+z up)"]
         found.append((f"level at {max(temperatures) + WARMER:g} °C", level, max(temperatures) + WARMER))
         found.append((f"level at {min(temperatures) - WARMER:g} °C", level, min(temperatures) - WARMER))

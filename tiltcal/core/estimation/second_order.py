@@ -57,7 +57,7 @@ def second_order_bias(near: LinearSolution, z: Array) -> Array:
         left = table @ covariance - factor.basis[:, : equations.readings] @ (factor.follows @ covariance)
         left = left.reshape(*block.u.shape, near.angles) / block.u[..., None]
         moved = (own.reshape(-1, near.angles) @ followed).reshape(*columns.shape[:2], len(own), 2, -1)
-        moved = np.stack([one[:, at] for one, at in zip(moved, settings, strict=True)])
+        moved = np.stack([value[:, at] for value, at in zip(moved, settings, strict=True)])
         off = 0.5 * curvature * squares[settings][:, None] - np.einsum("scnik,scnki->scn", mixed, moved)
         by_own = np.einsum("scna,snka->scnk", left, own[settings])
         by_angle = np.einsum("scnik,scni->scnk", mixed, left @ followed) - curvature[..., None] * by_own

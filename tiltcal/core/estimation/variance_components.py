@@ -199,7 +199,7 @@ def noise_variance(residuals: ProjectedResiduals, jig: float | None, lowest: flo
     probability = weight / weight.sum()
     factor = 1.0 / float(np.sum(probability / f))
     middle = jig**2 if jig is not None else float(np.exp(np.sum(probability * log_q)))
-    over_f, over_q = (np.broadcast_to(one, weight.shape)[possible] for one in (f / factor, q / (middle or 1.0)))
+    over_f, over_q = (np.broadcast_to(values, weight.shape)[possible] for values in (f / factor, q / (middle or 1.0)))
     return NoiseVariance(factor, sqrt(middle), over_f, over_q, probability[possible] / probability[possible].sum())
 
 

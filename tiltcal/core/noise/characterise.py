@@ -194,11 +194,11 @@ class Characteriser:
         single = float(found[0].std[place])
         return [
             Average(
-                *(one.samples, int(one.count[place]), float(one.std[place]), float(one.range[place])),
-                white=single / one.samples**0.5,
+                *(axis.samples, int(axis.count[place]), float(axis.std[place]), float(axis.range[place])),
+                white=single / axis.samples**0.5,
             )
-            for one in found
-            if one.count[place] >= (2 if one.samples in self._asked else _FEWEST_AVERAGES)
+            for axis in found
+            if axis.count[place] >= (2 if axis.samples in self._asked else _FEWEST_AVERAGES)
         ]
 
     def _zero(self, samples: Array | None = None) -> Array:

@@ -139,7 +139,7 @@ class _Blocks:
 
 def _joined(blocks: list[_Blocks]) -> _Blocks:
     return _Blocks(
-        np.concatenate([one.sums for one in blocks]),
-        np.concatenate([one.squares for one in blocks]),
-        np.concatenate([one.counts for one in blocks]),
+        np.concatenate([block.sums for block in blocks]),
+        np.concatenate([block.squares for block in blocks]),
+        np.concatenate([block.counts for block in blocks]),
     )

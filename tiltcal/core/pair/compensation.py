@@ -85,7 +85,7 @@ class PairCompensation:
         for matching in self._matchings:
             first, second, orthogonal = (by_name[channel] for channel in matching.pair.channels)
             sums.append(matched_sum(first, second, orthogonal, matching.p, matching.q))
-        values = {f"matched_{m.pair.name}": one for m, one in zip(self._matchings, sums, strict=True)}
+        values = {f"matched_{m.pair.name}": sum_ for m, sum_ in zip(self._matchings, sums, strict=True)}
         if len(sums) == 2:
             values[GRADIENT] = self._gradient(sums)
         if self._turns is not None:

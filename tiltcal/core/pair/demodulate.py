@@ -145,7 +145,7 @@ class Demodulator:
         while self._size < other._size:
             self._merge()
         behind = max(self._blocks) + 1 - min(other._blocks)
-        self._blocks |= {number + behind: transform @ one @ transform.T for number, one in other._blocks.items()}
+        self._blocks |= {number + behind: transform @ block @ transform.T for number, block in other._blocks.items()}
         while len(self._blocks) > MOST_BLOCKS:
             self._merge()
 
@@ -167,7 +167,7 @@ class Demodulator:
         """Return the variance that rounding leaves in a component of each channel, unit²."""
         deviations = np.sqrt(np.maximum(np.diag(found.residual), 0.0))
         passed = 4.0 * np.hypot(*found.coefficients[:2]) / self._step
-        left = np.array([rounding_left(one, self._step) for one in deviations.tolist()])
+        left = np.array([rounding_left(deviation, self._step) for deviation in deviations.tolist()])
         # A sine wave passes each step up and down: of places that mirror each other two share one rounding.
         return np.asarray(3.0 * left**2 / np.clip(passed, 1.0, self._places))
 

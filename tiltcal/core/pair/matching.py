@@ -84,7 +84,9 @@ class Matching:
         """
         common = self.components["before"][self.pair.first].amplitude
         left = {name: self.components[f"after_{name}"][SUM] for name in ("p", "pq")}
-        return {name: common / max(one.amplitude, one.u_amplitude, 1e-300) for name, one in left.items()}
+        return {
+            name: common / max(component.amplitude, component.u_amplitude, 1e-300) for name, component in left.items()
+        }
 
     @property
     def gradient_gain(self) -> float:
