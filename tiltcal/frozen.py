@@ -10,7 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import MISSING, Field, FrozenInstanceError, dataclass, field, fields
-from typing import Any, TypeVar, dataclass_transform, overload
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform, overload
+
+if TYPE_CHECKING:
+    from inspect import Signature
 
 T = TypeVar("T")
 
@@ -45,10 +48,27 @@ def frozen(
         for name, method in (_METHODS | _COMPARISON if eq else _METHODS).items():
             if name not in own:
                 setattr(decorated, name, method)
+        if "__init__" not in own:
+            setattr(decorated, "__signature__", _ShownParameters())  # noqa: B010
         setattr(decorated, _FIELDS, fields(decorated))  # type: ignore[arg-type]
         return decorated
 
     return made if cls is None else made(cls)
+
+
+class _ShownParameters:
+    """The signature of a class, which ``help`` and :func:`inspect.signature` show; made when it is asked for."""
+
+    def __get__(self, value: object, owner: type) -> Signature:
+        from inspect import Parameter, Signature
+
+        def shown(parameter: Field[Any]) -> Parameter:
+            kind = Parameter.KEYWORD_ONLY if parameter.kw_only else Parameter.POSITIONAL_OR_KEYWORD
+            made = MISSING if parameter.default_factory is MISSING else parameter.default_factory()
+            default = next((value for value in (parameter.default, made) if value is not MISSING), Parameter.empty)
+            return Parameter(parameter.name, kind, default=default, annotation=parameter.type)
+
+        return Signature([shown(parameter) for parameter in getattr(owner, _FIELDS)])
 
 
 def _fields(value: object) -> tuple[Field[Any], ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError, asdict, dataclass, field, fields, replace
+from inspect import signature
 from typing import Any
 
 import pytest
@@ -118,3 +119,11 @@ def test_what_follows_the_fields_is_called() -> None:
 
     with pytest.raises(ValueError, match="above"):
         Range(2.0, 1.0)
+
+
+def test_help_shows_the_fields_that_a_value_is_made_of() -> None:
+    ours, usual = (signature(reading(decorate)) for decorate in (frozen, dataclass(frozen=True)))
+    assert [(p.name, p.kind, p.annotation) for p in ours.parameters.values()] == [
+        (p.name, p.kind, p.annotation) for p in usual.parameters.values()
+    ]
+    assert str(ours) == "(x: 'float', y: 'float' = 1.0, faults: 'dict[int, str]' = {})"
