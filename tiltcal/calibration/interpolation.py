@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import degrees, inf
+from math import cos, degrees, inf, radians
 
 import numpy as np
 
@@ -30,6 +30,12 @@ from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.position_record import ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertainty_inputs
+
+FARTHEST_TURN = 5.0
+"""Degrees by which two mountings may differ to have others between them."""
+
+LARGEST_CHANGE = 0.5
+"""Share by which the sensitivity of a channel may differ between two calibrations."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +74,8 @@ def interpolate(
     Raises
     ------
     UsageError
-        They are not of one sensor, or only one of them has temperature terms or a mounting.
+        They are not of one sensor, only one of them has temperature terms or a mounting, or their sensitivities or
+        mountings are too far apart for a change with time.
     """
     require_same_sensor(before, after)
     for what in ("axes", "thermal", "mounting"):
@@ -79,6 +86,7 @@ def interpolate(
                 f"one of two calibrations has {named} and the other has not: give both the same coefficients, such as "
                 "with `tiltcal combine`"
             )
+    _require_one_sensitivity(before.coefficients, after.coefficients)
     reference = None if after.coefficients.thermal is None else after.coefficients.thermal.reference
     parts = [
         _Part.of(calibration, reference, weight) for calibration, weight in ((before, 1.0 - share), (after, share))
@@ -88,8 +96,10 @@ def interpolate(
         name: (walk.rate * days * share * (1.0 - share), walk.dof)
         for name, walk in (stability or Stability()).between.items()
     }
-    readings = (before.uncertainty.single_reading, after.uncertainty.single_reading)
-    single = {name: (1.0 - share) * readings[0].get(name, u) + share * u for name, u in readings[1].items()}
+    first, last = before.uncertainty.single_reading, after.uncertainty.single_reading
+    single = {
+        name: (1.0 - share) * first.get(name, u) + share * last.get(name, u) for name, u in {**first, **last}.items()
+    }
     joined = _joined(parts, bridge, single)
     alignment = (1.0 - share) * before.uncertainty.alignment + share * after.uncertainty.alignment
     return _at(after, coefficients, _limits(before.limits, after.limits), replace(joined, alignment=alignment))
@@ -227,11 +237,27 @@ def _blended(both: Sequence[Coefficients], share: float) -> Coefficients:
     )
 
 
+def _require_one_sensitivity(before: Coefficients, after: Coefficients) -> None:
+    change = np.linalg.norm(after.sensitivity - before.sensitivity, axis=1)
+    far = change > LARGEST_CHANGE * np.linalg.norm(before.sensitivity, axis=1)
+    for channel, is_far in zip(after.channels, far.tolist(), strict=True):
+        if is_far:
+            raise UsageError(
+                f"the sensitivity of {channel} differs between two calibrations by more than {LARGEST_CHANGE:.0%}, "
+                "which is no change with time: move the file that is wrong out of the folder"
+            )
+
+
 def _mounting(before: Mounting | None, after: Mounting | None, share: float) -> Mounting | None:
     if before is None or after is None or before == after:
         return after
-    middle = (1.0 - share) * mounting_matrix(before) + share * mounting_matrix(after)
-    left, _, right = np.linalg.svd(middle)
+    first, last = mounting_matrix(before), mounting_matrix(after)
+    if np.trace(first.T @ last) < 1.0 + 2.0 * cos(radians(FARTHEST_TURN)):
+        raise UsageError(
+            f"the mountings of two calibrations are more than {FARTHEST_TURN:g}° apart, so the sensor was mounted anew "
+            "between them: apply the calibration of each mounting by its file, or state --mounting"
+        )
+    left, _, right = np.linalg.svd((1.0 - share) * first + share * last)
     return mounting_angles(left @ right).mounting
 
 

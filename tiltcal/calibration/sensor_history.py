@@ -15,7 +15,7 @@ import numpy as np
 from tiltcal.calibration.comparison import Comparison, compare_records
 from tiltcal.calibration.interpolation import Stability
 from tiltcal.core.instrumental_drift import RandomWalk, WalkContrasts, estimate_walk, walk_contrasts
-from tiltcal.core.model import Array
+from tiltcal.core.model import Array, Coefficients
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor
@@ -94,7 +94,7 @@ class SensorHistory:
                     file=calibration.path,
                 ) from None
             if before.date == calibration.date:
-                if values(before.record.coefficients) != values(calibration.record.coefficients):
+                if _content(before.record.coefficients) != _content(calibration.record.coefficients):
                     raise InputError(
                         f"{before.path} has the same date, {to_the_second(calibration.date)}, and other coefficients "
                         f"of {calibration.record.sensor.serial}: keep one of them in the folder",
@@ -194,3 +194,9 @@ def estimated_stability(history: SensorHistory, fleet: Sequence[SensorHistory]) 
         between |= dict.fromkeys(names, inner or walk)
         beyond |= dict.fromkeys(names, walk)
     return Stability(between, beyond, source if beyond else "")
+
+
+def _content(coefficients: Coefficients) -> tuple[object, ...]:
+    """Return what distinguishes two files of one date."""
+    thermal = coefficients.thermal
+    return values(coefficients), coefficients.mounting, None if thermal is None else (thermal.lag, thermal.range)

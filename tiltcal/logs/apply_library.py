@@ -192,6 +192,8 @@ class LibraryKernel:
         self.columns = columns
         if not options.uncertainty:
             history = _without_uncertainty(history)
+        if options.mounting:  # it replaces that of each
+            history = _mounted_as_last(history)
         self._history, self._stability, self._options = history, stability, options
         self._parts = 1 if not options.uncertainty and _moves_offset_alone(history) else STEPS
         self._start, self._log = start, log
@@ -320,6 +322,17 @@ def _without_uncertainty(history: SensorHistory) -> SensorHistory:
         history,
         calibrations=tuple(
             replace(one, record=replace(one.record, uncertainty=Uncertainty({}, {}))) for one in history.calibrations
+        ),
+    )
+
+
+def _mounted_as_last(history: SensorHistory) -> SensorHistory:
+    mounting = history.calibrations[-1].record.coefficients.mounting
+    return replace(
+        history,
+        calibrations=tuple(
+            replace(one, record=replace(one.record, coefficients=replace(one.record.coefficients, mounting=mounting)))
+            for one in history.calibrations
         ),
     )
 

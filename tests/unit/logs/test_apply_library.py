@@ -13,7 +13,7 @@ from support import FIXTURES
 
 import tiltcal
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.core.model import Array, Thermal
+from tiltcal.core.model import Array, Mounting, Thermal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
 from tiltcal.files.provenance_record import Provenance
@@ -203,3 +203,33 @@ def test_files_that_contradict_are_named(tmp_path: Path) -> None:
     write_calibration(tmp_path / "S-1-9.yaml", calibrated(9, (1000, 1000)))
     with pytest.raises(InputError, match="its model is sca100t-d01 in one and sca100t-d02 in the other"):
         tiltcal.open_calibrations(tmp_path).at("S-1", stamp(1))
+
+
+def mounted(record: CalibrationRecord, roll: float) -> CalibrationRecord:
+    return replace(record, coefficients=replace(record.coefficients, mounting=Mounting(np.radians(roll), 0.0, 0.0)))
+
+
+def test_what_no_time_changes_is_not_interpolated(tmp_path: Path) -> None:
+    """A step of a 64th of 4° of roll is 0.06°; its middle is 0.03° away, 5.5e-4 g."""
+    first, last = calibrated(0, (1000, 1000)), calibrated(100, (1000, 1000))
+    frame = {"time": seconds([50.0]), "x": np.array([1100.0]), "y": np.array([1100.0])}
+    (tmp_path / "near").mkdir()
+    near = tiltcal.open_calibrations(kept(tmp_path / "near", mounted(first, 178.0), mounted(last, -178.0)))
+    assert near.apply(frame)["g_y"] == pytest.approx([-100.0 / SCALE], abs=5.5e-4)
+    (tmp_path / "far").mkdir()
+    far = tiltcal.open_calibrations(kept(tmp_path / "far", mounted(first, 0.0), mounted(last, 180.0)))
+    with pytest.raises(UsageError, match=r"more than 5° apart.* state --mounting"):
+        far.apply(frame)
+    assert far.apply(frame, mounting="roll=180")["g_y"] == pytest.approx([-100.0 / SCALE])
+    (tmp_path / "other").mkdir()
+    turned = replace(last, coefficients=replace(last.coefficients, sensitivity=-SCALE * np.eye(2)))
+    with pytest.raises(UsageError, match="the sensitivity of x differs"):
+        tiltcal.open_calibrations(kept(tmp_path / "other", first, turned)).apply(frame)
+
+
+def test_a_file_of_the_same_date_and_another_mounting_is_no_copy(tmp_path: Path) -> None:
+    library = tiltcal.open_calibrations(
+        kept(tmp_path, calibrated(0, (1000, 1000)), mounted(calibrated(0, (1000, 1000)), 180.0))
+    )
+    with pytest.raises(InputError, match="has the same date"):
+        library.at("S-1", stamp(1))
