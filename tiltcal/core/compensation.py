@@ -36,6 +36,7 @@ from tiltcal.core.flags import (
     Bytes,
     mark,
 )
+from tiltcal.core.matrix_product import product
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, nonlinearity_slope, overlap, polynomial
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, inclination, pitch, roll, tilt
@@ -157,6 +158,8 @@ class Compensation:
         What a hidden g_z adds to x and y.
     rotation : ndarray, shape (3, 3), or None
         From the sensor's frame to the application's; None where they are one.
+    solves_z : bool
+        Whether g_z, which two channels do not see, is needed and solved for.
 
     Raises
     ------
@@ -205,7 +208,7 @@ class Compensation:
         self.coupling = (
             self.inverse @ sensitivity[:, 2] if self.axes == own[:2] and len(own) > channels else np.zeros(2)
         )
-        self._hidden = channels == 2 and (len(own) > channels or self.rotation is not None)
+        self.solves_z = channels == 2 and (len(own) > channels or self.rotation is not None)
         self._upside_down = self.rotation is not None and bool(self.rotation[2, 2] < -_ROUNDING)
 
         self._rails = _bounds(limits.reading, coefficients.channels)
@@ -317,8 +320,8 @@ class Compensation:
         dt = self._temperature_difference(temperature, out)
         signal = self._signal(u, dt)
         linearise(signal, self._coefficients)
-        own = self.inverse @ signal
-        hidden = self._solve_hidden(own, out) if self._hidden else None
+        own = product(self.inverse, signal)
+        hidden = self._solve_hidden(own, out) if self.solves_z else None
         application = out.gravity.T
         self._mount(own, hidden, application)
         for angle, argument in zip(out.tilt.T, application, strict=True):
@@ -386,9 +389,9 @@ class Compensation:
         if self.rotation is None:
             application[...] = own
         elif hidden is None:
-            np.matmul(self.rotation, own, out=application)
+            product(self.rotation, own, out=application)
         else:
-            np.matmul(self.rotation[:2, :2], own, out=application)
+            product(self.rotation[:2, :2], own, out=application)
             application += self.rotation[:2, 2:] * hidden
 
     def _judge_tilt(self, own: Array, out: Compensated) -> None:

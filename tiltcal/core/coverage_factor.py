@@ -84,7 +84,7 @@ class CoverageFactors:
         self._inverse_dof = np.interp(self.normal / np.sqrt(at), whole, np.concatenate([[0.0], at, [1.0]]))
         """One over the degrees of freedom, by the square of the normal factor over Student's."""
 
-    def factor(self, estimated: Array, widened: Array, known: Array) -> Array:
+    def factor(self, estimated: Array, widened: Array, known: Array, ratio: float = 0.0) -> Array:
         """Return what the standard uncertainty is multiplied with for an interval of 95 %.
 
         Parameters
@@ -95,6 +95,8 @@ class CoverageFactors:
             The same part with what Student's t stretches it by: its square of half an interval over that of 1.96.
         known : ndarray, shape (n,)
             The other part.
+        ratio : float
+            Widened over estimated where it is the same everywhere, which saves looking it up.
 
         Returns
         -------
@@ -108,8 +110,8 @@ class CoverageFactors:
         """
         total = estimated + known
         with np.errstate(invalid="ignore", divide="ignore"):
-            inverse_dof = _looked_up(self._inverse_dof, estimated / widened)
-            inverse_dof *= (estimated / total) ** 2
+            own = np.asarray(1.0 / ratio) if ratio else estimated / widened
+            inverse_dof = _looked_up(self._inverse_dof, own) * (estimated / total) ** 2
         factor = _looked_up(self._factors, inverse_dof)
         narrow = widened <= estimated * (1.0 + NEGLIGIBLE) ** 2
         if narrow.any():
@@ -126,5 +128,5 @@ def coverage_factors() -> CoverageFactors:
 def _looked_up(table: Array, argument: Array) -> Array:
     """Return the table's values at arguments from 0 to 1, and the first one where there is no number."""
     with np.errstate(invalid="ignore"):
-        place = (argument * len(table)).astype(np.int32)
+        place = (argument * len(table)).astype(np.intp)
     return np.take(table, place, mode="clip")

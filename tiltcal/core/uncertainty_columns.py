@@ -39,7 +39,22 @@ def with_shares(total: Array, common: Array) -> Array:
 
 def round_up(room: Array) -> None:
     """Round numbers that are not negative to four digits, or five, in place: an uncertainty has no more."""
-    scale = np.take(_SCALES, (room.view(np.uint64) >> _MANTISSA).view(np.int64), mode="clip")
+    if room.ndim > 1:
+        for row in room:
+            round_up(row)
+        return
+    if not len(room):
+        return
+    ends = np.array([room.min(), room.max()])
+    scale = _scales(ends)
+    alike = scale[0] == scale[1] and np.isfinite(ends).all()
+    scale = scale[:1] if alike else _scales(room)
     room *= scale
     np.ceil(room, out=room)
     room /= scale
+
+
+def _scales(numbers: Array) -> Array:
+    """Return the powers of ten by which numbers get as many digits in front of the point as they are to have."""
+    exponents = (numbers.view(np.uint64) >> _MANTISSA).view(np.int64)
+    return np.asarray(np.take(_SCALES, exponents, mode="clip"))

@@ -23,7 +23,9 @@ import numpy as np
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.coverage_factor import NEGLIGIBLE, NORMAL_FACTOR, coverage_factors
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE
+from tiltcal.core.matrix_product import columns_of_one_thread, product
 from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.signal_derivatives import SignalDerivatives
 from tiltcal.core.tilt_angles import DIRECTIONS
 from tiltcal.core.uncertainty_columns import round_up
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
@@ -42,11 +44,10 @@ ANYWHERE = pi / sqrt(3.0)
 _EXACT = 1e-9  # part of a square below which its error changes nothing else
 _DEGREES = 180.0 / pi
 _ROWS = 16384  # of a step: most of them stay in the cache, and the calls cost little against the arithmetic
-_ONE_THREAD = 1 << 18  # multiplications of a matrix product for which the linear algebra starts no threads
 _CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
 
-Signals = tuple[list[Array], list[Array], list[Array]]
-"""The derivatives of each channel's signal: by its coefficients, by its reading, and times u(temperature)."""
+Signals = tuple[Array, Array | None]
+"""The derivatives of the signals: the table by the coefficients, and of each channel times u(temperature)."""
 
 
 @frozen
@@ -71,9 +72,10 @@ class UpGradient:
 class Propagation:
     """From rows on their way through the kernel to the uncertainty of their angles.
 
-    The raw outputs are the signals of the channels and, where the mounting is uncertain, behind them the errors of the
-    components in the application's frame that its rotation makes. The outputs are the components of g in the
-    application's frame; or, of two channels, those in the sensor's frame and behind them the rotation's errors.
+    The outputs are the components of g in the application's frame; or, of two channels, those in the sensor's frame
+    and, where the mounting is uncertain, behind them the errors in the application's frame that its rotation makes.
+    Errors of outputs are sums over the rows of one table of derivatives, all with the sign turned round, so that
+    every covariance of two outputs is a quadratic form: a product of a matrix with the products of two rows each.
     """
 
     def __init__(self, compensation: Compensation, coefficients: Coefficients, inputs: UncertaintyInputs) -> None:
@@ -89,28 +91,31 @@ class Propagation:
         self._models, self._vectors = coefficients.models, coefficients.vectors
         self._readings, self._temperature = inputs.readings, inputs.temperature
         self._alignment = inputs.alignment
-        self._chosen, parameters = self._parameters(inputs.names)
+        self._derivatives = SignalDerivatives(coefficients, inputs.names)
+        self._parameters = self._of_channels(inputs.names)
         widening = inputs.factors / NORMAL_FACTOR
         self._known = bool(np.allclose(widening, 1.0, rtol=NEGLIGIBLE))
         """Whether every coefficient has the normal factor, so that one variance says all."""
         self._coverage = None if self._known else coverage_factors()
-        covariances = (
-            [inputs.covariance]
-            if self._known
-            else [inputs.covariance, inputs.covariance * np.outer(widening, widening)]
+        alike = len(widening) > 0 and np.allclose(widening, widening[0], rtol=1e-12)
+        self._widened = float(widening[0]) ** 2 if alike else 0.0
+        """What the factor of all coefficients stretches their variance by; 0 where they have different ones."""
+        covariances = [inputs.covariance]
+        if not (self._known or self._widened):
+            covariances.append(inputs.covariance * np.outer(widening, widening))
+        self._kinds = len(covariances) + (not self._known)
+        order = [inputs.names.index(name) for names in self._parameters for name in names]
+        order += [inputs.names.index(TURN + axis) for axis in AXES] if self._rotated else []
+        self._whole = [covariance[np.ix_(order, order)] for covariance in covariances]
+        self._lift, errors = self._outputs(compensation, inputs.names)
+        pairs = _pairs(len(errors))
+        if not (self._sees_all or self._rotated or compensation.solves_z):
+            pairs = [(a, b) for a, b in pairs if a == b]
+        self._pairs = {pair: k for k, pair in enumerate(pairs)}
+        self._forms = np.array(
+            [_form(errors[a] @ covariance @ errors[b].T) for covariance in covariances for a, b in pairs]
         )
-        whole = [k for of_channel in parameters[: len(self._models)] for k in of_channel]
-        whole += [inputs.names.index(TURN + axis) for axis in AXES] if self._rotated else []
-        self._whole = [covariance[np.ix_(whole, whole)] for covariance in covariances]
-        self._raw = _pairs(len(parameters))
-        self._rows = min(_ROWS, _ONE_THREAD // max(1, *(len(parameter) ** 2 for parameter in parameters)))
-        blocks = (
-            [covariance[np.ix_(parameters[a], parameters[b])] for covariance in covariances] for a, b in self._raw
-        )
-        self._covariances = [block if np.any(block) else [] for block in blocks]
-        lift = self._lift(compensation)
-        self._pair_lift = _pair_lift(lift)
-        self._pairs = {pair: k for k, pair in enumerate(_pairs(len(lift)))}
+        self._noise = np.array([self._lift[a] * self._lift[b] * self._readings**2 for a, b in pairs])
 
     def __call__(self, chunk: KernelChunk) -> Array:
         """Return standard and expanded uncertainty of every angle, rounded up, shape (2, angles, n), degrees."""
@@ -123,8 +128,8 @@ class Propagation:
     def _uncertainties(self, chunk: KernelChunk, finish: Callable[[Array], None]) -> Array:
         count = len(chunk.out.flag)
         room = np.empty((2, self._angles, count))
-        for start in range(0, count, self._rows):
-            rows = slice(start, start + self._rows)
+        for start in range(0, count, _ROWS):
+            rows = slice(start, start + _ROWS)
             self._fill(_part(chunk, rows), room[:, :, rows])
             room[:, :, rows] *= _DEGREES
             finish(room[:, :, rows])
@@ -136,8 +141,9 @@ class Propagation:
     def _fill(self, chunk: KernelChunk, room: Array) -> None:
         variances = self._variances(chunk)
         application = chunk.out.gravity.T
+        slope = None if chunk.hidden is None else self._slope_of_hidden(chunk.own, chunk.hidden, variances)
         for axis, argument in enumerate(application):
-            half, factor = self._half(self._of_axis(axis, chunk, variances))
+            half, factor = self._half(self._of_axis(axis, chunk.own, slope, variances))
             room[1, axis] = _through_arcsine(argument, half)
             np.divide(room[1, axis], factor, out=room[0, axis])
         if self._sees_all:
@@ -158,8 +164,8 @@ class Propagation:
             In the unit of each quantity.
         """
         halves, factors = np.ones((2, len(gradients), len(chunk.out.flag)))
-        for start in range(0, halves.shape[1], self._rows):
-            rows = slice(start, start + self._rows)
+        for start in range(0, halves.shape[1], _ROWS):
+            rows = slice(start, start + _ROWS)
             part = _part(chunk, rows)
             signals = self._signals(part)
             for row, gradient in enumerate(gradients):
@@ -195,62 +201,83 @@ class Propagation:
 
     def _quantity(self, chunk: KernelChunk, signals: Signals, by_measured: Array, by_turn: Array) -> Array:
         """Return the variance of a quantity, shape (kinds, n), from its gradients."""
-        derivatives, slopes, by_temperature = signals
+        rows, by_temperature = signals
         by_signal = self._compensation.inverse.T @ by_measured
-        terms = [signal * table for signal, table in zip(by_signal, derivatives, strict=True)]
-        table = np.concatenate([*terms, by_turn] if self._rotated else terms)
-        found = np.zeros((1 if self._known else 3, by_signal.shape[1]))
+        places = self._derivatives.rows
+        terms = [
+            signal * rows[[places[name] for name in names]]
+            for signal, names in zip(by_signal, self._parameters, strict=True)
+        ]
+        table = np.concatenate([*terms, -by_turn] if self._rotated else terms)
+        found = np.zeros((self._kinds, by_signal.shape[1]))
         for kind, covariance in enumerate(self._whole):
             np.einsum("kn,kn->n", table, covariance @ table, out=found[kind])
-        found[-1] += np.einsum("cn,cn->n", by_signal, np.stack(by_temperature)) ** 2
-        for signal, slope, noise in zip(by_signal, slopes, self._readings, strict=True):
-            found[-1] += (signal * slope * noise) ** 2 * chunk.share
+        if by_temperature is not None:
+            found[-1] += np.einsum("cn,cn->n", by_signal, by_temperature) ** 2
+        for signal, slope, noise in zip(by_signal, self._derivatives.slopes, self._readings, strict=True):
+            found[-1] += (signal * rows[slope] * noise) ** 2 * chunk.share
         return found
 
     # ------------------------------------------------------------------------------------- from errors to components
 
-    def _parameters(self, names: Sequence[str]) -> tuple[list[slice | list[int]], list[list[int]]]:
-        """Return the derivatives that count of each raw output, and the uncertain parameters that they belong to."""
-        places = {name: k for k, name in enumerate(names)}
-        chosen: list[slice | list[int]] = []
-        parameters = []
-        for model in self._models:
-            rows = [row for row, name in enumerate(model.coefficients) if name in places]
-            # Neighbours are a slice, which takes no copy.
-            chosen.append(slice(rows[0], rows[-1] + 1) if rows and rows[-1] - rows[0] < len(rows) else rows)
-            parameters.append([places.pop(model.coefficients[row]) for row in rows])
+    def _of_channels(self, names: Sequence[str]) -> list[list[str]]:
+        """Return the uncertain coefficients of each channel."""
+        found = [[name for name in model.coefficients if name in names] for model in self._models]
+        known = {TURN + axis for axis in AXES}.union(*found)
+        for name in names:
+            if name not in known:
+                raise EstimateError(f"the calibration has no coefficient {name!r}")
+        return found
+
+    def _outputs(self, compensation: Compensation, names: Sequence[str]) -> tuple[Array, Array]:
+        """Return the matrix from signals to outputs, and that of each output from errors to the table's rows.
+
+        Returns
+        -------
+        tuple of ndarray, shapes (outputs, channels) and (outputs, rows, names)
+        """
+        lift = self._rotation @ compensation.inverse if self._sees_all else compensation.inverse
+        seen, places = len(self._axes), {name: k for k, name in enumerate(names)}
+        count = 2 * seen if self._rotated and not self._sees_all else seen
+        lift = np.vstack([lift, np.zeros((count - seen, lift.shape[1]))])
+        errors = np.zeros((count, self._derivatives.count + 3 * self._rotated, len(names)))
+        for channel, own in enumerate(self._parameters):
+            for name in own:
+                errors[:, self._derivatives.rows[name], places[name]] += lift[:, channel]
         if self._rotated:
-            about = [places.pop(TURN + axis) for axis in AXES]
             # The rotation error r adds r × g: its component along an axis takes the two other components of r.
-            parameters += [[about[(axis + 1) % 3], about[(axis + 2) % 3]] for axis in range(len(self._axes))]
-        if places:
-            raise EstimateError(f"the calibration has no coefficient {next(iter(places))!r}")
-        return chosen, parameters
+            up, about = self._derivatives.count, [places[TURN + axis] for axis in AXES]
+            for axis, output in enumerate(range(count - seen, count)):
+                following, last = (axis + 1) % 3, (axis + 2) % 3
+                errors[output, up + last, about[following]] -= 1.0
+                errors[output, up + following, about[last]] += 1.0
+        return lift, errors
 
     def _variances(self, chunk: KernelChunk) -> Array:
         """Return the covariance of each pair of outputs, shape (kinds, pairs, n).
 
-        Kinds: all together where every coefficient has the normal factor; else of the coefficients, the same widened by
-        their factors, and of readings and temperature.
+        Kinds: all together where every coefficient has the normal factor; else of the coefficients, where their factors
+        differ the same widened by them, and of readings and temperature.
         """
-        derivatives, slopes, by_temperature = self._signals(chunk)
-        n = len(slopes[0])
+        table, by_temperature = self._signals(chunk)
+        slopes = table[self._derivatives.slopes]
         if self._rotated:
-            up = self._compensation.up(chunk)
-            derivatives += [np.stack([up[(k + 2) % 3], -up[(k + 1) % 3]]) for k in range(len(self._axes))]
-        found = np.zeros((1 if self._known else 3, len(self._raw), n))
-        for k, (a, b) in enumerate(self._raw):
-            for kind, covariance in enumerate(self._covariances[k]):
-                np.einsum("kn,kn->n", derivatives[a], covariance @ derivatives[b], out=found[kind, k])
-            if b < len(slopes):
-                if self._temperature:
-                    found[-1, k] += by_temperature[a] * by_temperature[b]
-                if a == b:
-                    found[-1, k] += (slopes[a] * self._readings[a]) ** 2 * chunk.share
-        variances = np.asarray(np.matmul(self._pair_lift, found))
+            table = np.concatenate([table, self._compensation.up(chunk)])
+        found = np.zeros((self._kinds, len(self._pairs), table.shape[1]))
+        of_coefficients = found.reshape(-1, table.shape[1])[: len(self._forms)]
+        step = columns_of_one_thread(self._forms)
+        for start in range(0, table.shape[1], step):
+            part = slice(start, start + step)
+            np.matmul(self._forms, _products(table[:, part]), out=of_coefficients[:, part])
+        slopes *= slopes
+        found[-1] += product(self._noise, slopes) * chunk.share
+        if by_temperature is not None:
+            moved = self._lift @ by_temperature
+            for (a, b), k in self._pairs.items():
+                found[-1, k] += moved[a] * moved[b]
         if self._alignment:
-            self._add_alignment(variances[-1], self._compensation.sensed(chunk))
-        return variances
+            self._add_alignment(found[-1], self._compensation.sensed(chunk))
+        return found
 
     def _add_alignment(self, variances: Array, gravity: Array) -> None:
         """Add what a turn θ of the sensor since it was level makes: θ × (g - z), θ alike about every axis."""
@@ -271,57 +298,51 @@ class Propagation:
                 spread = float(outputs[a] @ outputs[b]) * length - along[a] * along[b]
                 variances[k] += self._alignment**2 * spread
 
-    def _signals(self, chunk: KernelChunk) -> Signals:
-        """Return the derivatives of each channel's signal: by its coefficients, by its reading, by u(temperature)."""
-        places = [AXES.index(axis) for axis in self._models[0].axes]
-        sensed = chunk.own if self._models[0].axes == self._axes else self._compensation.sensed(chunk)[places]
-        dt = np.zeros(sensed.shape[1]) if chunk.dt is None else chunk.dt
-        derivatives, slopes, by_temperature = [], [], []
-        for model, theta, chosen in zip(self._models, self._vectors, self._chosen, strict=True):
-            found = model.derivatives(theta, sensed, dt)
-            slopes.append(1.0 / found.by_signal)
-            table = found.by_coefficient
-            derivatives.append(table[chosen])
-            derivatives[-1] *= -slopes[-1]
-            if self._temperature:
-                warm = model.by_temperature(theta, found.signal, dt)
-                by_temperature.append(slopes[-1] * (self._temperature * warm))
-            else:
-                by_temperature.append(np.zeros_like(dt))
-        return derivatives, slopes, by_temperature
-
-    def _lift(self, compensation: Compensation) -> Array:
-        """Return the matrix from the raw outputs to the outputs."""
-        seen = len(self._axes)
-        lift = self._rotation @ compensation.inverse if self._sees_all else compensation.inverse
-        if not self._rotated:
-            return lift
-        if self._sees_all:
-            return np.hstack([lift, np.eye(seen)])
-        return np.block([[lift, np.zeros((seen, seen))], [np.zeros((seen, seen)), np.eye(seen)]])
+    def _signals(self, chunk: KernelChunk) -> tuple[Array, Array | None]:
+        """Return the table of derivatives, and those of each signal times u(temperature); None where that is 0."""
+        axes, derivatives = self._models[0].axes, self._derivatives
+        along = (
+            chunk.own if axes == self._axes else self._compensation.sensed(chunk)[[AXES.index(axis) for axis in axes]]
+        )
+        table = np.empty((derivatives.count, along.shape[1]))
+        signals = derivatives(along, chunk.dt, table)
+        if not self._temperature:
+            return table, None
+        dt = np.zeros(along.shape[1]) if chunk.dt is None else chunk.dt
+        warm = [
+            model.by_temperature(theta, signal, dt)
+            for model, theta, signal in zip(self._models, self._vectors, signals, strict=True)
+        ]
+        return table, table[derivatives.slopes] * (self._temperature * np.stack(warm))
 
     # ------------------------------------------------------------------------------------- from components to angles
 
     def _along(self, variances: Array, gradient: Sequence[Array | float]) -> Array:
         """Variance along a gradient over the outputs, shape (kinds, n)."""
-        total = np.zeros((variances.shape[0], variances.shape[2]))
+        total, term = np.zeros((2, len(variances), variances.shape[2]))
         for (first, second), k in self._pairs.items():
-            double = 1.0 if first == second else 2.0
-            total += (double * gradient[first]) * gradient[second] * variances[:, k]
+            by_first, by_second = gradient[first], gradient[second]
+            if _is_zero(by_first) or _is_zero(by_second):
+                continue
+            weight = by_first * by_second if first == second else (2.0 * by_first) * by_second
+            total += np.multiply(weight, variances[:, k], out=term)
         return total
 
-    def _of_axis(self, axis: int, chunk: KernelChunk, variances: Array) -> Array:
+    def _slope_of_hidden(self, own: Array, hidden: Array, variances: Array) -> Array:
+        """Return what the error of half the square of a hidden g_z is divided by for its own."""
+        along, _ = self._half(self._along(variances, [own[0], own[1], *([0.0, 0.0] if self._rotated else [])]))
+        return _slope_of_root(hidden - self._coupling @ own, along)
+
+    def _of_axis(self, axis: int, own: Array, slope: Array | None, variances: Array) -> Array:
         """Variance of one component of g in the application, shape (kinds, n)."""
         moved = self._rotated and not self._sees_all
-        if chunk.hidden is None:
+        if slope is None:
             if not moved:
                 return np.asarray(variances[:, self._pairs[axis, axis]])
             gradient: list[Array | float] = [float(axis == k) for k in range(2)]
         else:
             q, row = self._coupling, self._rotation[axis]
-            own = chunk.own
-            along, _ = self._half(self._along(variances, [own[0], own[1], *([0.0, 0.0] if moved else [])]))
-            share = (row[:2] @ q - row[2]) / _slope_of_root(chunk.hidden - q @ own, along)
+            share = (row[:2] @ q - row[2]) / slope
             gradient = [row[k] + share * own[k] for k in range(2)]
         if moved:
             gradient += [float(axis == k) for k in range(2)]
@@ -332,8 +353,9 @@ class Propagation:
         np.maximum(parts, 0.0, out=parts)
         if self._coverage is None:
             return NORMAL_FACTOR * np.sqrt(parts[0]), NORMAL_FACTOR
-        factor = self._coverage.factor(*parts)
-        return factor * np.sqrt(parts[0] + parts[2]), factor
+        widened = parts[0] * self._widened if self._widened else parts[1]
+        factor = self._coverage.factor(parts[0], widened, parts[-1], self._widened)
+        return factor * np.sqrt(parts[0] + parts[-1]), factor
 
     def _direction(self, name: str, gravity: Array, variances: Array, room: Array) -> None:
         """Pitch, roll or inclination: an arctangent of one component over the length of the two others."""
@@ -371,14 +393,27 @@ def _pairs(count: int) -> list[tuple[int, int]]:
     return list(combinations_with_replacement(range(count), 2))
 
 
-def _pair_lift(lift: Array) -> Array:
-    """Return the matrix from covariances of the raw outputs to those of the outputs, shape (pairs, raw pairs)."""
-    rows = []
-    for a, b in _pairs(len(lift)):
-        table = np.outer(lift[a], lift[b])
-        table = table + table.T
-        rows.append([table[i, j] / (2.0 if i == j else 1.0) for i, j in _pairs(lift.shape[1])])
-    return np.array(rows)
+def _products(table: Array) -> Array:
+    """Return the products of two rows each, in the order of :func:`_form`."""
+    count = len(table)
+    found = np.empty((count * (count + 1) // 2, table.shape[1]))
+    start = 0
+    for k, row in enumerate(table):
+        end = start + count - k
+        np.multiply(row, table[k:], out=found[start:end])
+        start = end
+    return found
+
+
+def _form(matrix: Array) -> Array:
+    """Return the coefficients of a quadratic form by products of two rows, each pair of rows once."""
+    whole = matrix + matrix.T
+    np.fill_diagonal(whole, matrix.diagonal())
+    return np.asarray(whole[np.triu_indices(len(whole))])
+
+
+def _is_zero(component: Array | float) -> bool:
+    return isinstance(component, float) and component == 0.0
 
 
 def _slope_of_root(root: Array, half: Array) -> Array:

@@ -25,7 +25,7 @@ from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare, prepare_file
-from tiltcal.logs.streams import log_sink, with_writeback
+from tiltcal.logs.streams import keep_freed_memory, log_sink, with_writeback
 
 NO_TIME = (
     "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "
@@ -303,6 +303,7 @@ class CompensatedLog:
         frames : bool
             Give each block all columns with their types.
         """
+        keep_freed_memory()
         time = self.roles.get(TIME, time)
         wanted = {*self.channels, *self.roles.values(), *chain(*self.vectors.values())}
         means = self._means()

@@ -122,6 +122,17 @@ def with_writeback(sink: BinaryIO, items: Iterable[T]) -> Iterator[T]:
             begun = size
 
 
+def keep_freed_memory() -> None:
+    """Let the C library keep up to 64 MB of freed arrays of each thread for the next ones, where it is glibc.
+
+    It returns to the system what lies free beyond twice the largest block that it has seen freed, and the arrays of
+    each block of rows would have to take it back, page by page: that took as long as the compensation.
+    """
+    import numpy as np
+
+    np.empty(31 << 20, np.uint8)  # 32 MB is the most that counts
+
+
 @contextmanager
 def refused_by_system() -> Iterator[None]:
     """Raise an OSError with its number where the engine only quotes the system.
