@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import degrees, pi, radians, sqrt
 from pathlib import Path
 
@@ -106,8 +107,34 @@ def test_the_angles_have_their_coverage_factors(pitch: float, jig: float | None,
     assert set(expected) == {name.removeprefix("mounting.") for name in found}
 
 
-def _measured(gravity: np.ndarray, readings: np.ndarray) -> Measurement:
-    summaries = {c: SampleSummary(float(value), 0.0, 1, 0.0) for c, value in zip(XYZ, readings, strict=True)}
+@pytest.mark.parametrize("jig", [0.2, 0.0])
+def test_the_noise_of_the_readings_is_in_the_angles_beside_a_stated_jig(jig: float) -> None:
+    """Noise of 0.15° in each reading turns a direction by 0.15° about each of two axes: √(0.2² + 0.15²)° = 0.25°."""
+    turned = mounting_matrix(Mounting(0.2, -0.1, 0.4))
+    exact = Coefficients(XYZ, XYZ, np.zeros(3), np.eye(3))
+    base = CalibrationRecord(SensorIdentity("bench-built", "S-1", "g", XYZ), exact)
+    positions = list(zip(KNOWN, KNOWN @ turned, strict=True))
+    noisy = mount(base, [_measured(*one, u=radians(0.15)) for one in positions], jig=jig).uncertainty
+    total = mount(base, [_measured(*one) for one in positions], jig=np.hypot(jig, 0.15)).uncertainty
+    assert dict(noisy) == pytest.approx(dict(total), rel=1e-3)
+
+
+def test_noise_that_is_not_stated_shows_in_the_residuals_beside_a_stated_jig() -> None:
+    """A table without uncertainties: 0.2° of noise beside a jig of 0.01° counts as it does without a stated jig."""
+    turned = mounting_matrix(Mounting(0.2, -0.1, 0.4))
+    exact = Coefficients(XYZ, XYZ, np.zeros(3), np.eye(3))
+    base = CalibrationRecord(SensorIdentity("bench-built", "S-1", "g", XYZ), exact)
+    read = noisy(np.random.default_rng(8), turned, radians(0.2))
+    table = [
+        replace(one, summaries={c: replace(s, u=1e-9, quantisation=1e-9, n=1) for c, s in one.summaries.items()})
+        for one in (_measured(*one) for one in zip(KNOWN, read, strict=True))
+    ]
+    stated, not_stated = (mount(base, table, jig=jig).uncertainty for jig in (0.01, None))
+    assert dict(stated) == pytest.approx(dict(not_stated))
+
+
+def _measured(gravity: np.ndarray, readings: np.ndarray, u: float = 0.0) -> Measurement:
+    summaries = {c: SampleSummary(float(value), 0.0, 1, u) for c, value in zip(XYZ, readings, strict=True)}
     x, y, z = gravity.tolist()
     return Measurement("here", (x, y, z), None, None, summaries)
 

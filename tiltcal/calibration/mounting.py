@@ -9,6 +9,7 @@ from math import degrees, radians
 import numpy as np
 
 from tiltcal.calibration.estimate_record import rounded_covariance
+from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor
@@ -55,8 +56,12 @@ def mount(
         One direction of gravity alone, or a sensor without x and y.
     """
     known = np.array([measurement.gravity for measurement in measurements])
-    found, side = _best(base.coefficients, measurements, known, jig)
-    sigma = _sigma(known, jig)
+    sigma = None if jig is None else _sigma(base.coefficients, measurements, jig)
+    found, side = _best(base.coefficients, measurements, known, sigma)
+    if sigma is not None and _noise_unknown(measurements, base) and found.chi_square > found.dof:
+        # Nothing is stated of the noise, and the residuals show more than the jig.
+        sigma = None
+        found, side = _best(base.coefficients, measurements, known, sigma)
     joint = _joined(base, found, lambda c: mounting_rotation(_directions(c, measurements) * side, known, sigma))
     mounting, u = _rounded(found, joint)
     locked = found.gimbal_lock or u.get("roll") == significant(degrees(UNKNOWN_ANGLE), 4)
@@ -75,17 +80,32 @@ def mount(
 
 
 def _best(
-    coefficients: Coefficients, measurements: Sequence[Measurement], known: Array, jig: float | None
+    coefficients: Coefficients, measurements: Sequence[Measurement], known: Array, sigma: Array | None
 ) -> tuple[MountingEstimate, Array]:
     """Return the mounting and the side of z: a sensor of two axes may hang upside down; the better one is taken."""
     read = _directions(coefficients, measurements)
     sides = [np.ones(3)] if len(coefficients.channels) == 3 else [np.ones(3), np.array([1.0, 1.0, -1.0])]
-    found = [(solve_mounting(read * side, known, _sigma(known, jig)), side) for side in sides]
+    found = [(solve_mounting(read * side, known, sigma), side) for side in sides]
     return min(found, key=lambda candidate: float(np.sum(candidate[0].residuals ** 2)))
 
 
-def _sigma(known: Array, jig: float | None) -> Array | None:
-    return None if jig is None else np.full(len(known), max(radians(jig), 1e-6))
+def _sigma(coefficients: Coefficients, measurements: Sequence[Measurement], jig: float) -> Array:
+    """Return the standard uncertainty of each direction, from the jig and the noise of its reading, radians."""
+    start, square = _unit(_directions(coefficients, measurements)), np.zeros(len(measurements))
+    noise = np.array([one.u for one in observations_of(measurements, coefficients.channels)])
+    for k in range(len(coefficients.channels)):
+        shift = noise * (np.arange(noise.shape[1]) == k)
+        moved = _unit(_directions(coefficients, measurements, shift))
+        square += np.sum((moved - start) ** 2, axis=1) / 2.0  # a direction has two angles
+    return np.asarray(np.maximum(np.hypot(radians(jig), np.sqrt(square)), 1e-6))
+
+
+def _noise_unknown(measurements: Sequence[Measurement], base: CalibrationRecord) -> bool:
+    return all(one.noise_unknown for one in observations_of(measurements, base.coefficients.channels))
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _joined(
@@ -135,14 +155,14 @@ def _uncertainty(
     )
 
 
-def _directions(coefficients: Coefficients, measurements: Sequence[Measurement]) -> Array:
-    """Up in the sensor's frame in every position, as its calibration reads it."""
+def _directions(coefficients: Coefficients, measurements: Sequence[Measurement], shift: Array | float = 0.0) -> Array:
+    """Return up in the sensor's frame in every position, as its calibration reads it, of readings that are shifted."""
     if not {"x", "y"} <= set(coefficients.channels):
         raise EstimateError("the mounting is found from the x and y channels at least, and this sensor lacks one")
     compensation = Compensation(replace(coefficients, mounting=None))
     readings = np.array([[m.summaries[c].mean for c in coefficients.channels] for m in measurements])
     temperatures = np.array([np.nan if m.temperature is None else m.temperature for m in measurements])
-    gravity = compensation(readings, temperatures).gravity
+    gravity = compensation(readings + shift, temperatures).gravity
     if gravity.shape[1] == 3:
         return gravity
     rest = np.sqrt(np.maximum(1.0 - np.sum(gravity**2, axis=1), 0.0))
@@ -162,12 +182,11 @@ def _rounded(found: MountingEstimate, joint: UncertaintyInputs) -> tuple[Mountin
 
 
 def _record(found: MountingEstimate, measurements: Sequence[Measurement], jig: float | None) -> MountingFit:
-    squares = float(np.sum(found.residuals**2))
     return MountingFit(
         residuals_degrees={
             m.position: round(degrees(float(r)), 4) for m, r in zip(measurements, found.residuals, strict=True)
         },
         degrees_of_freedom=found.dof,
         uncertainty_from="stated jig" if found.stated else "residuals",
-        chi_square=significant(squares / radians(jig) ** 2, 4) if found.stated and jig else None,
+        chi_square=significant(found.chi_square, 4) if found.stated and jig else None,
     )

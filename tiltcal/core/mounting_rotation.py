@@ -38,6 +38,8 @@ class MountingEstimate:
         Standard uncertainty of each angle, radians; None in gimbal lock, where the angles have none of their own.
     residuals : ndarray, shape (positions,)
         Angle between each direction as set and as read, radians.
+    chi_square : float
+        Their sum of squares, over the squares of their stated uncertainties.
     stated : bool
         Whether the covariance stands on the stated jig, or on the residuals.
     """
@@ -47,6 +49,7 @@ class MountingEstimate:
     covariance: Array
     u: Mounting | None
     residuals: Array
+    chi_square: float
     dof: int
     stated: bool
 
@@ -86,7 +89,8 @@ def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> Mou
     angles = mounting_angles(matrix)
     u = None if angles.gimbal_lock else angle_uncertainty(matrix, covariance)
     locked = u is None or u.roll == UNKNOWN_ANGLE
-    return MountingEstimate(angles.mounting, locked, covariance, u, residuals, dof, stated)
+    chi_square = float(weights @ residuals**2)
+    return MountingEstimate(angles.mounting, locked, covariance, u, residuals, chi_square, dof, stated)
 
 
 def _directions(read: Array, known: Array) -> tuple[Array, Array]:
