@@ -13,9 +13,9 @@ sine of the tilt where θ is about the vertical, which no level shows. The file 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import asin, cos, degrees, inf, radians, sin, sqrt
+from math import asin, cos, degrees, hypot, inf, radians, sin, sqrt
 
 import numpy as np
 
@@ -54,6 +54,11 @@ NO_LEVEL = (
     "how level the sensor lay is not stated (--jig, --table-lean), and the uncertainty of its offset leaves it out"
 )
 
+NO_NOISE = (
+    "the noise of the mean is not stated (ux, uy), nor that of a reading by the base, and the uncertainty of the "
+    "offset leaves it out"
+)
+
 
 def level(
     base: CalibrationRecord,
@@ -80,6 +85,8 @@ def level(
     why = next(filter(None, (objection(base, measurement) for measurement in measurements)), "")
     if why:
         raise EstimateError(why)
+    measurements = [_with_noise(measurement, base.uncertainty.single_reading) for measurement in measurements]
+    silent = any(summary.noise_unknown for one in measurements for summary in one.summaries.values())
     found = _Renewal.of(base, measurements, bench)
     stated = bench.jig is not None or bench.table is not None
     u = found.budget.u[: len(found.offset)]
@@ -87,7 +94,8 @@ def level(
         base.coefficients,
         offset=np.array([round_to(value, u_value) for value, u_value in zip(found.offset, u, strict=True)]),
     )
-    notes = [note for note in base.fit.notes if note != NO_LEVEL]
+    notes = [note for note in base.fit.notes if note not in (NO_LEVEL, NO_NOISE)]
+    notes += ([] if stated else [NO_LEVEL]) + ([NO_NOISE] if silent else [])
     record = replace(
         base,
         coefficients=coefficients,
@@ -96,7 +104,7 @@ def level(
             base.fit,
             uncertainty_from=base.fit.uncertainty_from if stated else NOISE_ALONE,
             budget={**base.fit.budget, **budget_record(found.budget, found.names[: len(found.offset)])},
-            notes=tuple(notes if stated else [*notes, NO_LEVEL]),
+            notes=tuple(notes),
             level=found.record(bench),
         ),
         procedure=replace(
@@ -112,6 +120,19 @@ def level(
         return record
     renewed = intrinsic_record(coefficients, found.inputs.without_turn, mounted=bool(before.rotation_degrees))
     return replace(record, derived=replace(base.derived, intrinsic=renewed))
+
+
+def _with_noise(measurement: Measurement, single: Mapping[str, float]) -> Measurement:
+    """Return a measurement whose noise, where it is not stated, is that of so many readings of the base."""
+    return replace(
+        measurement,
+        summaries={
+            channel: replace(summary, u=hypot(summary.u, single[channel] / sqrt(summary.n)))
+            if summary.noise_unknown and single.get(channel)
+            else summary
+            for channel, summary in measurement.summaries.items()
+        },
+    )
 
 
 def level_summary(calibration: CalibrationRecord) -> str:

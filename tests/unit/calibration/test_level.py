@@ -13,13 +13,14 @@ from support import FIXTURES
 
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.level import NO_LEVEL, level_summary
+from tiltcal.calibration.level import NO_LEVEL, NO_NOISE, level, level_summary
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.model import Array, Mounting, vector_of, with_vector
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.uncertainty import Uncertainty
 
 COMPLETE = read_calibration(FIXTURES / "complete.yaml")
 """Two channels over x, y and z, with a drift."""
@@ -199,3 +200,15 @@ def test_what_is_missing_is_named() -> None:
         levelled(COMPLETE, np.array([1030.0, 1010.0]), None)
     with pytest.raises(UsageError, match="--alignment 20: it is between 0 and 10"):
         levelled(COMPLETE, np.array([1030.0, 1010.0]), alignment=20.0)
+
+
+def test_noise_that_a_table_does_not_state_is_that_of_readings_of_the_base() -> None:
+    """A base that reads with a noise of 0.4 counts: 0.1 counts in the mean of 16; an exact level adds nothing."""
+    coefficients = replace(COMPLETE.coefficients, thermal=None)
+    for single, u, said in (({"x": 0.4, "y": 0.4}, 0.1, False), ({}, 0.0, True)):
+        base = replace(COMPLETE, coefficients=coefficients, uncertainty=Uncertainty({}, single))
+        summaries = {c: SampleSummary(1020.0, 0.0, 16, 1e-9, quantisation=1e-9) for c in ("x", "y")}
+        measurement = Measurement("level", (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, 24.0, summaries)
+        found = level(base, [measurement], find_procedure("level"), BenchUncertainty(0.0, 0.0))
+        assert found.uncertainty["offset.x"] == pytest.approx(u, rel=1e-3, abs=1e-6)
+        assert (NO_NOISE in found.fit.notes) is said
