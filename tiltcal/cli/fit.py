@@ -80,6 +80,7 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
     """
     from tiltcal.calibration.level import level_summary
     from tiltcal.calibration.summary import mounting_summary, summary
+    from tiltcal.cli.freed_memory import keep_freed_memory
     from tiltcal.cli.progress import progress_bar
     from tiltcal.files.procedure_file import find_procedure
     from tiltcal.logs.fit import FOUND_ONLY, fit
@@ -89,6 +90,7 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
         raise UsageError(FOUND_ONLY)
     for path in filter(None, (output, segments_out)):
         check_writable(path)
+    keep_freed_memory()
     with progress_bar("fit") as progress:
         calibration = fit(procedure, log, say=lambda line: click.echo(line, err=True), progress=progress, **settings)
     calibration.save(output)

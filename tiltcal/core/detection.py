@@ -266,10 +266,18 @@ def outliers(samples: Sequence[float] | Array, step: float = 0.0, sigmas: float 
     values = np.asarray(samples, dtype=float)
     if len(values) < FEWEST_SAMPLES:
         return np.zeros(0, dtype=np.intp)
-    distance = np.abs(values - np.median(values))
+    distance = np.abs(values - _median(values))
     # Where more than half of the samples are in one step, the median of the distances is 0; the nearest 90 % are not.
     count = max(1, round(0.9 * len(values)))
     nearest = np.partition(distance, count - 1)[:count]
     trimmed = _SIGMA_OF_NEAREST * float(np.sqrt(np.mean(nearest**2)))
-    usual = max(_SIGMA_OF_MEDIAN * float(np.median(distance)), trimmed, step / sqrt(12.0))
+    usual = max(_SIGMA_OF_MEDIAN * _median(distance), trimmed, step / sqrt(12.0))
     return np.flatnonzero(distance > max(sigmas * usual, 2.0 * step))
+
+
+def _median(values: Array) -> float:
+    """Return the median of numbers without a missing one, in a third of the time of ``numpy.median``."""
+    middle = len(values) // 2
+    parted = np.partition(values, middle)
+    upper = float(parted[middle])
+    return upper if len(values) % 2 else (float(parted[:middle].max()) + upper) / 2.0

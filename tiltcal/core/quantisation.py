@@ -46,12 +46,30 @@ def resolution(channels: Iterable[Array]) -> float:
     """
     steps = []
     for values in channels:
-        different = np.unique(values[np.isfinite(values)])
-        gaps = np.diff(different)
-        gaps = gaps[gaps > ARITHMETIC * np.max(np.abs(different), initial=0.0)]
-        steps.append(float(np.min(gaps, initial=np.inf)))
+        rising = np.sort(values)
+        rising = rising[slice(rising.searchsorted(-np.inf, "right"), rising.searchsorted(np.inf))]  # NaN is last
+        gaps = np.diff(rising)
+        largest = np.max(np.abs(rising[:: max(len(gaps), 1)]), initial=0.0)  # of the first and the last
+        steps.append(float(np.min(gaps, initial=np.inf, where=gaps > ARITHMETIC * largest)))
     smallest = min(steps, default=np.inf)
     return smallest if smallest < np.inf else 0.0
+
+
+class DifferentValues:
+    """Collects the different values of a channel block by block, where they repeat so that they are few."""
+
+    def __init__(self) -> None:
+        self._blocks: list[Array] | None = []
+
+    def add(self, samples: Array) -> None:
+        """Take the next samples, shape (n,)."""
+        if self._blocks is not None:
+            different = np.unique(samples)
+            self._blocks = [*self._blocks, different] if 2 * len(different) <= len(samples) else None
+
+    def of(self, samples: Array) -> Array:
+        """Return every different value, some several times; all samples where they do not repeat."""
+        return samples if self._blocks is None else np.concatenate([[], *self._blocks])
 
 
 def common_step(readings: Array) -> float:

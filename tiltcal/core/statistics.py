@@ -6,7 +6,7 @@ Sums are rounded once (:func:`math.fsum`), so a replayed session gives the same 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 from math import fsum, inf, sqrt
 from operator import mul
 
@@ -19,8 +19,8 @@ from tiltcal.frozen import frozen
 BLOCKS = 10
 """Number of blocks whose means show correlation that std/sqrt(n) does not see."""
 
-_COLUMNS, _FEWEST_ROWS = 1024, 8
-"""Of a long run of samples that is summed as a table: its columns, and the rows from which on it is one."""
+_COLUMNS, _FEWEST_ROWS = 4096, 8
+"""Of long runs of samples that are summed as tables: the columns of all, and the rows from which on they are tables."""
 
 
 @frozen
@@ -81,11 +81,14 @@ def summarise(samples: Sequence[float] | NDArray[np.float64], resolution: float 
         The step of the reading; 0 where it is continuous.
     """
     values = np.asarray(samples, dtype=float)
-    n = len(values)
+    n, size = len(values), len(values) // BLOCKS
+    blocks = _summands(values[: BLOCKS * size].reshape(BLOCKS, size))
     # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
-    mean = float(values[0]) if values.min() == values.max() else _sum(values) / n
-    std = sqrt(_sum(np.square(values - mean)) / (n - 1)) if n > 1 else 0.0
-    noise, dof, correlation = _type_a(values, std)
+    alike = values.min() == values.max()
+    mean = float(values[0]) if alike else fsum(chain(*blocks, values[BLOCKS * size :].tolist())) / n
+    (squares,) = _summands(np.square(values - mean)[np.newaxis])
+    std = sqrt(fsum(squares) / (n - 1)) if n > 1 else 0.0
+    noise, dof, correlation = _type_a([fsum(block) / size for block in blocks] if size > 1 else [], n, std)
     step = rounding_left(std, resolution)
     return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
 
@@ -115,28 +118,35 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
 
 
-def _sum(values: NDArray[np.float64]) -> float:
-    """Return the sum, rounded once; of many values column by column, with what each addition rounds away."""
-    rows = len(values) // _COLUMNS
+def _summands(runs: NDArray[np.float64]) -> list[list[float]]:
+    """Return numbers that have the sum of each run, to be rounded once; few of them where the runs are long.
+
+    Parameters
+    ----------
+    runs : ndarray, shape (runs, samples)
+    """
+    count, length = runs.shape
+    columns = _COLUMNS // count
+    rows = length // columns
     if rows < _FEWEST_ROWS:
-        return fsum(values.tolist())
-    total, lost = np.zeros((2, _COLUMNS))
-    for row in values[: rows * _COLUMNS].reshape(rows, _COLUMNS):
+        few: list[list[float]] = runs.tolist()
+        return few
+    total, longer, lost, added, error = np.zeros((5, count, columns))
+    for row in runs[:, : rows * columns].reshape(count, rows, columns).swapaxes(0, 1):
         # Knuth, The Art of Computer Programming, vol. 2, 4.2.2, theorem B: the error of a sum, exactly.
-        longer = total + row
-        added = longer - total
-        lost += (total - (longer - added)) + (row - added)
-        total = longer
-    return fsum([*total.tolist(), *lost.tolist(), *values[rows * _COLUMNS :].tolist()])
+        np.add(total, row, out=longer)
+        np.subtract(longer, total, out=added)
+        np.subtract(total, np.subtract(longer, added, out=error), out=error)
+        lost += np.add(error, np.subtract(row, added, out=added), out=error)
+        total, longer = longer, total
+    left: list[list[float]] = np.hstack([total, lost, runs[:, rows * columns :]]).tolist()
+    return left
 
 
-def _type_a(samples: NDArray[np.float64], std: float) -> tuple[float, float, float | None]:
-    """Return the mean's standard uncertainty from the samples' scatter, its dof, and the correlation of the blocks."""
-    n = len(samples)
-    size = n // BLOCKS
-    if size < 2:
+def _type_a(means: Sequence[float], n: int, std: float) -> tuple[float, float, float | None]:
+    """Return the mean's standard uncertainty from the scatter of block means, its dof, and the blocks' correlation."""
+    if not means:
         return std / sqrt(n), float(max(n - 1, 1)), None
-    means = [_sum(samples[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
     centre = fsum(means) / BLOCKS
     off = [mean - centre for mean in means]
     squares = fsum(value**2 for value in off)

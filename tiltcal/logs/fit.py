@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -367,13 +369,17 @@ class FitSource:
     def _record(self, sensor: SensorIdentity, *, timed: bool = False) -> RecordedReadings:
         named = named_columns(self.columns, sensor.channels)
         read = timed_readings if timed else recorded_readings
-        return read(self.data, sensor.channels, named, sensor.unit, self.progress)
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(import_module, "scipy.special")  # which the fit needs, and a long log leaves time for
+            return read(self.data, sensor.channels, named, sensor.unit, self.progress)
 
     def _provenance(self, record: RecordedReadings | None = None, segments: SegmentsRecord | None = None) -> Provenance:
-        log = None if record is None else _origin(self.data, LogRecord)
+        log = None
+        if record is not None and record.sha256 is not None:
+            log = LogRecord(name=Path(self.data).name, sha256=record.sha256, rows=record.rows)
         return Provenance(
             made_by=f"fit of a {'table of positions' if self.table else 'recorded log'}",
-            log=None if record is None or log is None else replace(log, rows=record.rows),
+            log=log,
             table=_origin(self.data, FileRecord) if self.table else None,
             segments=segments,
             software=f"tiltcal {tiltcal.__version__}",

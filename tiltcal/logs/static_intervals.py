@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from difflib import get_close_matches
 from itertools import groupby
 from math import sqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from tiltcal.calibration.measurement import Measurement, at_rail
 from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, TILTED, identical_by_chance, outliers
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.quantisation import noise_under_rounding, resolution
+from tiltcal.core.quantisation import DifferentValues, noise_under_rounding, resolution
 from tiltcal.core.statistics import SampleSummary, drift, summarise
 from tiltcal.errors import InputError
 from tiltcal.files.positions import TabledPosition
@@ -35,6 +37,8 @@ FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
 
 SOAKS = 3
 """Soaks up to the end of a segment over which the temperature is judged."""
+
+_THREADS = 2  # each holds several copies of an interval
 
 Rails = Mapping[str, tuple[float, float]]
 """The lowest and the highest reading of channels, unit."""
@@ -55,11 +59,17 @@ class RecordedReadings:
         The channels and, behind them, the time and the temperature where these are read.
     values : ndarray, shape (roles, rows)
         NaN where a value is missing.
+    different : sequence of ndarray
+        The values of each channel, most of them once where they repeat.
+    sha256 : str or None
+        Of the file; None of a frame.
     """
 
     name: str
     roles: Sequence[str]
     values: Array
+    different: Sequence[Array]
+    sha256: str | None
 
     @property
     def columns(self) -> Mapping[str, Array]:
@@ -153,17 +163,28 @@ def recorded_readings(
     InputError
         A column is missing or in another unit, or a row cannot be parsed.
     """
-    with open_log(log, progress=progress) as reader:
+    is_file = isinstance(log, str | Path)
+    with open_log(log, digest=is_file, progress=progress) as reader:
         where = locate_readings(reader, channels, named, unit, others)
         rows = reader.rows(sorted(set(where.values())), where.get(TIME))
-        blocks = deque(block.readings(tuple(where.values())).T for block in rows)
-    values = np.empty((len(where), sum(block.shape[1] for block in blocks)))
-    row = 0
-    while blocks:  # each goes as it is copied, so that the log is in memory once
-        block = blocks.popleft()
-        values[:, row : row + block.shape[1]] = block
-        row += block.shape[1]
-    return RecordedReadings(reader.name, tuple(where), values)
+        values, end = np.empty((len(where), 0)), 0
+        different = [DifferentValues() for _ in channels]
+        for block in rows:
+            start, end = end, end + len(block)
+            if end > values.shape[1]:
+                longer = np.empty((len(where), 2 * end))  # what stays empty takes no memory
+                longer[:, :start] = values[:, :start]
+                values = longer
+            np.stack([block.values[index] for index in where.values()], out=values[:, start:end])
+            for channel, found in zip(values, different, strict=False):
+                found.add(channel[start:end])
+        return RecordedReadings(
+            reader.name,
+            tuple(where),
+            values[:, :end],
+            [found.of(channel[:end]) for found, channel in zip(different, values, strict=False)],
+            reader.sha256 if is_file else None,
+        )
 
 
 def intervals_of(
@@ -189,10 +210,12 @@ def intervals_of(
     """
     parts = [list(group) for _, group in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
     names = _distinct([part[0].name for part in parts])
-    step = resolution(values for role, values in record.columns.items() if role not in (TEMPERATURE, TIME))
-    intervals = [
-        _interval(record, step, part, name, rails or {}, file) for part, name in zip(parts, names, strict=True)
-    ]
+    with ThreadPoolExecutor(_THREADS) as threads:
+        steps = threads.map(lambda values: resolution([values]), record.different)
+        step = min(filter(None, steps), default=0.0)
+        intervals = list(
+            threads.map(lambda part, name: _interval(record, step, part, name, rails or {}, file), parts, names)
+        )
     if soak and TEMPERATURE in record.columns:
         ends = [0, *(part[-1].end for part in parts)]
         before = [max((end for end in ends if end <= part[0].start), default=0) for part in parts]
@@ -378,7 +401,8 @@ def _interval(
         for number in outliers(values, step).tolist()
     }
     _require_few(wrong, parts, file)
-    samples = {channel: np.delete(values, list(wrong)) for channel, values in samples.items()}
+    if wrong:
+        samples = {channel: np.delete(values, list(wrong)) for channel, values in samples.items()}
     for channel, (low, high) in rails.items():
         beyond = np.flatnonzero(~((low < samples[channel]) & (samples[channel] < high)))
         if len(beyond):

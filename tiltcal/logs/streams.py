@@ -197,21 +197,29 @@ def read_ahead(items: Iterator[T], count: int = 2) -> Iterator[T]:
 
 
 class HashingReader:
-    """A stream that keeps the SHA-256 of the bytes that were read from it."""
+    """A stream that keeps the SHA-256 of the bytes that were read from it, computed while the next ones are read."""
 
     def __init__(self, stream: ByteReader) -> None:
         self._stream = stream
         self._digest = sha256()
+        self._update = threading.Thread()
 
     @property
     def sha256(self) -> str:
         """The checksum of the bytes so far, hexadecimal."""
+        self._wait()
         return self._digest.hexdigest()
 
     def read(self, size: int = -1) -> bytes:
         data = self._stream.read(size)
-        self._digest.update(data)
+        self._wait()
+        self._update = threading.Thread(target=self._digest.update, args=(data,))
+        self._update.start()
         return data
+
+    def _wait(self) -> None:
+        if self._update.ident is not None:
+            self._update.join()
 
 
 def sha256_of(path: str | Path) -> str:

@@ -6,12 +6,25 @@ import numpy as np
 import pytest
 from support import coloured_noise as coloured
 
-from tiltcal.core.quantisation import StepFinder, noise_under_rounding, resolution
+from tiltcal.core.quantisation import DifferentValues, StepFinder, noise_under_rounding, resolution
 
 
 def test_resolution_is_the_smallest_step_of_any_channel() -> None:
     assert resolution([np.array([3.0, 3.0]), np.array([1.0, 1.5, np.nan, 4.0])]) == 0.5
     assert resolution([np.array([0.3, 0.1 + 0.2])]) == 0.0
+
+
+@pytest.mark.parametrize(("step", "few"), [(0.25, True), (0.0, False)], ids=["rounded", "continuous"])
+def test_different_values_are_kept_once_where_they_repeat(step: float, few: bool) -> None:
+    noise = np.random.default_rng(4).normal(0.0, 1.0, (3, 200))
+    blocks = step * np.round(noise / step) if step else noise
+    blocks[1, :7] = np.nan
+    found = DifferentValues()
+    for block in blocks:
+        found.add(block)
+    kept = found.of(blocks.ravel())
+    assert (len(kept) < 100) is few
+    assert set(kept[~np.isnan(kept)].tolist()) == set(blocks[~np.isnan(blocks)].tolist())
 
 
 @pytest.mark.parametrize("noise", [0.15, 0.4, 1.5])
