@@ -13,7 +13,7 @@ import pytest
 import scipy
 
 from tiltcal import Calibration, measure, plan
-from tiltcal.bench import sensor_set
+from tiltcal.bench import sensor_set, settle
 from tiltcal.bench.operators.rig import understood
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sample_checks import require_agreement
@@ -151,6 +151,7 @@ def test_one_absurd_temperature_is_taken_again(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_thermometer_that_says_85_all_the_time_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     disturb(monkeypatch, lambda out, answer, n: degrees(85) if out[0] == 0x08 else answer)
+    monkeypatch.setattr(settle, "SOAK_LOOKS", 40)  # each of ten attempts waits for ten windows
     with pytest.raises(Stopped, match=r"is what the thermometer reads, and 24 °C was asked for: one of them is wrong"):
         session("two-temperature")
 
