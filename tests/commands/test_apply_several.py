@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import suppress
 from multiprocessing.resource_tracker import ensure_running
 from pathlib import Path
@@ -18,7 +19,7 @@ from support import FIXTURES
 from support.command import TILTCAL, tiltcal, tiltcal_process
 
 from tiltcal.cli import apply_tasks
-from tiltcal.cli.apply_tasks import ApplyTask
+from tiltcal.cli.apply_tasks import ApplyTask, Outcome
 from tiltcal.logs.apply_summary import ApplySummary
 from tiltcal.logs.prepared_calibration import ApplyOptions
 
@@ -83,6 +84,12 @@ def test_what_cannot_be_done_is_said_before_anything_is(arguments: tuple[str, ..
     assert done.returncode == 2
     assert said in done.stderr
     assert not list((bench / "tilt").iterdir())
+
+
+def test_a_lost_scheduler_is_named() -> None:
+    future: Future[Outcome] = Future()
+    future.cancel()
+    assert "the scheduler was lost" in str(apply_tasks._result(future))
 
 
 class Ending(ApplyTask):

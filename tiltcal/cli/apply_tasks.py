@@ -232,18 +232,25 @@ def _outcome(task: ApplyTask, force: bool, progress: Progress | None = None) -> 
 
 def _result(future: Future[Outcome]) -> Outcome:
     """Return the answer of a worker; a worker without tiltcal, or a lost one, is an error of its log alone."""
+    from concurrent.futures import CancelledError
+
     try:
         return future.result()
+    except CancelledError:
+        return UsageError("the scheduler was lost before its turn: start one, and repeat the command for what is left")
     except Exception as failure:
         return UsageError(f"its worker failed: {failure!r}")
 
 
 @contextmanager
 def _cluster(scheduler: str) -> Iterator[Client]:
+    import logging
+
     try:
         from distributed import Client
     except ImportError as failure:
         raise UsageError(f"--scheduler needs dask.distributed ({failure}): pip install 'tiltcal[cluster]'") from failure
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # each log reports what happened to it
     try:
         client = Client(scheduler, timeout=_PATIENCE)
     except (OSError, ValueError) as failure:
