@@ -120,20 +120,20 @@ class StepFinder:
         return float(distances.sum() / whole.sum())
 
 
-def rounding_left(std: float, resolution: float) -> float:
-    """Standard uncertainty that rounding leaves in a mean of noisy samples, however many (Widrow's first harmonic).
+def rounding_uncertainty(std: float, step: float) -> float:
+    """Compute the standard uncertainty that rounding leaves in the mean of many samples (Widrow's first harmonic).
 
     Parameters
     ----------
     std : float
         Standard deviation of the samples, rounding included.
-    resolution : float
-        The step of the reading; 0 where it is continuous.
+    step : float
+        Of the reading; 0 where it is continuous.
     """
-    if resolution == 0.0:
+    if step == 0.0:
         return 0.0
-    noise = sqrt(max(std**2 - resolution**2 / 12, 0.0))
-    return resolution / sqrt(12) * exp(-2 * (pi * noise / resolution) ** 2)
+    noise = sqrt(max(std**2 - step**2 / 12, 0.0))
+    return step / sqrt(12) * exp(-2 * (pi * noise / step) ** 2)
 
 
 def noise_under_rounding(scatter: float, step: float) -> float:

@@ -13,7 +13,7 @@ from operator import mul
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.quantisation import rounding_left
+from tiltcal.core.quantisation import rounding_uncertainty
 from tiltcal.frozen import frozen
 
 BLOCKS = 10
@@ -89,7 +89,7 @@ def summarise(samples: Sequence[float] | NDArray[np.float64], resolution: float 
     (squares,) = _summands(np.square(values - mean)[np.newaxis])
     std = sqrt(fsum(squares) / (n - 1)) if n > 1 else 0.0
     noise, dof, correlation = _type_a([fsum(block) / size for block in blocks] if size > 1 else [], n, std)
-    step = rounding_left(std, resolution)
+    step = rounding_uncertainty(std, resolution)
     return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
 
 

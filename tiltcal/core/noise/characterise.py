@@ -12,7 +12,7 @@ from tiltcal.core.noise.allan import Octaves, limits
 from tiltcal.core.noise.allan_fit import AllanFit, terms_of
 from tiltcal.core.noise.averages import Averager, decades
 from tiltcal.core.noise.disturbances import Disturbances, RowRange
-from tiltcal.core.quantisation import StepFinder, rounding_left
+from tiltcal.core.quantisation import StepFinder, rounding_uncertainty
 from tiltcal.errors import EstimateError
 
 FEWEST_SAMPLES = 64
@@ -80,7 +80,7 @@ class ChannelNoise:
     @property
     def rounding(self) -> float:
         """What rounding leaves in a mean, however many samples it has, unit."""
-        return rounding_left(float(self.deviation[0]), self.step)
+        return rounding_uncertainty(float(self.deviation[0]), self.step)
 
     @property
     def lowest(self) -> tuple[float, float]:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import common_step, rounding_left
+from tiltcal.core.quantisation import common_step, rounding_uncertainty
 from tiltcal.errors import EstimateError
 
 HARMONICS = 4
@@ -167,7 +167,7 @@ class Demodulator:
         """Return the variance that rounding leaves in a component of each channel, unit²."""
         deviations = np.sqrt(np.maximum(np.diag(found.residual), 0.0))
         passed = 4.0 * np.hypot(*found.coefficients[:2]) / self._step
-        left = np.array([rounding_left(deviation, self._step) for deviation in deviations.tolist()])
+        left = np.array([rounding_uncertainty(deviation, self._step) for deviation in deviations.tolist()])
         # A sine wave passes each step up and down: of places that mirror each other two share one rounding.
         return np.asarray(3.0 * left**2 / np.clip(passed, 1.0, self._places))
 
