@@ -89,6 +89,42 @@ def test_a_change_within_its_uncertainty_is_none(tmp_path: Path) -> None:
     assert row["ratio"] == pytest.approx(1.1785, abs=1e-3)
 
 
+MOUNTED = CALIBRATION.replace("uncertainty:\n", "  mounting: {{roll: {roll}, pitch: 0, yaw: 0}}\nuncertainty:\n")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "u", "word", "said"),
+    [
+        (0.0, 1.0, "{roll: 0.1, pitch: 0.1, yaw: 0.1}", "changed", "mounting.turn.x by more than"),
+        (0.0, 0.1, "{roll: 0.1, pitch: 0.1, yaw: 0.1}", "unchanged", "unchanged"),
+        (179.9, -179.9, "{roll: 0.1, pitch: 0.1, yaw: 0.1}", "unchanged", "unchanged"),
+        (0.0, 180.0, "", "unknown", "no uncertainty is stated of mounting.turn.x, which differs"),
+    ],
+)
+def test_another_mounting_is_a_change(
+    tmp_path: Path, before: float, after: float, u: str, word: str, said: str
+) -> None:
+    """1° with 0.1° on either side is 7.07 standard uncertainties."""
+    for name, roll in (("a.yaml", before), ("b.yaml", after)):
+        text = MOUNTED.format(offset=1024.0, roll=roll)
+        (tmp_path / name).write_text(text + (f"  mounting: {u}\n" if u else ""))
+    told = json.loads(tiltcal("diff", "a.yaml", "b.yaml", "--json", cwd=tmp_path).stdout)
+    assert told["verdict"] == word
+    turn = next(row for row in told["coefficients"] if row["name"] == "mounting.turn.x")
+    assert abs(turn["change"]) == pytest.approx((after - before) % 360.0)
+    assert turn["ratio"] == (pytest.approx(abs(turn["change"]) / 0.1414, rel=1e-3) if u else None)
+    assert said in tiltcal("diff", "a.yaml", "b.yaml", cwd=tmp_path).stdout
+
+
+def test_a_change_without_an_uncertainty_has_no_verdict(tmp_path: Path) -> None:
+    text = CALIBRATION.format(offset=1024.0)
+    text = text[: text.rindex("  sensitivity:")]
+    (tmp_path / "a.yaml").write_text(text)
+    (tmp_path / "b.yaml").write_text(text.replace("818.0", "828.0"))
+    said = tiltcal("diff", "a.yaml", "b.yaml", cwd=tmp_path).stdout
+    assert "no verdict: no uncertainty is stated of sensitivity.x.x, which differs" in said
+
+
 def test_a_change_beyond_it_is_named(tmp_path: Path) -> None:
     told = differ(tmp_path, 1026.0)
     assert told["verdict"] == "changed"

@@ -59,6 +59,8 @@ def unit_of(name: str, unit: str) -> str:
             return f"{unit}/g"
         case ["mounting", "turn", _]:
             return "°"
+        case ["temperature", "lag"]:
+            return "s"
         case ["nonlinearity", *_]:
             return ""
         case ["temperature", kind, _, power]:

@@ -20,12 +20,15 @@ class Verdict:
         change has an uncertainty.
     changed : tuple of str
         The coefficients that changed by more.
+    unjudged : tuple of str
+        Those that differ and have no uncertainty to judge this by.
     incomplete : str
         Why the uncertainties are too small to call anything changed; empty where they are whole.
     """
 
     thresholds: Mapping[str, float]
     changed: tuple[str, ...]
+    unjudged: tuple[str, ...] = ()
     incomplete: str = ""
 
     @property
@@ -36,13 +39,15 @@ class Verdict:
     @property
     def word(self) -> str:
         """``changed``, ``unchanged`` or ``unknown``."""
-        if not self.thresholds or (self.changed and self.incomplete):
+        if not self.thresholds or (self.changed and self.incomplete) or (self.unjudged and not self.changed):
             return "unknown"
         return "changed" if self.changed else "unchanged"
 
     def __str__(self) -> str:
         if not self.thresholds:
             return "no verdict: the files state no uncertainties to compare with"
+        if not self.changed and self.unjudged:
+            return f"no verdict: no uncertainty is stated of {', '.join(self.unjudged)}, which differs"
         if not self.changed:
             return "unchanged: no change is more than its threshold of standard uncertainties"
         more = f"{', '.join(self.changed)} by more than the threshold of standard uncertainties"
@@ -61,4 +66,4 @@ def judge(found: Sequence[CoefficientChange], incomplete: str = "") -> Verdict:
     confidence = COVERAGE ** (1.0 / max(len(judged), 1))
     thresholds = {change.name: change.threshold(confidence) for change in judged}
     changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
-    return Verdict(thresholds, changed, incomplete)
+    return Verdict(thresholds, changed, tuple(change.name for change in found if change.is_unjudged), incomplete)

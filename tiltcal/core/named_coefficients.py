@@ -60,6 +60,11 @@ class CoefficientChange:
         """The difference over its standard uncertainty; None where that is not known, or zero."""
         return abs(self.difference) / self.u if self.u else None
 
+    @property
+    def is_unjudged(self) -> bool:
+        """Whether it differs, by more than arithmetic makes, and has no uncertainty."""
+        return not self.u and abs(self.difference) > 1e-9 * max(abs(self.before), abs(self.after))
+
     def threshold(self, confidence: float) -> float:
         """Return the number of standard uncertainties that the difference of an unchanged coefficient stays within."""
         upper = (1.0 + confidence) / 2.0
@@ -196,13 +201,13 @@ def changes(
         before = referred(before, after.thermal.reference)
     old, new = values(before), values(after)
     return [
-        CoefficientChange(name, old[name], new[name], *_apart(known_before.get(name), known_after.get(name)))
+        CoefficientChange(name, old[name], new[name], *difference_of(known_before.get(name), known_after.get(name)))
         for name in new
         if name in old
     ]
 
 
-def _apart(before: KnownCoefficient | None, after: KnownCoefficient | None) -> tuple[float | None, float]:
+def difference_of(before: KnownCoefficient | None, after: KnownCoefficient | None) -> tuple[float | None, float]:
     """Return the standard uncertainty of a difference and its degrees of freedom (GUM, eq. G.2b)."""
     if before is None or after is None:
         return None, inf

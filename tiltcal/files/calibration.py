@@ -6,13 +6,18 @@ positions, provenance) are records for people and later questions. Every key and
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import radians
+from collections.abc import Iterator, Mapping, Sequence
+from math import hypot, radians
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from tiltcal.core.model import AXES, Coefficients, Limits
-from tiltcal.core.named_coefficients import CoefficientChange, changes, values
+from tiltcal.core.mounting_angles import mounting_matrix
+from tiltcal.core.mounting_rotation import rotation_vector
+from tiltcal.core.named_coefficients import CoefficientChange, changes, difference_of, values
+from tiltcal.core.uncertainty_inputs import TURN
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.coefficients import COEFFICIENTS, in_degrees
@@ -36,7 +41,7 @@ from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.node import Node
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
-from tiltcal.files.uncertainty import UNCERTAINTY, Uncertainty, known_coefficients
+from tiltcal.files.uncertainty import UNCERTAINTY, Uncertainty, known_coefficients, known_turns
 from tiltcal.frozen import frozen
 
 
@@ -250,4 +255,26 @@ def changes_between(before: CalibrationRecord, after: CalibrationRecord) -> list
         known_coefficients(calibration.uncertainty, calibration.coefficients, reference)
         for calibration in (before, after)
     )
-    return changes(before.coefficients, after.coefficients, *known)
+    found = changes(before.coefficients, after.coefficients, *known)
+    return [*found, *_change_of_lag(before, after), *_turns_between(before, after)]
+
+
+def _change_of_lag(before: CalibrationRecord, after: CalibrationRecord) -> Iterator[CoefficientChange]:
+    """Yield the change of a thermal lag that both have."""
+    first, last = (0.0 if one.coefficients.thermal is None else one.coefficients.thermal.lag for one in (before, after))
+    if first and last:
+        u = [one.uncertainty.get("temperature.lag", 0.0) for one in (before, after)]
+        yield CoefficientChange("temperature.lag", first, last, hypot(*u) if all(u) else None)
+
+
+def _turns_between(before: CalibrationRecord, after: CalibrationRecord) -> Iterator[CoefficientChange]:
+    """Yield the turn from one mounting to another about each axis of the application, degrees."""
+    mountings = [one.coefficients.mounting for one in (before, after)]
+    first, last = mountings
+    if first is None or last is None or first == last:
+        return
+    turn = rotation_vector(mounting_matrix(last) @ mounting_matrix(first).T)
+    stated = [known_turns(one.uncertainty, one.coefficients) for one in (before, after)]
+    for axis, angle in zip(AXES, np.degrees(turn).tolist(), strict=True):
+        name = f"{TURN}{axis}"
+        yield CoefficientChange(name, 0.0, angle, *difference_of(*(one.get(name) for one in stated)))

@@ -17,7 +17,7 @@ import numpy as np
 from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.named_coefficients import KnownCoefficient, known, values
+from tiltcal.core.named_coefficients import KnownCoefficient, degrees_of_freedom, known, values
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
@@ -279,6 +279,17 @@ def known_coefficients(
     exact = {name: KnownCoefficient(0.0) for name, u in uncertainty.items() if u == 0.0}
     stated = uncertainty_inputs(uncertainty, coefficients).without_turn
     return exact | known(coefficients, stated.names, stated.covariance, stated.factors, reference)
+
+
+def known_turns(uncertainty: Uncertainty, coefficients: Coefficients) -> dict[str, KnownCoefficient]:
+    """Return the uncertainty of a mounting as turns about the application's axes, degrees."""
+    stated = uncertainty_inputs(uncertainty, coefficients)
+    u = np.degrees(np.sqrt(np.diag(stated.covariance))).tolist()
+    return {
+        name: KnownCoefficient(own, degrees_of_freedom(factor))
+        for name, own, factor in zip(stated.names, u, stated.factors.tolist(), strict=True)
+        if name.startswith(TURN)
+    }
 
 
 def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:
