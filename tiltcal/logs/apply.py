@@ -195,7 +195,7 @@ def apply_frame(
     if unit is not None and prepared.unit is not None and not same_unit(unit, prepared.unit):
         why = f"column {reader.names[log.channels[0]]!r} is in {unit}, and the calibration in {prepared.unit}"
         raise InputError(f"{why}: convert the readings", file=reader.name)
-    blocks = list(log.blocks())
+    blocks = list(log.blocks(count=False))
     if prepared.averaging is not None:
         return reader.of_means(blocks, log.channels, log.units)
     ((_block, table),) = blocks
@@ -293,7 +293,9 @@ class CompensatedLog:
 
         return dict.fromkeys(VELOCITY, self.log.unit(self.vectors["velocity"][0]))
 
-    def blocks(self, time: int | None = None, *, frames: bool = False) -> Iterator[tuple[LogBlock, Table]]:
+    def blocks(
+        self, time: int | None = None, *, frames: bool = False, count: bool = True
+    ) -> Iterator[tuple[LogBlock, Table]]:
         """Yield the log's own blocks, in order, and the columns that belong behind theirs.
 
         Parameters
@@ -302,6 +304,8 @@ class CompensatedLog:
             A column of times that is needed too; without it, the one that the calibration asks for.
         frames : bool
             Give each block all columns with their types.
+        count : bool
+            Add the rows to :attr:`summary`.
         """
         keep_freed_memory()
         time = self.roles.get(TIME, time)
@@ -317,7 +321,8 @@ class CompensatedLog:
                 table = self.field_length.flagged(table, values.magnetometer)
             if means is not None:
                 table = means.added(block, table)
-            self.summary.add(table, len(block.faults) + block.bad_rows)
+            if count:
+                self.summary.add(table, len(block.faults) + block.bad_rows)
             yield block, table
 
     def _values(self, block: LogBlock) -> RoleValues:

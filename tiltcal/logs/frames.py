@@ -336,13 +336,13 @@ def _array(values: Any) -> NDArray[Any]:
 
 def _floats(column: Any) -> Array:
     """Return a narwhals column of doubles as an array; NaN where a value is missing."""
-    return np.array(column.fill_null(float("nan")).to_numpy(), dtype=float)
+    return np.asarray(column.fill_null(float("nan")).to_numpy(), dtype=float)
 
 
 def _numeric(values: NDArray[Any]) -> Array | None:
     if values.dtype.kind not in "iuf":
         return None
-    return np.ma.filled(values.astype(float), np.nan)
+    return np.ma.filled(values.astype(float, copy=np.ma.isMaskedArray(values)), np.nan)
 
 
 def _timed(values: NDArray[Any]) -> Array | None:
