@@ -1,0 +1,38 @@
+"""Chunks of a NetCDF log that are packed in threads, against the library, which unpacks them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+
+from tiltcal.logs.formats.netcdf import _write_chunks
+
+
+@pytest.mark.parametrize("shuffle", [True, False])
+@pytest.mark.parametrize("rows", [300, 1000, 2500])
+def test_the_library_unpacks_what_was_packed(tmp_path: Path, rows: int, shuffle: bool) -> None:
+    rng = np.random.default_rng(5)
+    columns = {
+        "tilt_x": np.where(rng.random(rows) < 0.1, np.nan, rng.normal(0.0, 30.0, rows)),
+        "u_tilt_x": np.round(rng.uniform(0.1, 0.2, rows), 4),
+        "flag": rng.integers(1, 10, rows).astype(np.uint8),
+    }
+    with h5py.File(tmp_path / "log.nc", "w") as file:
+        variables = {
+            name: SimpleNamespace(
+                _h5ds=file.create_dataset(
+                    name, rows, column.dtype, chunks=(min(rows, 1000),), compression=1, shuffle=shuffle
+                )
+            )
+            for name, column in columns.items()
+        }
+        starts = range(0, rows, 1000)
+        tables = ({name: column[start : start + 1000] for name, column in columns.items()} for start in starts)
+        _write_chunks(variables, tables, min(rows, 1000))
+    with h5py.File(tmp_path / "log.nc") as file:
+        for name, column in columns.items():
+            np.testing.assert_array_equal(file[name][:], column)
