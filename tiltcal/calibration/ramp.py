@@ -76,7 +76,7 @@ def calibrate_ramp(
     if fit.lag < 0.0:
         # The inverse filter amplifies what is random in the thermometer.
         step *= 1.0 + 1.0 / LOG_SMOOTHING
-    pace = max(leg.leg.pace for leg in fit.held_out) / 60.0
+    pace = max(held_out.leg.pace for held_out in fit.held_out) / 60.0
     uncertain = hypot(step, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
     made = record_of(found, design, replace(sensor, measurements=groups), procedure)
     _require_attitude(made, sensor)
@@ -156,12 +156,12 @@ def _estimate(
     )
     by_model = fit.means.powers(fit.lag, fit.order) @ fit.coefficients.T
     modelled = np.array([by_model[part].mean(axis=0) for _, part in _parts(fit)])
-    residuals = np.array([[one.summaries[c].mean for c in design.channels] for one in groups]) - modelled
+    residuals = np.array([[group.summaries[c].mean for c in design.channels] for group in groups]) - modelled
     return Estimate(
         coefficients,
         names,
         Budget.of(list(_sources(fit, design, coefficients, gravity, names, bench))),
-        tuple(one.position for one in groups),
+        tuple(group.position for group in groups),
         residuals,
         residuals,
         max(len(fit.means) - fit.order - 1, 0) * len(design.channels),
@@ -184,7 +184,9 @@ def _coefficients(fit: RampFit, design: Design, gravity: Array, temperatures: tu
         nonlinearity=np.zeros((len(channels), design.nonlinearity)) if design.nonlinearity else None,
     )
     known = design.priors
-    coefficients = with_vector(coefficients, list(known), np.array([one.value for one in known.values()]))
+    coefficients = with_vector(
+        coefficients, list(known), np.array([coefficient.value for coefficient in known.values()])
+    )
     return replace(coefficients, offset=fit.coefficients[:, 0] - coefficients.predict(gravity[None, :])[0])
 
 
@@ -276,14 +278,14 @@ def _ramp_record(fit: RampFit, channels: Sequence[str]) -> RampFitRecord:
         explained_percent=told(100.0 * fit.explained),
         legs=tuple(
             RampLeg(
-                way=one.leg.way,
-                temperature=(round(one.leg.low, 2), round(one.leg.high, 2)),
-                seconds=round(one.leg.seconds, 1),
-                pace=significant(one.leg.pace, 3),
-                polynomial=told(one.polynomial),
-                lagged=told(one.lagged),
+                way=held_out.leg.way,
+                temperature=(round(held_out.leg.low, 2), round(held_out.leg.high, 2)),
+                seconds=round(held_out.leg.seconds, 1),
+                pace=significant(held_out.leg.pace, 3),
+                polynomial=told(held_out.polynomial),
+                lagged=told(held_out.lagged),
             )
-            for one in fit.held_out
+            for held_out in fit.held_out
         ),
     )
 

@@ -105,11 +105,13 @@ def _serials(
         found = str(serial or noted)
         return [(found, f"{found}_" if f"{found}_x" in log.names or f"{found}_y" in log.names else "")]
     columns = {name[:-2] for name in log.names if name[-2:] in ("_x", "_y", "_z")}
-    known = [one for one in dict.fromkeys(name[:-2] for name in log.names) if one in columns & {*library.serials}]
+    known = [
+        serial for serial in dict.fromkeys(name[:-2] for name in log.names) if serial in columns & {*library.serials}
+    ]
     if known:
         for other in sorted(columns - {*known}):
             say(f"note: {library.folder} has no calibration of {other!r}: its columns are left as they are")
-        return [(one, f"{one}_") for one in known]
+        return [(serial, f"{serial}_") for serial in known]
     if len(library.serials) == 1 and not columns:
         say(f"note: {log.name} names no sensor; {library.folder} has calibrations of {library.serials[0]} alone")
         return [(library.serials[0], "")]
@@ -154,8 +156,8 @@ def _prepare_sensor(
 ) -> PreparedCalibration:
     calibrations = sensor.history.calibrations
     origin = {
-        "calibration": ", ".join(one.name for one in calibrations),
-        "sha256": ", ".join(sha256_of(one.path) for one in calibrations),
+        "calibration": ", ".join(calibration.name for calibration in calibrations),
+        "sha256": ", ".join(sha256_of(calibration.path) for calibration in calibrations),
     }
     template = prepare(Calibration(calibrations[-1].record), options, say, origin=origin)
     kernel = LibraryKernel(sensor.history, stability, options, template.kernel.columns, template.rails, start, log)
@@ -199,7 +201,7 @@ class LibraryKernel:
         self._start, self._log = start, log
         channels = history.calibrations[-1].record.coefficients.channels
         self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in channels}
-        self._dates = np.array([one.date.timestamp() for one in history.calibrations])
+        self._dates = np.array([calibration.date.timestamp() for calibration in history.calibrations])
         self._kernels: dict[int, tuple[Kernel, float]] = {}
         self._last = float(self._dates[-1])
         thermal = history.calibrations[-1].record.coefficients.thermal
@@ -321,7 +323,8 @@ def _without_uncertainty(history: SensorHistory) -> SensorHistory:
     return replace(
         history,
         calibrations=tuple(
-            replace(one, record=replace(one.record, uncertainty=Uncertainty({}, {}))) for one in history.calibrations
+            replace(calibration, record=replace(calibration.record, uncertainty=Uncertainty({}, {})))
+            for calibration in history.calibrations
         ),
     )
 
@@ -331,8 +334,13 @@ def _mounted_as_last(history: SensorHistory) -> SensorHistory:
     return replace(
         history,
         calibrations=tuple(
-            replace(one, record=replace(one.record, coefficients=replace(one.record.coefficients, mounting=mounting)))
-            for one in history.calibrations
+            replace(
+                calibration,
+                record=replace(
+                    calibration.record, coefficients=replace(calibration.record.coefficients, mounting=mounting)
+                ),
+            )
+            for calibration in history.calibrations
         ),
     )
 
@@ -342,13 +350,13 @@ def _moves_offset_alone(history: SensorHistory) -> bool:
     last = history.calibrations[-1].record.coefficients
     reference = None if last.thermal is None else last.thermal.reference
     kept = []
-    for one in history.calibrations:
-        coefficients = one.record.coefficients
+    for calibration in history.calibrations:
+        coefficients = calibration.record.coefficients
         if reference is not None and coefficients.thermal is not None:
             coefficients = referred(coefficients, reference)
         known = {name: value for name, value in values(coefficients).items() if not name.startswith(_ON_LINE)}
         kept.append((known, coefficients.mounting, coefficients.axes))
-    return all(one == kept[-1] for one in kept)
+    return all(calibration == kept[-1] for calibration in kept)
 
 
 def _without_lag(record: CalibrationRecord) -> CalibrationRecord:
@@ -421,8 +429,8 @@ def _bench(
         vectors=parts[0].vectors,
         averaging=parts[0].averaging,
         rails={
-            f"{one.lead}{name}": rail
-            for one, part in zip(sensors, parts, strict=True)
+            f"{sensor.lead}{name}": rail
+            for sensor, part in zip(sensors, parts, strict=True)
             for name, rail in part.rails.items()
         },
     )

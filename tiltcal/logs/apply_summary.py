@@ -103,13 +103,17 @@ class ApplySummary:
 
     def as_data(self) -> dict[str, object]:
         """Return the counts as plain data, every flag and reason that occurred."""
-        widths = {name: {"median": one.median, "largest": one.largest} for name, one in self.widths.items()}
+        widths = {name: {"median": width.median, "largest": width.largest} for name, width in self.widths.items()}
         return {
             "rows": self.rows,
             **self._counts(),
             "bad_rows": self.bad_rows,
             **({"uncertainty": widths} if widths else {}),
-            **({"sensors": {serial: one._counts() for serial, one in self.sensors.items()}} if self.sensors else {}),
+            **(
+                {"sensors": {serial: sensor._counts() for serial, sensor in self.sensors.items()}}
+                if self.sensors
+                else {}
+            ),
         }
 
     def _counts(self) -> dict[str, dict[str, int]]:
@@ -121,18 +125,22 @@ class ApplySummary:
     def as_text(self) -> str:
         """Return the counts in words, one line for each."""
         lines = [_counted(self.rows, "row")]
-        for serial, one in (self.sensors or {"": self}).items():
+        for serial, summary in (self.sensors or {"": self}).items():
             lead = f"{serial} " if serial else ""
             lines += [
-                f"  {lead}flag {flag} {name}: {one.flags[flag]}" for flag, name in FLAGS.items() if one.flags[flag]
+                f"  {lead}flag {flag} {name}: {summary.flags[flag]}"
+                for flag, name in FLAGS.items()
+                if summary.flags[flag]
             ]
             lines += [
-                f"  {lead}reason {bit} {why}: {one.reasons[bit]}" for bit, why in REASONS.items() if one.reasons[bit]
+                f"  {lead}reason {bit} {why}: {summary.reasons[bit]}"
+                for bit, why in REASONS.items()
+                if summary.reasons[bit]
             ]
         if self.bad_rows:
             lines.append(f"  {_counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
         if self.widths:
-            lines.append(f"  median (largest) {', '.join(_told(name, one) for name, one in self.widths.items())}")
+            lines.append(f"  median (largest) {', '.join(_told(name, width) for name, width in self.widths.items())}")
         return "\n".join(lines)
 
 

@@ -142,7 +142,9 @@ class TiltKernel:
                     added[:own, rows] = self._uncertainties(self._uncertain.propagation, chunk)
                 if self._earth is not None:
                     given = (values.magnetometer, values.heading, values.velocity)
-                    added[own:, rows] = self._earth(chunk, *(None if one is None else one[rows] for one in given))
+                    added[own:, rows] = self._earth(
+                        chunk, *(None if values is None else values[rows] for values in given)
+                    )
         if lost is not None:
             mark(out, lost, SUSPECT, NO_TEMPERATURE)
         return table | dict(zip(self.columns[len(table) :], added, strict=True))

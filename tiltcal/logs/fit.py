@@ -170,9 +170,12 @@ def fit(
         positions = source.free_positions(identity, say)
     else:
         positions = source.set_positions(identity, steps)
-    for one in positions.measurements:
-        if "left_out" in one.when:
-            say(f"{one.position}: {one.when['left_out']} samples are far off the others, and are left out")
+    for measurement in positions.measurements:
+        if "left_out" in measurement.when:
+            say(
+                f"{measurement.position}: {measurement.when['left_out']} samples are far off the others, "
+                "and are left out"
+            )
     measured = MeasuredSensor(
         identity,
         positions.measurements,
@@ -280,7 +283,7 @@ class FitSource:
         named = named_columns(self.columns, sensor.channels)
         found = read_ramp(self.data, sensor.channels, named, sensor.unit, segment)
         first = procedure.positions[0]
-        known = {one.name: one.gravity for one in procedure.positions}
+        known = {position.name: position.gravity for position in procedure.positions}
         gravity = first.gravity
         if segment is not None:
             gravity = segment.gravity or known.get(segment.name, gravity)

@@ -90,7 +90,7 @@ class FrameReader(LogReader):
         import polars as pl
 
         frame = pl.concat([block.frame for block, _ in blocks if block.frame is not None])
-        table = {name: np.concatenate([one[name] for _, one in blocks]) for name in blocks[0][1]}
+        table = {name: np.concatenate([block[name] for _, block in blocks]) for name in blocks[0][1]}
         return self._frame.of_rows(frame).with_columns(table, [self.names[index] for index in channels], units)
 
     def with_columns(self, table: Table, channels: Sequence[int], units: Units) -> Any:
@@ -267,7 +267,9 @@ class _Arrays:
         import polars as pl
 
         columns = {name: values for name, values in self._arrays.items() if values.ndim == 1}
-        return pl.DataFrame({name: _numeric(one) if np.ma.isMaskedArray(one) else one for name, one in columns.items()})
+        return pl.DataFrame(
+            {name: _numeric(column) if np.ma.isMaskedArray(column) else column for name, column in columns.items()}
+        )
 
     def of_rows(self, rows: pl.DataFrame) -> _Arrays:
         return _Arrays({name: rows[name].to_numpy() for name in rows.columns})

@@ -246,7 +246,7 @@ def _refuse_contradiction(model: Model | None, known: Calibration | None, unit: 
         "--calibration": known.sensor.unit if known else None,
         "--unit": unit,
     }
-    said = {name: one for name, one in units.items() if one is not None}
+    said = {name: known for name, known in units.items() if known is not None}
     if len(set(said.values())) > 1:
         raise UsageError("the readings have one unit: " + ", but ".join(f"{name} says {u}" for name, u in said.items()))
     if model and known and set(known.sensor.channels) - set(model.channels):

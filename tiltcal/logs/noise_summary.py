@@ -47,7 +47,7 @@ class NoiseTarget:
     def degrees(self) -> float | None:
         """The standard uncertainty that meets both; None where neither is stated."""
         stated = [self.uncertainty, None if self.range is None else self.range / RANGE_OF_100]
-        return min((one for one in stated if one is not None), default=None)
+        return min((seconds for seconds in stated if seconds is not None), default=None)
 
     def __str__(self) -> str:
         parts = {"": self.uncertainty, "a range of ": self.range}
@@ -175,13 +175,13 @@ def _channel_data(channel: str, noise: ChannelNoise, scale: NoiseScale) -> dict[
         "step": noise.step or None,
         "averages": [
             {
-                "samples": one.samples,
-                "averages": one.count,
-                **_both("std", channel, one.std, scale),
-                **_both("range", channel, one.range, scale),
-                "white": one.white,
+                "samples": average.samples,
+                "averages": average.count,
+                **_both("std", channel, average.std, scale),
+                **_both("range", channel, average.range, scale),
+                "white": average.white,
             }
-            for one in noise.averages
+            for average in noise.averages
         ],
         "allan": [
             {"tau": tau, "deviation": deviation, "low": low, "high": high, "dof": dof}
@@ -214,12 +214,12 @@ def _table(noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> Iterator[st
     head = f"{'':3} {'samples':>8} {'averages':>9}  {f'std [{unit}]':>14}  {'if white':>10}  {f'range [{unit}]':>14}"
     yield head + angles
     for channel, noise in noises.items():
-        for row, one in enumerate(noise.averages):
-            cells = [f"{one.std:>14.4g}", f"{one.white:>10.4g}", f"{one.range:>14.4g}"]
-            for value in (one.std, one.range):
+        for row, average in enumerate(noise.averages):
+            cells = [f"{average.std:>14.4g}", f"{average.white:>10.4g}", f"{average.range:>14.4g}"]
+            for value in (average.std, average.range):
                 angle = scale.degrees(channel, value)
                 cells += [] if angle is None else [f"{angle:>10.3g}"]
-            yield f"{channel if row == 0 else '':3} {one.samples:>8} {one.count:>9}  " + "  ".join(cells)
+            yield f"{channel if row == 0 else '':3} {average.samples:>8} {average.count:>9}  " + "  ".join(cells)
 
 
 def _kinds(channel: str, noise: ChannelNoise, scale: NoiseScale) -> Iterator[str]:

@@ -293,15 +293,15 @@ def require_positions(named: Iterable[Segment] | Iterable[TabledPosition], proce
         The message names the line, and a similar name.
     """
     known = [position.name for position in procedure.positions]
-    for one in named:
-        if one.gravity is None and one.name not in known:
-            near = get_close_matches(one.name, known, n=1)
+    for segment in named:
+        if segment.gravity is None and segment.name not in known:
+            near = get_close_matches(segment.name, known, n=1)
             raise InputError(
-                f"{procedure.name} has no position {one.name!r}"
+                f"{procedure.name} has no position {segment.name!r}"
                 + (f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(known)}")
                 + ", and no gx, gy, gz are given for it",
                 file=file,
-                line=one.line,
+                line=segment.line,
             )
 
 
@@ -379,8 +379,10 @@ def _require_not_stuck(intervals: Sequence[StaticInterval], step: float, file: s
 def _require_not_stuck_everywhere(measurements: Sequence[Measurement], file: str) -> None:
     """Refuse a channel that reads the same however far its axis is tilted."""
     for axis, channel in enumerate(AXES):
-        reach = {one.gravity[axis] for one in measurements if channel in one.summaries}
-        means = {one.summaries[channel].mean for one in measurements if channel in one.summaries}
+        reach = {measurement.gravity[axis] for measurement in measurements if channel in measurement.summaries}
+        means = {
+            measurement.summaries[channel].mean for measurement in measurements if channel in measurement.summaries
+        }
         if len(means) == 1 and max(reach) - min(reach) > TILTED:
             raise InputError(
                 f"{channel} reads {means.pop():g} in every position: it is stuck; is it connected?", file=file

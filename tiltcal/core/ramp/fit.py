@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import sqrt
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -265,7 +266,7 @@ def _solve(means: FittedMeans, kept: NDArray[np.bool_], order: int, lags: Array,
         coefficients = _least_squares(x, y)
         return _Solution(lag, coefficients, float(np.sum(((y - x @ coefficients) / scale) ** 2)))
 
-    best = min((at(lag) for lag in lags.tolist()), key=lambda one: one.error)
+    best = min((at(lag) for lag in lags.tolist()), key=attrgetter("error"))
     if len(lags) == 1:
         return best
     for _ in range(_STEPS):
@@ -276,10 +277,10 @@ def _solve(means: FittedMeans, kept: NDArray[np.bool_], order: int, lags: Array,
         if not steepness > 0.0:
             break
         change = float(np.sum(slope * (y - x @ best.coefficients) / scale**2)) / steepness
-        one = at(round(best.lag + float(np.clip(change, lags[0] / 2.0, lags[-1] / 2.0)), 6))
-        if not one.error < best.error:
+        refined = at(round(best.lag + float(np.clip(change, lags[0] / 2.0, lags[-1] / 2.0)), 6))
+        if not refined.error < best.error:
             break
-        best = one
+        best = refined
     return best
 
 
@@ -302,7 +303,7 @@ def _one_lag(means: FittedMeans, lag: float, order: int) -> tuple[float, Array, 
     for _ in range(_STEPS):
         x = means.powers(lag, order)
         designs = [np.column_stack([x, slope]) for slope in means.by_lag(lag, coefficients.T).T]
-        whiteners = whiteners or [whitener(means, one, y[:, c]) for c, one in enumerate(designs)]
+        whiteners = whiteners or [whitener(means, design, y[:, c]) for c, design in enumerate(designs)]
         solution, covariance, _ = joint_least_squares(whiteners, designs, y)
         coefficients = solution[:-1].reshape(coefficients.shape)
         lag += float(solution[-1])
@@ -311,9 +312,9 @@ def _one_lag(means: FittedMeans, lag: float, order: int) -> tuple[float, Array, 
     return lag, coefficients, covariance
 
 
-def _with_lag(means: FittedMeans, lag: float, one: Array, covariance: Array) -> _Estimate:
+def _with_lag(means: FittedMeans, lag: float, polynomials: Array, covariance: Array) -> _Estimate:
     """Estimate with a lag; the loop that even a second one leaves is fitted to the residuals."""
-    mean, p = over_lags(means, lag, one, covariance[:-1, :-1]), one.shape[1]
+    mean, p = over_lags(means, lag, polynomials, covariance[:-1, :-1]), polynomials.shape[1]
     powers = np.vander(mean.element, p, increasing=True)
     left = means.readings - powers @ mean.coefficients.T
     ways = means.ways(powers, loop_terms(p - 1))

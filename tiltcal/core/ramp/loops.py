@@ -37,7 +37,7 @@ class Loops:
 
     def explained_by(self, other: Loops) -> Array:
         """Return the part of the square of this loop that is no longer in another one, shape (channels,)."""
-        before, after = (np.mean(one.differences**2, axis=0) for one in (self, other))
+        before, after = (np.mean(loops.differences**2, axis=0) for loops in (self, other))
         return np.asarray(1.0 - after / np.maximum(before, np.finfo(float).tiny))
 
 

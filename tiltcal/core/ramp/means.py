@@ -53,7 +53,7 @@ class FittedMeans:
         """By how much the curve is shifted because rounding does not average out at the turns, °C."""
         self.time = self._mean(record.time)
         self.readings = np.stack([self._mean(column) for column in record.readings.T], axis=1)
-        self.leg: NDArray[np.intp] = np.searchsorted([one.start for one in legs], self._starts, side="right") - 1
+        self.leg: NDArray[np.intp] = np.searchsorted([leg.start for leg in legs], self._starts, side="right") - 1
         """Which leg each mean belongs to."""
 
     def __len__(self) -> int:
@@ -144,4 +144,4 @@ class FittedMeans:
         span = float(np.ptp(self.time))
         distance = np.abs(self.time[:, None] - self.time[None, :])
         found = [np.exp(-distance / decay) for decay in np.geomspace(span / 64.0, LONGEST * span, 8)]
-        return [(one, *np.linalg.eigh(one)) for one in found]
+        return [(block, *np.linalg.eigh(block)) for block in found]

@@ -67,34 +67,37 @@ class OverLags:
         return float(np.sqrt(self.weights @ np.mean((self.elements - element) ** 2, axis=1)))
 
 
-def over_lags(means: FittedMeans, lag: float, one: Array, covariance: Array) -> OverLags:
+def over_lags(means: FittedMeans, lag: float, polynomials: Array, covariance: Array) -> OverLags:
     """Return the mean over one lag and pairs of lags.
 
     Parameters
     ----------
     lag : float
         The one that was found, s.
-    one : ndarray, shape (channels, order + 1)
-        Its coefficients.
+    polynomials : ndarray, shape (channels, order + 1)
+        Their coefficients with that lag.
     covariance : ndarray, shape (channels (order + 1),) twice
     """
     y = means.readings
-    alone = [np.column_stack([means.powers(lag, one.shape[1] - 1), slope]) for slope in means.by_lag(lag, one.T).T]
-    best = _likeliest(means, lag, one)
+    alone = [
+        np.column_stack([means.powers(lag, polynomials.shape[1] - 1), slope])
+        for slope in means.by_lag(lag, polynomials.T).T
+    ]
+    best = _likeliest(means, lag, polynomials)
     whiteners = [whitener(means, design, y[:, c]) for c, design in enumerate(best.designs)]
     grid, near = _pairs(lag), _near(best.lags)
-    pairs = [_of_pair(means, pair, lag, one, whiteners) for pair in grid + near]
+    pairs = [_of_pair(means, pair, lag, polynomials, whiteners) for pair in grid + near]
     volumes = np.repeat([1.0 / len(grid), 1.0 / (len(grid) * _FINER**2)], [len(grid), len(near)])
     nothing = _solve((0.0, lag), alone, y, whiteners, abs(lag)).evidence
     evidence = np.array([nothing, *(np.array([pair.evidence for pair in pairs]) + np.log(volumes))])
     weights = np.exp(evidence - evidence.max())
     weights /= weights.sum()
-    coefficients = np.stack([one.ravel(), *(pair.coefficients for pair in pairs)])
+    coefficients = np.stack([polynomials.ravel(), *(pair.coefficients for pair in pairs)])
     mean = weights @ coefficients
     within = np.einsum("k,kij->ij", weights, np.stack([covariance, *(pair.covariance for pair in pairs)]))
     apart = coefficients - mean
     return OverLags(
-        mean.reshape(one.shape),
+        mean.reshape(polynomials.shape),
         within + (weights[:, None] * apart).T @ apart,
         np.stack([means.element(lag), *(pair.designs[0][:, 1] for pair in pairs)]),
         weights,
@@ -114,24 +117,26 @@ class _Solution:
     evidence: float
 
 
-def element_of_pair(means: FittedMeans, lag: float, one: Array) -> Array:
+def element_of_pair(means: FittedMeans, lag: float, polynomials: Array) -> Array:
     """Return the temperature of the element by the likeliest pair of lags, °C from the reference, shape (means,).
 
     Parameters
     ----------
     lag : float
         That of one lag, s.
-    one : ndarray, shape (channels, order + 1)
+    polynomials : ndarray, shape (channels, order + 1)
         Coefficients to start from.
     """
-    return _likeliest(means, lag, one).designs[0][:, 1]
+    return _likeliest(means, lag, polynomials).designs[0][:, 1]
 
 
-def _likeliest(means: FittedMeans, lag: float, one: Array) -> _Solution:
+def _likeliest(means: FittedMeans, lag: float, polynomials: Array) -> _Solution:
     """Return the likeliest pair under white noise."""
-    left = means.readings - means.powers(lag, one.shape[1] - 1) @ one.T
+    left = means.readings - means.powers(lag, polynomials.shape[1] - 1) @ polynomials.T
     whiteners = [np.eye(len(left)) / np.std(column) for column in left.T]
-    return max((_of_pair(means, pair, lag, one, whiteners) for pair in _pairs(lag)), key=lambda pair: pair.evidence)
+    return max(
+        (_of_pair(means, pair, lag, polynomials, whiteners) for pair in _pairs(lag)), key=lambda pair: pair.evidence
+    )
 
 
 def _pairs(lag: float) -> list[tuple[float, float]]:
@@ -145,10 +150,10 @@ def _near(lags: tuple[float, float]) -> list[tuple[float, float]]:
 
 
 def _of_pair(
-    means: FittedMeans, lags: tuple[float, float], whole: float, one: Array, whiteners: Sequence[Array]
+    means: FittedMeans, lags: tuple[float, float], whole: float, polynomials: Array, whiteners: Sequence[Array]
 ) -> _Solution:
     """Fit polynomials and the share of the first lag, which starts where both are ``whole`` on the mean."""
-    order, coefficients = one.shape[1] - 1, one
+    order, coefficients = polynomials.shape[1] - 1, polynomials
     first, second = (means.element(lag) for lag in lags)
     share = (lags[1] - whole) / (lags[1] - lags[0])
     for _ in range(_STEPS):
@@ -156,7 +161,7 @@ def _of_pair(
         slope = (x[:, :-1] @ (coefficients[:, 1:] * np.arange(1, order + 1)).T) * (first - second)[:, None]
         designs = [np.column_stack([x, column]) for column in slope.T]
         found = _solve(lags, designs, means.readings, whiteners, 1.0)
-        coefficients, share = found.coefficients.reshape(one.shape), share + found.change
+        coefficients, share = found.coefficients.reshape(polynomials.shape), share + found.change
     return found
 
 

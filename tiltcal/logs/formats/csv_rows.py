@@ -451,7 +451,7 @@ def _refitted(row: Sequence[str], line: str, fields: int) -> str:
         return ",".join([_in_quotes(line), *[""] * (fields - 1)])
     if len(row) < fields:
         return line + "," * (fields - len(row))
-    kept = [_in_quotes(one) if "\r" in one else one for one in row[: fields - 1]]
+    kept = [_in_quotes(cell) if "\r" in cell else cell for cell in row[: fields - 1]]
     return ",".join([*kept, _in_quotes(",".join(row[fields - 1 :]))])
 
 
