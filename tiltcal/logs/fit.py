@@ -34,18 +34,16 @@ from tiltcal.logs.columns import named_columns
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.log import Progress
 from tiltcal.logs.ramp import read_ramp
+from tiltcal.logs.recorded_readings import RecordedReadings, recorded_readings, timed_readings
 from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
 from tiltcal.logs.static_intervals import (
     Rails,
-    RecordedReadings,
     StaticInterval,
     intervals_of,
     intervals_of_table,
     oriented,
     placed,
-    recorded_readings,
     require_positions,
-    timed_readings,
 )
 from tiltcal.logs.streams import sha256_of
 from tiltcal.stated_numbers import is_number
