@@ -308,6 +308,8 @@ class LibraryKernel:
             np.multiply(share, change, out=shifted[:, i])
             np.subtract(reading, shifted[:, i], out=shifted[:, i])
             low, high = self._rails[channel]
+            if (low, high) == (-inf, inf):
+                continue
             stuck = (reading <= low) | (reading >= high)  # what is at the rail stays there
             if stuck.any():
                 shifted[stuck, i] = reading[stuck]

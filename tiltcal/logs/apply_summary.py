@@ -26,7 +26,8 @@ class ColumnWidths:
 
     def add(self, widths: Array) -> None:
         """Count some more."""
-        known = widths[np.isfinite(widths)]
+        finite = np.isfinite(widths)
+        known = widths if finite.all() else widths[finite]
         if len(known):
             self._largest = max(self._largest, float(known.max()))
             self._counts += np.bincount(_codes(known), minlength=_CODES)
