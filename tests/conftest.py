@@ -14,6 +14,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
+from multiprocessing.resource_tracker import ensure_running
 
 import pytest
 from hypothesis import settings
@@ -75,6 +76,12 @@ def warm() -> Iterator[WarmStart]:
     """Yield a server that forks processes of the command: what they test needs a process, but no start of Python."""
     with warm_start() as server:
         yield server
+
+
+@pytest.fixture(scope="session")
+def resource_tracker() -> None:
+    """Start what multiprocessing keeps for the whole run."""
+    ensure_running()
 
 
 @pytest.fixture

@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import suppress
-from multiprocessing.resource_tracker import ensure_running
 from pathlib import Path
 
 import pytest
@@ -97,12 +96,6 @@ class Ending(ApplyTask):
 
     def run(self, *_: object, **__: object) -> ApplySummary:
         os._exit(1)
-
-
-@pytest.fixture(scope="module")
-def resource_tracker() -> None:
-    """Start what multiprocessing keeps for the whole run."""
-    ensure_running()
 
 
 @pytest.mark.usefixtures("resource_tracker")

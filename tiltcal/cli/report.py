@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -61,12 +62,14 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
     InputError
         A file is wrong; the message names file and line.
     """
+    from tiltcal.cli.freed_memory import keep_freed_memory
     from tiltcal.files.atomic import check_writable, write_whole
     from tiltcal.files.calibration_folder import SUFFIXES
     from tiltcal.report.page import require_extra
 
     require_extra()
     check_writable(output)
+    keep_freed_memory()
     if len(files) == 1 and Path(files[0]).is_dir():
         from tiltcal.cli.history import read_history
         from tiltcal.report.fleet_page import fleet_page
@@ -106,12 +109,21 @@ def _tilt_page(
     columns: str,
     skip_bad_rows: bool,
 ) -> str:
-    from tiltcal.report.tilt_page import tilt_page
+    from tiltcal.cli.apply_tasks import WORTH_PROCESSES
+    from tiltcal.cli.worker_processes import worker_processes
+    from tiltcal.report.tilt_page import calibration_figures, tilt_page
 
-    last = calibrations[-1]
-    found = [_look_over(log, last, Path(names[-1]), columns, skip_bad_rows) for log in logs]
+    last, source = calibrations[-1], _source(names[-1])
     earlier = [(calibration, Path(name).name) for calibration, name in zip(calibrations[:-1], names, strict=False)]
-    return tilt_page(last, _source(names[-1]), earlier, found)
+
+    def found() -> list[ReportedLog]:
+        return [_look_over(log, last, Path(names[-1]), columns, skip_bad_rows) for log in logs]
+
+    if sum(os.path.getsize(log) for log in logs if os.path.isfile(log)) < WORTH_PROCESSES:
+        return tilt_page(last, source, earlier, found())
+    with worker_processes(1) as pool:  # which loads matplotlib and draws while the logs are read
+        figures = pool.submit(calibration_figures, last)
+        return pool.submit(tilt_page, last, source, earlier, found(), figures.result()).result()
 
 
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:
