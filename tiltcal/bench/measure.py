@@ -297,6 +297,7 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
             remark("several devices are read one after the other: the delay of one, times 2 pi f, goes into q")
         return
     for device in {(sensor.model_name, sensor.orientation): sensor for sensor in plan.sensors}.values():
+        base = plan.bases.get(device.serial)
         expected = predict(
             plan.procedure,
             device.model,
@@ -306,6 +307,7 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
             samples=plan.settings.samples,
             orientation=device.orientation,
             sensors=len(plan.sensors),
+            base=None if base is None else base.calibration,
         )
         remark(f"{device.model_name}, {expected}")
 

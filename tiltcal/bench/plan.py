@@ -135,7 +135,7 @@ def plan(
         channels = map_channels(steps.rotation, [("", model)])
         return PlannedRotation(channels.pairs, steps.rotation.turns, channels.left_out)
     require_tilt(steps, model)
-    require_in_range(steps, model)
+    require_in_range(steps, model, based=own is not None)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
     known = partial(

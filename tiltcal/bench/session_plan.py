@@ -188,7 +188,7 @@ def plan_session(
         map_channels(procedure.rotation, [(device.serial, device.model) for device in sensors])
     for device in sensors if procedure.rotation is None else ():
         require_tilt(procedure, device.model)
-        require_in_range(procedure, device.model, device.orientation)
+        require_in_range(procedure, device.model, device.orientation, based=device.serial in (bases or {}))
     plan = SessionPlan(
         procedure=procedure,
         sensors=sensors,
@@ -253,17 +253,24 @@ def _thermometer(thermometer: BenchThermometer) -> DeviceSetup:
     return device
 
 
-def require_in_range(procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT) -> None:
+def require_in_range(
+    procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT, *, based: bool = False
+) -> None:
     """Refuse positions that a model can only answer with its rail, and a sensitivity that is not stated.
+
+    Parameters
+    ----------
+    based : bool
+        A base calibration states the sensitivity.
 
     Raises
     ------
     UsageError
     """
-    if not model.scaled and not procedure.determines.axes and not procedure.determines.completes:
+    if not (model.scaled or based or procedure.determines.axes or procedure.determines.completes):
         raise UsageError(
             f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
-            "address (sensitivity=..., unit per g)"
+            "address (sensitivity=..., unit per g), or name the sensor's calibration (--base)"
         )
     for position in procedure.positions:
         gravity = orientation.seen(position.gravity)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support import FIXTURES
 
 import tiltcal
 from tiltcal import Calibration, PairCalibration, measure, open_sensor
@@ -18,11 +19,14 @@ from tiltcal.bench import sensor_set
 from tiltcal.bench.event_log import EventLog, RecordedLink
 from tiltcal.bench.operators.rig import RigRotationOperator, understood
 from tiltcal.bench.session import Session
+from tiltcal.bench.session_plan import plan_session
 from tiltcal.cli.main import run
 from tiltcal.drivers.bus.clock import SystemClock
 from tiltcal.errors import BusError, InputError, Stopped, UsageError
+from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.journal import JournalWriter, read_journal
+from tiltcal.files.procedure_file import find_procedure
 
 SENSOR = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "samples": 4, "settle": 0.2}
 
@@ -325,3 +329,13 @@ def test_headings_and_stage_angles_are_shown_and_recorded() -> None:
     written = tiltcal.read("S-1.yaml")
     assert isinstance(written, Calibration)
     assert [(one.heading, one.stage) for one in written.procedure.set.values()] == [(0, 12.5), (180, 192.5)]
+
+
+def test_a_base_states_the_sensitivity_of_a_device_of_any_kind() -> None:
+    """serial-columns has none of its own; two-temperature determines none."""
+    sensor = BenchSensor("S-1", "serial-columns", "serial:///dev/null?columns=x,y,temperature&unit=V")
+    options = (find_procedure("two-temperature"), BenchFile(sensors=(sensor,)), [None], Path("j.jsonl"))
+    with pytest.raises(UsageError, match=r"or name the sensor's calibration \(--base\)"):
+        plan_session(*options, operator="json")
+    base = BaseFile((FIXTURES / "zero-45.yaml").read_text())
+    assert plan_session(*options, operator="json", bases={"S-1": base}).bases == {"S-1": base}
