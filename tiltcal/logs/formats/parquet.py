@@ -102,9 +102,9 @@ class ParquetWriter(LogWriter):
 
     Notes
     -----
-    The engine packs and writes while a thread of ours compensates the next block; were that done in the call by which
-    the engine asks for it, one of the engine's own threads would wait. It is handed the blocks one by one: were the
-    kernel handed to it, it would call it on several blocks at once, and a pair's needs theirs in order.
+    The engine packs and writes while a thread of ours compensates the next row group; were that done in the call by
+    which the engine asks for it, one of the engine's own threads would wait. It is handed the blocks one by one: were
+    the kernel handed to it, it would call it on several blocks at once, and a pair's needs theirs in order.
     """
 
     frames: ClassVar[bool] = True
@@ -114,7 +114,7 @@ class ParquetWriter(LogWriter):
 
         whole = (_widened(block, table) for block, table in blocks)
         first = next(whole)
-        frames = chain([first], read_ahead(whole))
+        frames = chain([first], read_ahead(whole, _ROW_GROUP // _ROWS))
         notes = {**self._log.notes, **({"tiltcal": json.dumps(self._origin)} if self._origin else {})}
         with refused_by_system():
             register_io_source(lambda *_: frames, schema=first.schema).sink_parquet(
