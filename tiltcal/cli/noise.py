@@ -94,6 +94,7 @@ def command(
     `measure --samples` is the smallest that meets --target and --target-range, or without a target the largest that is
     worth its time. Degrees are those of an axis near level.
     """
+    from tiltcal.cli.freed_memory import keep_freed_memory
     from tiltcal.cli.progress import progress_bar
     from tiltcal.files.atomic import check_writable
     from tiltcal.logs.noise import NoiseFacts, characterise_readings
@@ -117,6 +118,7 @@ def command(
             path = stack.enter_context(_kept(output))
             interrupted = _recorded(str(sensor), address, rate, samples, seconds, path, output)
             log, rate, called = str(path), None, str(output or "the record")
+        keep_freed_memory()
         progress = stack.enter_context(progress_bar("noise"))
         found = characterise_readings(
             log,
