@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tiltcal.calibration.joint_fit import design_of, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.estimation.joint_equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
@@ -61,6 +62,7 @@ def calibrate_ramp(
     record, attitude = sensor.ramp, sensor.measurements[0]
     reference = _reference(_range(record.temperature), procedure)
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
+    _require_temperatures(record)
     _require_not_stuck(record, design.channels)
     fit = fit_ramp(record, reference=reference, highest=procedure.determines.drift)
     # The turns of the temperature are not reached by an element that follows them.
@@ -106,6 +108,15 @@ def calibrate_ramp(
             ramp=_ramp_record(fit, design.channels),
         ),
     )
+
+
+def _require_temperatures(record: RampRecord) -> None:
+    low, high = _range(record.temperature)
+    if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
+        raise EstimateError(
+            f"the temperature goes from {low:g} to {high:g}, and not within {TEMPERATURES[0]:g} to {TEMPERATURES[1]:g} "
+            "°C: convert counts or kelvin to °C first"
+        )
 
 
 def _require_not_stuck(record: RampRecord, channels: Sequence[str]) -> None:

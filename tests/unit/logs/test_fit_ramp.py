@@ -130,6 +130,14 @@ def test_the_step_of_a_thermometer_that_is_not_stated_is_in_the_uncertainty_of_a
     assert found.record.uncertainty.single_reading["temperature"] == pytest.approx(0.26, abs=0.02)
 
 
+@pytest.mark.parametrize("per_degree", [-1.083, 1000.0])
+def test_temperatures_in_counts_are_refused(record, per_degree):
+    """The SCA100T's thermometer reads 197 - 1.083 T counts: 148 to 192 of them would be too hot for any sensor."""
+    counts = {**record, "temperature": 197.0 + per_degree * record["temperature"]}
+    with pytest.raises(EstimateError, match="convert counts or kelvin to °C"):
+        fit("ramp", counts, serial="S-1", sensor="sca100t-d02", jig=0.0, columns={"time": "seconds"})
+
+
 def test_a_log_without_times_is_refused(record):
     with pytest.raises(InputError, match="there is no column 'time'"):
         fit("ramp", record, serial="S-1", sensor="sca100t-d02")
