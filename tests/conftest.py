@@ -39,11 +39,15 @@ SHORTLY = 5.0
 """Seconds in which a thread that has been told to end has to end."""
 
 
+gc.disable()  # while the tests are collected, which makes a million objects that stay
+
+
 def pytest_collection_finish() -> None:
-    """Leave what stays for the whole run, a million objects, out of every collection of garbage; collect seldom."""
+    """Leave what stays for the whole run out of every collection of garbage; collect seldom."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(20_000, 20, 50)
+    gc.set_threshold(200_000, 20, 50)
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
@@ -97,13 +101,11 @@ def _new_threads(before: set[threading.Thread]) -> set[threading.Thread]:
 
 
 def _children() -> set[int]:
-    """Return the numbers of the child processes of every thread.
-
-    A thread of a library may end at any time, with its folder: between its listing and its reading too.
-    """
+    """Return the numbers of the child processes of Python's threads; the main one has those of threads that ended."""
     found: set[int] = set()
-    for thread in os.listdir(f"{PROCESS}/task"):
-        with suppress(FileNotFoundError, ProcessLookupError), open(f"{PROCESS}/task/{thread}/children") as listed:
+    for thread in threading.enumerate():
+        path = f"{PROCESS}/task/{thread.native_id}/children"
+        with suppress(FileNotFoundError, ProcessLookupError), open(path) as listed:  # it may end meanwhile
             found.update(map(int, listed.read().split()))
     return found
 

@@ -94,6 +94,7 @@ def serve(path: str) -> None:
         measure("--samples", "2", "--settle", "0.1", cwd=Path(folder))
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 20, 50)
     with socket.socket(socket.AF_UNIX) as listening, selectors.DefaultSelector() as events:
         listening.bind(path)
         listening.listen()

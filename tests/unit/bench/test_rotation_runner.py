@@ -282,7 +282,7 @@ class Weighing(Attendant):
         self.held: dict[int, int] = {}
 
     def turn_completed(self, turn: StageTurn) -> None:
-        if turn.number in (30, 90):
+        if turn.number in (60, 120):
             gc.collect()
             self.held[turn.number] = tracemalloc.get_traced_memory()[0]
 
@@ -291,10 +291,10 @@ def test_memory_does_not_grow_with_the_turns(monkeypatch: pytest.MonkeyPatch) ->
     """Less than 200 bytes a turn of 16 lines, once there are as many as the estimators and the regression keep."""
     monkeypatch.setattr("tiltcal.core.pair.demodulate.MOST_BLOCKS", 16)
     monkeypatch.setattr(Recursive.__init__, "__defaults__", (10.0,))
-    printed, attendant = lines(disk.record(seconds=200.0, rate=8.0, spin=0.5)), Weighing()
+    printed, attendant = lines(disk.record(seconds=260.0, rate=8.0, spin=0.5)), Weighing()
     tracemalloc.start()
     try:
-        turned(iter(printed), attendant, turns=90)
+        turned(iter(printed), attendant, turns=120)
     finally:
         tracemalloc.stop()
-    assert attendant.held[90] - attendant.held[30] < 200 * 60
+    assert attendant.held[120] - attendant.held[60] < 200 * 60
