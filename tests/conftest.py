@@ -23,7 +23,7 @@ from support.warm_start import WarmStart, warm_start
 
 # The same examples on every run, so that a change is judged and not the draw; HYPOTHESIS_PROFILE=explore draws more,
 # and anew.
-settings.register_profile("repeatable", max_examples=50, derandomize=True, deadline=None)
+settings.register_profile("repeatable", max_examples=40, derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 

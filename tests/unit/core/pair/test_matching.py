@@ -176,13 +176,13 @@ class TestWhatAllChannelsShare:
 
 # Uncertainty
 
-RECORDS = 4000
+RECORDS = 2500
 SHORT = {"seconds": 200.0, "rate": 5.0, "spin": 0.125, "noise": 3e-3}
 
 
 @pytest.fixture(scope="module")
 def many() -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """p, q, u_p and u_q of 4,000 records of 25 turns."""
+    """p, q, u_p and u_q of 2,500 records of 25 turns."""
     found = solved(disk.record(**SHORT, seed=seed) for seed in range(RECORDS))
     return np.array([[one.p, one.q, one.u_p, one.u_q] for one in found])
 
