@@ -86,7 +86,7 @@ def level(
     if why:
         raise EstimateError(why)
     measurements = [_with_noise(measurement, base.uncertainty.single_reading) for measurement in measurements]
-    silent = any(summary.noise_unknown for one in measurements for summary in one.summaries.values())
+    silent = any(summary.noise_unknown for measurement in measurements for summary in measurement.summaries.values())
     found = _Renewal.of(base, measurements, bench)
     stated = bench.jig is not None or bench.table is not None
     u = found.budget.u[: len(found.offset)]

@@ -92,7 +92,7 @@ def _best(
 def _sigma(coefficients: Coefficients, measurements: Sequence[Measurement], jig: float) -> Array:
     """Return the standard uncertainty of each direction, from the jig and the noise of its reading, radians."""
     start, square = _unit(_directions(coefficients, measurements)), np.zeros(len(measurements))
-    noise = np.array([one.u for one in observations_of(measurements, coefficients.channels)])
+    noise = np.array([observation.u for observation in observations_of(measurements, coefficients.channels)])
     for k in range(len(coefficients.channels)):
         shift = noise * (np.arange(noise.shape[1]) == k)
         moved = _unit(_directions(coefficients, measurements, shift))
@@ -101,7 +101,7 @@ def _sigma(coefficients: Coefficients, measurements: Sequence[Measurement], jig:
 
 
 def _noise_unknown(measurements: Sequence[Measurement], base: CalibrationRecord) -> bool:
-    return all(one.noise_unknown for one in observations_of(measurements, base.coefficients.channels))
+    return all(observation.noise_unknown for observation in observations_of(measurements, base.coefficients.channels))
 
 
 def _unit(vectors: Array) -> Array:

@@ -261,20 +261,20 @@ def changes_between(before: CalibrationRecord, after: CalibrationRecord) -> list
 
 def _change_of_lag(before: CalibrationRecord, after: CalibrationRecord) -> Iterator[CoefficientChange]:
     """Yield the change of a thermal lag that both have."""
-    first, last = (0.0 if one.coefficients.thermal is None else one.coefficients.thermal.lag for one in (before, after))
+    thermals = [record.coefficients.thermal for record in (before, after)]
+    first, last = (0.0 if thermal is None else thermal.lag for thermal in thermals)
     if first and last:
-        u = [one.uncertainty.get("temperature.lag", 0.0) for one in (before, after)]
+        u = [record.uncertainty.get("temperature.lag", 0.0) for record in (before, after)]
         yield CoefficientChange("temperature.lag", first, last, hypot(*u) if all(u) else None)
 
 
 def _turns_between(before: CalibrationRecord, after: CalibrationRecord) -> Iterator[CoefficientChange]:
     """Yield the turn from one mounting to another about each axis of the application, degrees."""
-    mountings = [one.coefficients.mounting for one in (before, after)]
-    first, last = mountings
+    first, last = (record.coefficients.mounting for record in (before, after))
     if first is None or last is None or first == last:
         return
     turn = rotation_vector(mounting_matrix(last) @ mounting_matrix(first).T)
-    stated = [known_turns(one.uncertainty, one.coefficients) for one in (before, after)]
+    stated = [known_turns(record.uncertainty, record.coefficients) for record in (before, after)]
     for axis, angle in zip(AXES, np.degrees(turn).tolist(), strict=True):
         name = f"{TURN}{axis}"
-        yield CoefficientChange(name, 0.0, angle, *difference_of(*(one.get(name) for one in stated)))
+        yield CoefficientChange(name, 0.0, angle, *difference_of(*(turns.get(name) for turns in stated)))

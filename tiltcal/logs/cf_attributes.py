@@ -118,17 +118,17 @@ def describe(
         Along which errors are random or systematic.
     """
     place = {key: like[key] for key in ("coordinates",) if key in like}
-    sensors = [one.removesuffix("flag") for one in added if one.endswith("_flag")]
-    if lead := next((one for one in sensors if name.startswith(one)), ""):
-        of_sensor = [one.removeprefix(lead) for one in added if one.startswith(lead)]
+    sensors = [column.removesuffix("flag") for column in added if column.endswith("_flag")]
+    if lead := next((sensor for sensor in sensors if name.startswith(sensor)), ""):
+        of_sensor = [column.removeprefix(lead) for column in added if column.startswith(lead)]
         own = describe(name.removeprefix(lead), of_sensor, like, units, dimension)
         own["long_name"] += f", of {lead.removesuffix('_')}"
         if "ancillary_variables" in own:
-            own["ancillary_variables"] = " ".join(lead + one for one in own["ancillary_variables"].split())
+            own["ancillary_variables"] = " ".join(lead + column for column in own["ancillary_variables"].split())
         return own
     if name in _JUDGEMENTS:
         return {**_JUDGEMENTS[name], **place}
-    beside = [one for one in ("flag", "reason", _STANDARD + name, _EXPANDED + name) if one in added]
+    beside = [column for column in ("flag", "reason", _STANDARD + name, _EXPANDED + name) if column in added]
     if name == COUNT:
         return {"long_name": "number of rows of which each row is the mean", "units": "1", **place}
     share = next((lead for lead in _SHARES if name.startswith(lead)), "")
