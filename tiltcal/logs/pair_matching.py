@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 
@@ -144,7 +145,7 @@ class _Angles:
         if self._measured:
             yield from blocks
             return
-        held: list[PairBlock] = []
+        held: deque[PairBlock] = deque()
         rows = 0
         for block in blocks:
             held.append(block)
@@ -152,7 +153,7 @@ class _Angles:
             if rows >= ROWS_FOR_SPIN:
                 break
         self.spin = _spin_of(held)
-        for block in chain(held, blocks):
+        for block in chain((held.popleft() for _ in range(len(held))), blocks):
             self.spin = _followed(self.spin, block)
             yield PairBlock(self.spin.theta(_clock(block)), block.readings, block.time, block.first)
 
@@ -177,18 +178,21 @@ def _clock(block: PairBlock) -> Array:
     return block.time if block.time is not None else block.first + np.arange(float(len(block.theta)))
 
 
-def _spin_of(held: Sequence[PairBlock]) -> Spin:
-    time = np.concatenate([_clock(block) for block in held])
-    readings = np.concatenate([block.readings for block in held])
-    good = np.isfinite(time) & np.isfinite(readings).all(axis=1)
-    if not np.isfinite(time).any():
+def _spin_of(held: Collection[PairBlock]) -> Spin:
+    if not any(np.isfinite(_clock(block)).any() for block in held):
         raise EstimateError("no row has a time: write it in seconds, or in ISO 8601 such as 2026-05-01T12:00:00.5Z")
-    if not good.any():
+    time, readings = map(np.concatenate, zip(*map(_timed, held), strict=True))
+    if not len(time):
         raise EstimateError("no row of the record has all readings: is every accelerometer connected?")
-    return estimate_spin(time[good], readings[good])
+    return estimate_spin(time[:ROWS_FOR_SPIN], readings[:ROWS_FOR_SPIN])
 
 
 def _followed(spin: Spin, block: PairBlock) -> Spin:
+    return followed_spin(spin, *_timed(block))
+
+
+def _timed(block: PairBlock) -> tuple[Array, Array]:
+    """Return times and readings of the rows that have all of them."""
     time = _clock(block)
     good = np.isfinite(time) & np.isfinite(block.readings).all(axis=1)
-    return followed_spin(spin, time[good], block.readings[good])
+    return (time, block.readings) if good.all() else (time[good], block.readings[good])

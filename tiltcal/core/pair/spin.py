@@ -15,10 +15,13 @@ _STEPS = 20
 _CONVERGED = 1e-12
 """Turns over the whole record."""
 _FOLLOWING_STEPS = 3
+_FOLLOWED = 1e-6
+"""Turns over some rows; the step behind one so small is smaller than that by far."""
 _MOST_SLIP = 0.5
 """Turns, over some rows, by which their spin may differ from that before."""
 _FEWEST_ROWS = 16
-_PADDING = 4
+_PIECE = 1 << 14
+"""Rows whose columns are in memory together, and in the processor's cache."""
 _CLEAREST = 30.0
 """How far the spin's line must stand above the median of the spectrum, in power."""
 
@@ -110,37 +113,56 @@ def followed_spin(before: Spin, time: Array, readings: Array) -> Spin:
         turns += step
         if not abs(turns - expected) < _MOST_SLIP:
             return before
+        if abs(step) < _FOLLOWED:
+            break
     phase = atan2(coefficients[1, 0], coefficients[0, 0]) / (2.0 * pi)
     return Spin(turns / span, (phase - turns / span * middle) % 1.0)
 
 
 def _strongest(centred: Array, readings: Array) -> float:
     """Turns in the record of the strongest line of all channels together."""
-    line = np.stack([np.ones_like(centred), centred], axis=1)
-    rest = readings - line @ np.linalg.lstsq(line, readings, rcond=None)[0]
-    count = _PADDING * len(rest)
-    power = np.zeros(count // 2 + 1)
-    window = np.hanning(len(rest))
-    for channel in rest.T:
-        power += np.abs(np.fft.rfft(channel * window, count)) ** 2
-    first = round(_PADDING * FEWEST_TURNS / 2)
+    rows = len(centred)
+    line = np.stack([np.ones(rows), centred])
+    level = np.linalg.solve(line @ line.T, line @ readings)
+    window = np.hanning(rows)
+    power = np.zeros(rows // 2 + 1)
+    for channel, (offset, drift) in zip(readings.T, level.T, strict=True):
+        power += np.abs(np.fft.rfft((channel - offset - drift * centred) * window)) ** 2
+    first = round(FEWEST_TURNS / 2)
     peak = first + int(np.argmax(power[first:]))
-    if not power[peak] > _CLEAREST * float(np.median(power)):
+    side = 1 if peak + 1 < len(power) and power[peak + 1] > power[peak - 1] else -1
+    # Of a sine wave under this window the ratio of neighbouring lines shows how far it lies between them, and how high
+    # it stands there.
+    ratio = float(np.sqrt(power[peak + side] / power[peak])) if power[peak] > 0.0 else 0.0
+    beside = max(2.0 * ratio - 1.0, 0.0) / (1.0 + ratio)
+    height = power[peak] * ((1.0 - beside**2) / np.sinc(beside)) ** 2
+    if not height > _CLEAREST * float(np.median(power)):
         raise EstimateError(
             "no spectral line is above the noise: the stage is not turning, or its axis is not inclined"
         )
     # The record has n - 1 steps between its n rows.
-    return peak / _PADDING * (len(rest) - 1) / len(rest)
+    return (peak + side * beside) * (rows - 1) / rows
 
 
 def _refined(centred: Array, readings: Array, turns: float) -> tuple[float, Array]:
     """Return how many turns to add, and the coefficients of sine and cosine before it."""
-    phase = 2.0 * pi * turns * centred
-    sine, cosine = np.sin(phase), np.cos(phase)
-    columns = np.stack([sine, cosine, np.ones_like(sine), centred], axis=1)
-    solver = np.linalg.pinv(columns)
-    coefficients = solver @ readings
-    rest = readings - columns @ coefficients
-    slopes = 2.0 * pi * centred[:, None] * (coefficients[0] * cosine[:, None] - coefficients[1] * sine[:, None])
-    slopes -= columns @ (solver @ slopes)
-    return float(np.sum(slopes * rest) / np.sum(slopes * slopes)), coefficients
+    products, against = np.zeros((6, 6)), np.zeros((6, readings.shape[1]))
+    for start in range(0, len(centred), _PIECE):
+        time = centred[start : start + _PIECE]
+        columns = np.empty((6, len(time)))
+        np.sin(2.0 * pi * turns * time, out=columns[0])
+        np.cos(2.0 * pi * turns * time, out=columns[1])
+        columns[2], columns[3] = 1.0, time
+        np.multiply(columns[:2], time, out=columns[4:])
+        products += columns @ columns.T
+        # A large offset would take the digits that the noise needs in the sums.
+        against += columns @ (readings[start : start + _PIECE] - readings[0])
+    solver = np.linalg.pinv(products[:4, :4], hermitian=True)
+    coefficients = solver @ against[:4]
+    rest = against - products[:, :4] @ coefficients
+    # More turns change the readings by 2π t (sine's cos - cosine's sin): by the last two columns.
+    slopes = np.zeros_like(against)
+    slopes[4], slopes[5] = -2.0 * pi * coefficients[1], 2.0 * pi * coefficients[0]
+    changes = products @ slopes
+    squares = np.sum(slopes * changes) - np.sum(changes[:4] * (solver @ changes[:4]))
+    return float(np.sum(slopes * rest) / squares), coefficients

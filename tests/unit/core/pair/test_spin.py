@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 from scipy.signal import welch
 from support import accelerometer_disk as disk
 
+from tiltcal.core.model import Array
 from tiltcal.core.pair.spectrum import Spectra
 from tiltcal.core.pair.spin import Spin, estimate_spin, followed_spin
 from tiltcal.errors import EstimateError
@@ -49,6 +53,28 @@ class TestSpin:
         sine, cosine = np.linalg.lstsq(columns, taken.readings[:, 0], rcond=None)[0]
         assert sine == pytest.approx(3.383 * np.hypot(1, 0.022), abs=1e-9)
         assert cosine == pytest.approx(0.0, abs=1e-9)
+
+    def test_it_is_the_least_squares_fit_of_all_channels(self) -> None:
+        """Against scipy's, of frequency, amplitudes, offsets and drifts; readings far from zero lose no digits."""
+        taken = disk.record(seconds=40, wander=0.0, noise=1e-3, start=100.0)
+        readings = taken.readings + 1e4
+
+        def rest(spin: Array) -> Array:
+            angle = 2.0 * np.pi * spin[0] * taken.time
+            columns = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle), taken.time - 20.0], axis=1)
+            return np.asarray(readings - columns @ np.linalg.lstsq(columns, readings)[0]).ravel()
+
+        (expected,) = least_squares(rest, [0.1251], x_scale=1e-3, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+        assert estimate_spin(taken.time, readings).frequency == pytest.approx(expected, abs=1e-9)
+
+    def test_a_long_record_is_not_copied_several_times(self) -> None:
+        time = np.arange(1 << 18) / 1000.0
+        readings = np.sin(2 * np.pi * 0.125 * time[:, None] + disk.PHASES)
+        tracemalloc.start()
+        estimate_spin(time, readings)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < 2.5 * readings.nbytes
 
     def test_a_speed_that_changes_is_followed_from_rows_to_rows(self) -> None:
         """By a turn over 100, which a single frequency would take for no signal at all."""
