@@ -68,7 +68,7 @@ def calibrate_ramp(
     # The turns of the temperature are not reached by an element that follows them.
     element = ThermalLag(fit.lag)(record.time, record.temperature)
     # The inverse filter amplifies the thermometer's noise, which the means average.
-    temperatures = _range(element if fit.lag >= 0.0 else fit.means.element(fit.lag) + reference)
+    temperatures = _range(element if fit.lag >= 0.0 else fit.means.averaged(fit.means.element(fit.lag)) + reference)
     design = replace(design, drift=fit.order, reference=reference)
     groups = _groups(fit, record, attitude)
     found = _estimate(fit, design, np.array(attitude.gravity), temperatures, groups, bench)
@@ -254,7 +254,7 @@ def _parts(fit: RampFit) -> Iterator[tuple[str, NDArray[np.intp]]]:
 def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Measurement]:
     """Return parts of the legs as positions: what they read, and at which temperature of the thermometer."""
     means, groups = fit.means, []
-    element = means.element(0.0) + 0.0
+    element = means.averaged(means.element(0.0))
     for name, part in _parts(fit):
         n = max(round(record.rows / len(means) * len(part)), 1)
         summaries = {

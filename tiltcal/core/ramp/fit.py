@@ -156,6 +156,8 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     means = FittedMeans(record, legs, reference)
     scale = _scale(means, highest)
     lags, no_lag = _trial_lags(legs), np.zeros(1)
+    first = _solve(means, np.ones(len(means), dtype=bool), highest, lags, scale)
+    means = means.grouped(first.lag, first.coefficients)
     plain = _cross_validated(means, highest, no_lag, scale)
     lagged = _cross_validated(means, highest, lags, scale)
     everything = np.ones(len(means), dtype=bool)
@@ -245,7 +247,7 @@ def _cross_validated_order(means: FittedMeans, highest: int, lag: float, scale: 
     element = element_of_pair(means, lag, _least_squares(means.powers(lag, highest), y).T)
     errors = {}
     for order in range(1, highest + 1):
-        x, rows = np.vander(element, order + 1, increasing=True), []
+        x, rows = means.powers_of(element, order), []
         for number in range(len(means.legs)):
             out = means.leg == number
             rows.append(np.mean((y[out] - x[out] @ _least_squares(x[~out], y[~out])) ** 2, axis=0))
@@ -315,7 +317,7 @@ def _one_lag(means: FittedMeans, lag: float, order: int) -> tuple[float, Array, 
 def _with_lag(means: FittedMeans, lag: float, polynomials: Array, covariance: Array) -> _Estimate:
     """Estimate with a lag; the loop that even a second one leaves is fitted to the residuals."""
     mean, p = over_lags(means, lag, polynomials, covariance[:-1, :-1]), polynomials.shape[1]
-    powers = np.vander(mean.element, p, increasing=True)
+    powers = means.powers_of(mean.element, p - 1)
     left = means.readings - powers @ mean.coefficients.T
     ways = means.ways(powers, loop_terms(p - 1))
     found = []
@@ -323,7 +325,7 @@ def _with_lag(means: FittedMeans, lag: float, polynomials: Array, covariance: Ar
         solution, of_loop, _ = joint_least_squares([whiten], [ways], left[:, c : c + 1])
         found.append(HalfLoop(solution, of_loop))
     covariance = covariance.copy()
-    covariance[:-1, :-1] = mean.covariance + noise_of_temperature(mean.element, mean.coefficients, means.shift)
+    covariance[:-1, :-1] = mean.covariance + noise_of_temperature(mean.element, mean.coefficients, means)
     lag = means.closest_lag(mean.element, lag)
     u_element = mean.distance(means.element(lag))
     return _Estimate(lag, u_element, mean.coefficients, covariance, _widened(found, powers, covariance))
@@ -351,7 +353,7 @@ def _without_lag(means: FittedMeans, order: int) -> _Estimate:
         if not loop.certain:
             solution, of_solution, _ = joint_least_squares([whitener(means, x, values)], [x], values[:, None])
         coefficients[c], covariance[own, own] = solution[:p], of_solution[:p, :p]
-    covariance[:-1, :-1] += noise_of_temperature(x[:, 1], coefficients, means.shift)
+    covariance[:-1, :-1] += noise_of_temperature(means.element(0.0), coefficients, means)
     return _Estimate(0.0, 0.0, coefficients, covariance, _widened(found, x, covariance))
 
 
@@ -383,7 +385,7 @@ def _require_lag_resolved(legs: list[Leg], lag: float, u: float) -> None:
     shortest = min(leg.seconds for leg in legs)
     widest = max(leg.high - leg.low for leg in legs)
     pace = float(np.mean([leg.pace for leg in legs]))
-    if abs(lag) * LEG_LAGS > shortest and abs(lag) > RESOLVED * u:
+    if abs(lag) * LEG_LAGS > shortest > u * LEG_LAGS and abs(lag) > RESOLVED * u:
         slower = widest / (2.0 * LEG_LAGS * abs(lag)) * 60.0
         raise EstimateError(
             f"at {pace:.2g} °C/min a leg lasts {shortest:.0f} s, and the lag is about {abs(lag):.0f} s: so short a leg "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import pairwise
 from math import sqrt
 
 import numpy as np
@@ -24,10 +25,16 @@ LONGEST = 1.2
 BEHIND_TURN = 0.1
 """Part of a leg's range in which hysteresis gets from one side to the other."""
 
-_STEPS = 4
+THERMOMETER_SHARE = 0.1
+"""Part of the variance of readings that the noise of a thermometer that is later should not exceed."""
 
-FIT_SMOOTHING = 0.02
-"""Of the derivative of the thermometer, where it is later, as a part of its lag: the means average its noise."""
+FEWEST_MEANS = 12
+"""Of a leg, however noisy the thermometer."""
+
+SQUARE_OF_90_PERCENT = 2.706
+"""What the square of a normal variable of variance 1 is below in 90 % of cases."""
+
+_STEPS = 4
 
 
 class FittedMeans:
@@ -37,42 +44,109 @@ class FittedMeans:
     ----------
     reference : float
         °C.
+    group : int
+        Consecutive parts that make one mean; the powers of a temperature are those of its parts.
+    noisy : bool
+        Whether the thermometer's noise hides what a second lag makes at the turns.
     """
 
-    def __init__(self, record: RampRecord, legs: list[Leg], reference: float) -> None:
+    def __init__(
+        self, record: RampRecord, legs: list[Leg], reference: float, group: int = 1, noisy: bool = False
+    ) -> None:
         self._record = record
         self._reference = reference
         n = len(record.time)
         # Over a whole step of the thermometer its rounding averages out; parts of one would look like noise that lasts.
         steps = sum(leg.high - leg.low for leg in legs) / record.step if record.step else np.inf
         self._starts = np.unique(np.linspace(0, n, int(min(BLOCKS, n, steps)) + 1).astype(int)[:-1])
-        self._sizes = np.diff([*self._starts, n])
+        of_legs = np.searchsorted([leg.start for leg in legs], self._starts, side="right") - 1
+        bounds = np.searchsorted(of_legs, np.arange(len(legs) + 1))
+        self._groups = np.concatenate([np.arange(start, end, group) for start, end in pairwise(bounds.tolist())])
         self._elements: dict[float, Array] = {}
+        self.group = group
+        self.noisy = noisy
         self.legs = legs
         self.shift = min(END_WEIGHT * len(legs) / steps, 1.0) * record.step / sqrt(12.0)
         """By how much the curve is shifted because rounding does not average out at the turns, °C."""
-        self.time = self._mean(record.time)
-        self.readings = np.stack([self._mean(column) for column in record.readings.T], axis=1)
-        self.leg: NDArray[np.intp] = np.searchsorted([leg.start for leg in legs], self._starts, side="right") - 1
+        self.time = self.averaged(self._parts(record.time))
+        self.readings = np.stack([self.averaged(self._parts(column)) for column in record.readings.T], axis=1)
+        self.leg: NDArray[np.intp] = of_legs[self._groups]
         """Which leg each mean belongs to."""
 
     def __len__(self) -> int:
         """Return the number of means."""
         return len(self.time)
 
-    def _mean(self, values: Array) -> Array:
-        return np.asarray(np.add.reduceat(values, self._starts) / self._sizes)
+    def _parts(self, rows: Array) -> Array:
+        return _means(rows, self._starts)
+
+    def averaged(self, parts: Array) -> Array:
+        """Return the means of an array that has a row for each part."""
+        return _means(parts, self._groups)
 
     def element(self, lag: float) -> Array:
-        """Return the temperature of the element from the reference, °C, shape (means,)."""
+        """Return the temperature of the element from the reference, °C, shape (parts,)."""
         if lag not in self._elements:
-            filtered = ThermalLag(lag, FIT_SMOOTHING)(self._record.time, self._record.temperature)
-            self._elements[lag] = self._mean(filtered) - self._reference
+            self._elements[lag] = self._parts(self._filtered(lag, self._record.temperature)) - self._reference
         return self._elements[lag]
+
+    def elements_of(self, lags: tuple[float, float]) -> tuple[Array, Array]:
+        """Return two temperatures from the reference, of which that of an element with two lags is a mixture, °C.
+
+        Where the thermometer is later, the first lag is the element's own, or a second one of the thermometer.
+        """
+        if lags[1] > 0.0:
+            return self.element(lags[0]), self.element(lags[1])
+        own = self._filtered(lags[0], self._record.temperature)
+        return self._parts(own) - self._reference, self._parts(self._filtered(lags[1], own)) - self._reference
+
+    def _filtered(self, lag: float, temperature: Array) -> Array:
+        """Filter the temperatures of the rows: the inverse filter takes the slope from rows before and behind."""
+        from scipy.interpolate import CubicSpline
+
+        time = self._record.time
+        if lag >= 0.0:
+            return ThermalLag(lag)(time, temperature)
+        return np.asarray(temperature - lag * CubicSpline(time, temperature)(time, 1))
+
+    def grouped(self, lag: float, coefficients: Array) -> FittedMeans:
+        """Return means so long that a thermometer that is later adds little noise to that of the readings.
+
+        The inverse filter makes of noise e of its rows |lag| (e_end - e_start) / t, in a mean over a time t.
+
+        Parameters
+        ----------
+        lag : float
+            s.
+        coefficients : ndarray, shape (order + 1, channels)
+        """
+        if lag >= 0.0:
+            return self
+        record, squares = self._record, np.mean(slopes_of(self.element(lag), coefficients.T) ** 2, axis=0)
+        of_rows = 2.0 * lag**2 * max(_row_variance(record.temperature), record.step**2 / 12.0)
+        of_readings = np.array([_row_variance(column) for column in record.readings.T])
+        ratio = float(np.max(squares * of_rows / np.maximum(of_readings, np.finfo(float).tiny)))
+        seconds = float(np.ptp(record.time)) / len(self)
+        group = ratio * len(record.time) / len(self) / (THERMOMETER_SHARE * seconds**2)
+        most = max(len(self) // (FEWEST_MEANS * len(self.legs)), 1)
+        return FittedMeans(record, self.legs, self._reference, int(min(max(group, 1), most)), group > most)
 
     def powers(self, lag: float, order: int) -> Array:
         """Return the powers 0 to ``order`` of that temperature, shape (means, order + 1)."""
-        return np.vander(self.element(lag), order + 1, increasing=True)
+        return self.powers_of(self.element(lag), order)
+
+    def powers_of(self, element: Array, order: int) -> Array:
+        """Return the means of the powers of a temperature, shape (means, order + 1), which changes steadily in a part.
+
+        Parameters
+        ----------
+        element : ndarray, shape (parts,)
+            °C from the reference.
+        """
+        powers = np.vander(element, order + 1, increasing=True)
+        within, k = np.gradient(element) ** 2 / 12.0, np.arange(2, order + 1)
+        powers[:, 2:] += 0.5 * k * (k - 1) * powers[:, :-2] * within[:, None]
+        return self.averaged(powers)
 
     def ways(self, powers: Array, terms: int) -> Array:
         """Return the first of some powers, as they are on the way up, and less than nothing on the way down."""
@@ -81,7 +155,7 @@ class FittedMeans:
     @property
     def behind_turns(self) -> NDArray[np.bool_]:
         """Whether a mean is so close behind a turn that hysteresis has not got to the other side."""
-        element = self.element(0.0)
+        element = self.averaged(self.element(0.0))
         first = np.searchsorted(self.leg, np.arange(len(self.legs)))
         near = np.array([BEHIND_TURN * (leg.high - leg.low) for leg in self.legs])
         return np.asarray(np.abs(element - element[first][self.leg]) < near[self.leg])
@@ -97,12 +171,12 @@ class FittedMeans:
         for k, value in enumerate(self._record.temperature.tolist()):
             place = min(max(place, value - half), value + half)
             follows[k] = place
-        return np.vander(self._mean(follows) - self._reference, order + 1, increasing=True)
+        return self.powers_of(self._parts(follows) - self._reference, order)
 
     @property
     def between_turns(self) -> Array:
         """Return the distance from both turns, °C², above zero on the way up and below it on the way down."""
-        element = self.element(0.0) + self._reference
+        element = self.averaged(self.element(0.0)) + self._reference
         low, high = (np.array([getattr(leg, end) for leg in self.legs])[self.leg] for end in ("low", "high"))
         return np.asarray(self._rising * (element - low) * (high - element))
 
@@ -115,9 +189,8 @@ class FittedMeans:
             s.
         coefficients : ndarray, shape (order + 1, channels)
         """
-        order = len(coefficients) - 1
-        slope = self.powers(lag, order - 1) @ (coefficients[1:] * np.arange(1, order + 1)[:, None])
-        return np.asarray(slope * self._element_by_lag(lag)[:, None])
+        slopes = slopes_of(self.element(lag), coefficients.T)
+        return self.averaged(slopes * self._element_by_lag(lag)[:, None])
 
     def closest_lag(self, element: Array, lag: float) -> float:
         """Return the lag whose element is closest to another temperature from the reference, near a first guess, s."""
@@ -145,3 +218,27 @@ class FittedMeans:
         distance = np.abs(self.time[:, None] - self.time[None, :])
         found = [np.exp(-distance / decay) for decay in np.geomspace(span / 64.0, LONGEST * span, 8)]
         return [(block, *np.linalg.eigh(block)) for block in found]
+
+
+def slopes_of(element: Array, coefficients: Array) -> Array:
+    """Return the slopes of polynomials, unit/°C, shape (n, channels).
+
+    Parameters
+    ----------
+    element : ndarray, shape (n,)
+        °C from the reference.
+    coefficients : ndarray, shape (channels, p)
+    """
+    terms = coefficients.shape[1] - 1
+    return np.asarray(np.vander(element, terms, increasing=True) @ (coefficients[:, 1:] * np.arange(1, terms + 1)).T)
+
+
+def _means(values: Array, starts: NDArray[np.intp]) -> Array:
+    """Return the means of rows from each start to the next one."""
+    sizes = np.diff([*starts, len(values)]).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(np.add.reduceat(values, starts, axis=0) / sizes)
+
+
+def _row_variance(values: Array) -> float:
+    """Return the variance of white noise in rows, by fourth differences, in which a ramp shows at its turns alone."""
+    return float(np.quantile(np.diff(values, 4) ** 2, 0.9)) / (70.0 * SQUARE_OF_90_PERCENT)

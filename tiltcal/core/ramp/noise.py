@@ -13,7 +13,7 @@ import numpy as np
 
 from tiltcal.core.coverage_factor import COVERAGE, NORMAL_FACTOR
 from tiltcal.core.model import Array
-from tiltcal.core.ramp.means import FittedMeans
+from tiltcal.core.ramp.means import FittedMeans, slopes_of
 
 _RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])
 """Variance of the process over that of the white noise."""
@@ -115,7 +115,7 @@ def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:
     return covariance
 
 
-def noise_of_temperature(element: Array, coefficients: Array, shift: float) -> Array:
+def noise_of_temperature(element: Array, coefficients: Array, means: FittedMeans) -> Array:
     """Return the covariance of polynomials because the temperature has noise of its own, channel by channel.
 
     Noise in the temperature flattens a fitted curve (W. A. Fuller, Measurement Error Models, 1987). By how much is
@@ -124,21 +124,18 @@ def noise_of_temperature(element: Array, coefficients: Array, shift: float) -> A
 
     Parameters
     ----------
-    element : ndarray, shape (means,)
+    element : ndarray, shape (parts,)
         °C from the reference.
     coefficients : ndarray, shape (channels, p)
-    shift : float
-        By rounding, °C.
     """
     channels, p = coefficients.shape
-    powers = np.vander(element, p, increasing=True)
-    slopes = np.pad(coefficients[:, 1:] * np.arange(1, p), ((0, 0), (0, 1))).T
+    powers, slopes = np.vander(element, p, increasing=True), slopes_of(element, coefficients)
     by_temperature = np.column_stack([np.zeros(len(element)), powers[:, :-1] * np.arange(1, p)])
-    flattened = np.linalg.pinv(powers.T @ powers) @ by_temperature.T @ powers @ slopes
+    flattened = np.linalg.pinv(powers.T @ powers) @ by_temperature.T @ slopes
+    shifts = np.pad(coefficients[:, 1:] * np.arange(1, p), ((0, 0), (0, 1))) * means.shift
     found = np.zeros((channels, p, channels, p))
-    for c, (flat, shifted) in enumerate(
-        zip(_variance_between(element, 1) * flattened.T, shift * slopes.T, strict=True)
-    ):
+    variance = _variance_between(element, 1) / means.group**2
+    for c, (flat, shifted) in enumerate(zip(variance * flattened.T, shifts, strict=True)):
         found[c, :, c] = np.outer(flat, flat) + np.outer(shifted, shifted)
     return found.reshape(coefficients.size, coefficients.size)
 

@@ -4,10 +4,14 @@ An element that is two lags behind its thermometer, one after the other or side 
 
     E = a F(T; τ1) + (1 - a) F(T; τ2)
 
-with a from 0 to 1 where they are side by side, and a = τ1 / (τ1 - τ2) where one follows the other. One lag follows the
-turns of two badly, and the polynomial takes on what it leaves. So the polynomials of many pairs count, each with the
-weight of its likelihood, beside that of one lag, which has half of the prior weight. The file has one lag all the same:
-a second one is rarely told from the noise.
+with a from 0 to 1 where they are side by side, and a = τ1 / (τ1 - τ2) where one follows the other. Where the
+thermometer is later, by τ2 < 0, the element has a lag τ1 > 0 of its own, or the thermometer a second one, τ1 < 0::
+
+    E = a F(T; τ1) + (1 - a) F(F(T; τ1); τ2)
+
+One lag follows the turns of two badly, and the polynomial takes on what it leaves. So the polynomials of many pairs
+count, each with the weight of its likelihood, beside that of one lag, which has half of the prior weight. The file has
+one lag all the same: a second one is rarely told from the noise.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from math import log, pi
 import numpy as np
 
 from tiltcal.core.model import Array
-from tiltcal.core.ramp.means import FittedMeans
+from tiltcal.core.ramp.means import FittedMeans, slopes_of
 from tiltcal.core.ramp.noise import joint_least_squares, whitener
 
 _SPACING, _FINER = 1.36, 4
@@ -43,7 +47,7 @@ class OverLags:
     ----------
     coefficients : ndarray, shape (channels, order + 1)
     covariance : ndarray, shape (channels (order + 1),) twice
-    elements : ndarray, shape (k, means)
+    elements : ndarray, shape (k, parts)
         Temperatures of the element from the reference by one lag and by each pair, °C.
     weights : ndarray, shape (k,)
         Of these.
@@ -59,7 +63,7 @@ class OverLags:
 
     @property
     def element(self) -> Array:
-        """The mean temperature of the element, °C from the reference, shape (means,)."""
+        """The mean temperature of the element, °C from the reference, shape (parts,)."""
         return np.asarray(self.weights @ self.elements)
 
     def distance(self, element: Array) -> float:
@@ -85,11 +89,11 @@ def over_lags(means: FittedMeans, lag: float, polynomials: Array, covariance: Ar
     ]
     best = _likeliest(means, lag, polynomials)
     whiteners = [whitener(means, design, y[:, c]) for c, design in enumerate(best.designs)]
-    grid, near = _pairs(lag), _near(best.lags)
+    grid, near = _pairs(means, lag), _near(best.lags)
     pairs = [_of_pair(means, pair, lag, polynomials, whiteners) for pair in grid + near]
     volumes = np.repeat([1.0 / len(grid), 1.0 / (len(grid) * _FINER**2)], [len(grid), len(near)])
-    nothing = _solve((0.0, lag), alone, y, whiteners, abs(lag)).evidence
-    evidence = np.array([nothing, *(np.array([pair.evidence for pair in pairs]) + np.log(volumes))])
+    single = _solve((0.0, lag), means.element(lag), alone, y, whiteners, abs(lag))
+    evidence = np.array([single.evidence, *(np.array([pair.evidence for pair in pairs]) + np.log(volumes))])
     weights = np.exp(evidence - evidence.max())
     weights /= weights.sum()
     coefficients = np.stack([polynomials.ravel(), *(pair.coefficients for pair in pairs)])
@@ -99,7 +103,7 @@ def over_lags(means: FittedMeans, lag: float, polynomials: Array, covariance: Ar
     return OverLags(
         mean.reshape(polynomials.shape),
         within + (weights[:, None] * apart).T @ apart,
-        np.stack([means.element(lag), *(pair.designs[0][:, 1] for pair in pairs)]),
+        np.stack([found.element for found in (single, *pairs)]),
         weights,
         whiteners,
     )
@@ -110,6 +114,7 @@ class _Solution:
     """Coefficients channel by channel, their covariance, what the last unknown changes by, and the log evidence."""
 
     lags: tuple[float, float]
+    element: Array
     designs: Sequence[Array]
     coefficients: Array
     covariance: Array
@@ -118,7 +123,7 @@ class _Solution:
 
 
 def element_of_pair(means: FittedMeans, lag: float, polynomials: Array) -> Array:
-    """Return the temperature of the element by the likeliest pair of lags, °C from the reference, shape (means,).
+    """Return the temperature of the element by the likeliest pair of lags, °C from the reference, shape (parts,).
 
     Parameters
     ----------
@@ -127,7 +132,7 @@ def element_of_pair(means: FittedMeans, lag: float, polynomials: Array) -> Array
     polynomials : ndarray, shape (channels, order + 1)
         Coefficients to start from.
     """
-    return _likeliest(means, lag, polynomials).designs[0][:, 1]
+    return _likeliest(means, lag, polynomials).element
 
 
 def _likeliest(means: FittedMeans, lag: float, polynomials: Array) -> _Solution:
@@ -135,40 +140,54 @@ def _likeliest(means: FittedMeans, lag: float, polynomials: Array) -> _Solution:
     left = means.readings - means.powers(lag, polynomials.shape[1] - 1) @ polynomials.T
     whiteners = [np.eye(len(left)) / np.std(column) for column in left.T]
     return max(
-        (_of_pair(means, pair, lag, polynomials, whiteners) for pair in _pairs(lag)), key=lambda pair: pair.evidence
+        (_of_pair(means, pair, lag, polynomials, whiteners) for pair in _pairs(means, lag)),
+        key=lambda pair: pair.evidence,
     )
 
 
-def _pairs(lag: float) -> list[tuple[float, float]]:
-    return list(combinations([part * lag for part in _PARTS], 2))
+def _pairs(means: FittedMeans, lag: float) -> list[tuple[float, float]]:
+    if means.noisy:
+        return [(0.0, lag)]
+    if lag < 0.0:
+        return [(part * lag, lag) for part in (*_PARTS, *(-part for part in _PARTS)) if part <= 1.0]
+    return list(combinations([0.0, *(part * lag for part in _PARTS)], 2))
 
 
 def _near(lags: tuple[float, float]) -> list[tuple[float, float]]:
     """Return the pairs around one, closer than those of the grid."""
     steps = (_SPACING ** (np.arange(1 - _FINER, _FINER) / _FINER)).tolist()
-    return [(lags[0] * a, lags[1] * b) for a in steps for b in steps if lags[1] * b / (lags[0] * a) > _APART]
+    if lags[1] < 0.0:
+        return [(lags[0] * a, lags[1]) for a in steps]
+    return [(lags[0] * a, lags[1] * b) for a in steps for b in steps if lags[1] * b > _APART * lags[0] * a]
 
 
 def _of_pair(
     means: FittedMeans, lags: tuple[float, float], whole: float, polynomials: Array, whiteners: Sequence[Array]
 ) -> _Solution:
     """Fit polynomials and the share of the first lag, which starts where both are ``whole`` on the mean."""
-    order, coefficients = polynomials.shape[1] - 1, polynomials
-    first, second = (means.element(lag) for lag in lags)
-    share = (lags[1] - whole) / (lags[1] - lags[0])
+    coefficients = polynomials
+    first, second = means.elements_of(lags)
+    of_second = lags[1] if lags[1] > 0.0 else lags[0] + lags[1]
+    share = (of_second - whole) / (of_second - lags[0])
     for _ in range(_STEPS):
-        x = np.vander(share * first + (1.0 - share) * second, order + 1, increasing=True)
-        slope = (x[:, :-1] @ (coefficients[:, 1:] * np.arange(1, order + 1)).T) * (first - second)[:, None]
-        designs = [np.column_stack([x, column]) for column in slope.T]
-        found = _solve(lags, designs, means.readings, whiteners, 1.0)
+        element = share * first + (1.0 - share) * second
+        slopes = means.averaged(slopes_of(element, coefficients) * (first - second)[:, None])
+        powers = means.powers_of(element, polynomials.shape[1] - 1)
+        designs = [np.column_stack([powers, column]) for column in slopes.T]
+        found = _solve(lags, element, designs, means.readings, whiteners, 1.0)
         coefficients, share = found.coefficients.reshape(polynomials.shape), share + found.change
     return found
 
 
 def _solve(
-    lags: tuple[float, float], designs: Sequence[Array], y: Array, whiteners: Sequence[Array], typical: float
+    lags: tuple[float, float],
+    element: Array,
+    designs: Sequence[Array],
+    y: Array,
+    whiteners: Sequence[Array],
+    typical: float,
 ) -> _Solution:
     """Solve for polynomials and a change that all channels share, whose prior is as wide as twice a typical value."""
     solution, covariance, square = joint_least_squares(whiteners, designs, y)
     evidence = 0.5 * (log(2.0 * pi * covariance[-1, -1]) - square) - log(2.0 * typical)
-    return _Solution(lags, designs, solution[:-1], covariance[:-1, :-1], float(solution[-1]), evidence)
+    return _Solution(lags, element, designs, solution[:-1], covariance[:-1, :-1], float(solution[-1]), evidence)
