@@ -61,7 +61,10 @@ def figure_style(salt: str = "tiltcal", size: float = 10.0) -> Iterator[None]:
 
 def save(figure: Figure, stream: BinaryIO) -> None:
     """Write a figure as SVG without a date; use it within :func:`figure_style`."""
-    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": "tiltcal"})
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    # Figure.savefig draws a figure with a layout twice, the first time for the layout alone; draw does the layout too.
+    FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": "tiltcal"})  # type: ignore[no-untyped-call]
 
 
 def picture(
