@@ -50,6 +50,9 @@ KINDS = {
     "slow": "noise of 0.7 units that lasts a fifth of the record",
     "thermometer": "noise of 0.2 °C in the thermometer",
     "both": "noise of 0.2 °C in the thermometer, and a lag of 120 s",
+    "late quiet": "the thermometer 120 s behind, noise of 0.02 units",
+    "late noisy": "the thermometer 120 s behind, with noise of 0.05 °C",
+    "late both": "the thermometer 160 s behind, the element 40 s",
 }
 
 
@@ -77,8 +80,10 @@ def record(kind: str, pace: float, legs: int, draw: np.random.Generator) -> tupl
     element = thermometer = chamber
     if kind in ("lag", "quiet", "both"):
         element = delayed(chamber, 120.0)
-    elif kind == "negative":
+    elif kind in ("negative", "late quiet", "late noisy"):
         thermometer = delayed(chamber, 120.0)
+    elif kind == "late both":
+        thermometer, element = delayed(chamber, 160.0), delayed(chamber, 40.0)
     elif kind == "parallel":
         element = 0.6 * delayed(chamber, 60.0) + 0.4 * delayed(chamber, 400.0)
     elif kind == "series":
@@ -93,7 +98,7 @@ def record(kind: str, pace: float, legs: int, draw: np.random.Generator) -> tupl
     kept = slice(None, None, max(len(time) // ROWS, 1))
     time, thermometer, readings = time[kept], thermometer[kept], readings[kept]
     still = thermometer, readings
-    readings = readings + (0.02 if kind == "quiet" else 0.5) * draw.normal(size=readings.shape)
+    readings = readings + (0.02 if "quiet" in kind else 0.5) * draw.normal(size=readings.shape)
     if kind == "wander":
         readings += np.cumsum(draw.normal(size=readings.shape), axis=0) / np.sqrt(len(time))
     if kind == "slow":
@@ -101,8 +106,8 @@ def record(kind: str, pace: float, legs: int, draw: np.random.Generator) -> tupl
         steps = draw.normal(size=readings.shape) * np.sqrt(1.0 - decay**2)
         steps[0] = draw.normal(size=2)
         readings += 0.7 * lfilter([1.0], [1.0, -decay], steps, axis=0)
-    if kind in ("thermometer", "both"):
-        thermometer = thermometer + 0.2 * draw.normal(size=len(time))
+    if kind in ("thermometer", "both", "late noisy"):
+        thermometer = thermometer + (0.05 if kind == "late noisy" else 0.2) * draw.normal(size=len(time))
     return time, thermometer, readings, *still
 
 

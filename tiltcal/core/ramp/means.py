@@ -107,18 +107,25 @@ class FittedMeans:
         time = self._record.time
         if lag >= 0.0:
             return ThermalLag(lag)(time, temperature)
-        return np.asarray(temperature - lag * CubicSpline(time, temperature)(time, 1))
+        slope = CubicSpline(_means(time, self._knots), _means(temperature, self._knots))(time, 1)
+        return np.asarray(temperature - lag * slope)
+
+    @cached_property
+    def _knots(self) -> NDArray[np.intp]:
+        """Rows that are about an interval apart: between rows of a burst, noise would make any slope."""
+        time, starts = self._record.time.tolist(), [0]
+        apart = 0.8 * (time[-1] - time[0]) / len(time)
+        for row, seconds in enumerate(time):
+            if seconds - time[starts[-1]] >= apart:
+                starts.append(row)
+        return np.array(starts)
 
     def grouped(self, lag: float, coefficients: Array) -> FittedMeans:
         """Return means so long that a thermometer that is later adds little noise to that of the readings.
 
         The inverse filter makes of noise e of its rows |lag| (e_end - e_start) / t, in a mean over a time t.
 
-        Parameters
-        ----------
-        lag : float
-            s.
-        coefficients : ndarray, shape (order + 1, channels)
+        The coefficients have the shape (order + 1, channels).
         """
         if lag >= 0.0:
             return self
@@ -136,13 +143,7 @@ class FittedMeans:
         return self.powers_of(self.element(lag), order)
 
     def powers_of(self, element: Array, order: int) -> Array:
-        """Return the means of the powers of a temperature, shape (means, order + 1), which changes steadily in a part.
-
-        Parameters
-        ----------
-        element : ndarray, shape (parts,)
-            °C from the reference.
-        """
+        """Return the means of the powers of a temperature that changes steadily in a part, shape (means, order + 1)."""
         powers = np.vander(element, order + 1, increasing=True)
         within, k = np.gradient(element) ** 2 / 12.0, np.arange(2, order + 1)
         powers[:, 2:] += 0.5 * k * (k - 1) * powers[:, :-2] * within[:, None]
@@ -183,11 +184,7 @@ class FittedMeans:
     def by_lag(self, lag: float, coefficients: Array) -> Array:
         """Return the derivative of the readings by the lag, unit/s, shape (means, channels).
 
-        Parameters
-        ----------
-        lag : float
-            s.
-        coefficients : ndarray, shape (order + 1, channels)
+        The coefficients have the shape (order + 1, channels).
         """
         slopes = slopes_of(self.element(lag), coefficients.T)
         return self.averaged(slopes * self._element_by_lag(lag)[:, None])
@@ -221,14 +218,7 @@ class FittedMeans:
 
 
 def slopes_of(element: Array, coefficients: Array) -> Array:
-    """Return the slopes of polynomials, unit/°C, shape (n, channels).
-
-    Parameters
-    ----------
-    element : ndarray, shape (n,)
-        °C from the reference.
-    coefficients : ndarray, shape (channels, p)
-    """
+    """Return the slopes of polynomials with coefficients of shape (channels, p), unit/°C, shape (n, channels)."""
     terms = coefficients.shape[1] - 1
     return np.asarray(np.vander(element, terms, increasing=True) @ (coefficients[:, 1:] * np.arange(1, terms + 1)).T)
 
