@@ -24,6 +24,8 @@ FACTOR_STEPS = 1 << 14
 NEGLIGIBLE = 1e-3
 """A part of a variance below this changes no factor that anyone would see."""
 
+_NARROW = 1.0 / (1.0 + NEGLIGIBLE) ** 2  # an estimated part over the widened one, from which it counts as narrowed
+
 
 def coverage_factor(dof: Array) -> Array:
     """Return the coverage factors of 95 % intervals: Student's t, 1.96 where the degrees of freedom are infinite.
@@ -84,24 +86,23 @@ class CoverageFactors:
         self._inverse_dof = np.interp(self.normal / np.sqrt(at), whole, np.concatenate([[0.0], at, [1.0]]))
         """One over the degrees of freedom, by the square of the normal factor over Student's."""
 
-    def factor(self, estimated: Array, widened: Array, known: Array, ratio: float = 0.0) -> Array:
-        """Return what the standard uncertainty is multiplied with for an interval of 95 %.
+    def whole(self, estimated: Array, widened: Array | float, known: Array) -> tuple[Array, Array]:
+        """Return a variance of two parts, and what its root is multiplied with for an interval of 95 %.
 
         Parameters
         ----------
         estimated : ndarray, shape (n,)
             The part of the variance that was estimated.
-        widened : ndarray, shape (n,)
+        widened : ndarray, shape (n,), or float
             The same part with what Student's t stretches it by: its square of half an interval over that of 1.96.
+            A number is that stretch, where it is the same everywhere.
         known : ndarray, shape (n,)
             The other part.
-        ratio : float
-            Widened over estimated where it is the same everywhere, which saves looking it up.
 
         Returns
         -------
-        ndarray, shape (n,)
-            NaN where an argument is, or where nothing is uncertain.
+        tuple of ndarray, shape (n,)
+            The factor is NaN where an argument is, or where nothing is uncertain.
 
         Notes
         -----
@@ -110,13 +111,17 @@ class CoverageFactors:
         """
         total = estimated + known
         with np.errstate(invalid="ignore", divide="ignore"):
-            own = np.asarray(1.0 / ratio) if ratio else estimated / widened
-            inverse_dof = _looked_up(self._inverse_dof, own) * (estimated / total) ** 2
-        factor = _looked_up(self._factors, inverse_dof)
-        narrow = widened <= estimated * (1.0 + NEGLIGIBLE) ** 2
-        if narrow.any():
-            factor[narrow] = self.normal * np.sqrt((widened + known)[narrow] / total[narrow])
-        return factor
+            inverse_dof = estimated / total
+            inverse_dof *= inverse_dof
+            stretched = isinstance(widened, float)
+            own = np.asarray(1.0 / widened) if stretched else estimated / widened
+            inverse_dof *= _looked_up(self._inverse_dof, own)
+            factor = _looked_up(self._factors, inverse_dof)
+            if not np.max(own) < _NARROW:
+                narrow = np.broadcast_to(~(own < _NARROW), total.shape)
+                whole = known + (estimated * widened if stretched else widened)
+                factor[narrow] = self.normal * np.sqrt(whole[narrow] / total[narrow])
+        return total, factor
 
 
 @cache

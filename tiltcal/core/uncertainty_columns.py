@@ -37,19 +37,23 @@ def with_shares(total: Array, common: Array) -> Array:
     return found
 
 
-def round_up(room: Array) -> None:
-    """Round numbers that are not negative to four digits, or five, in place: an uncertainty has no more."""
+def round_up(room: Array, unit: float = 1.0) -> None:
+    """Convert numbers that are not negative to a unit, and round them up to four digits, or five, in place."""
     if room.ndim > 1:
         for row in room:
-            round_up(row)
+            round_up(row, unit)
         return
     if not len(room):
         return
-    ends = np.array([room.min(), room.max()])
+    ends = np.array([room.min(), room.max()]) * unit
     scale = _scales(ends)
-    alike = scale[0] == scale[1] and np.isfinite(ends).all()
-    scale = scale[:1] if alike else _scales(room)
-    room *= scale
+    if scale[0] == scale[1] and np.isfinite(ends).all():
+        room *= unit * scale[0]
+        scale = scale[:1]
+    else:
+        room *= unit
+        scale = _scales(room)
+        room *= scale
     np.ceil(room, out=room)
     room /= scale
 

@@ -15,10 +15,12 @@ the arcsine, and where pitch or inclination comes from a length near zero, an er
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import combinations_with_replacement
 from math import pi, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.coverage_factor import NEGLIGIBLE, NORMAL_FACTOR, coverage_factors
@@ -94,10 +96,10 @@ class Propagation:
         self._derivatives = SignalDerivatives(coefficients, inputs.names)
         self._parameters = self._of_channels(inputs.names)
         widening = inputs.factors / NORMAL_FACTOR
-        self._known = bool(np.allclose(widening, 1.0, rtol=NEGLIGIBLE))
+        self._known = bool(np.all(np.abs(widening - 1.0) <= NEGLIGIBLE))
         """Whether every coefficient has the normal factor, so that one variance says all."""
         self._coverage = None if self._known else coverage_factors()
-        alike = len(widening) > 0 and np.allclose(widening, widening[0], rtol=1e-12)
+        alike = not self._known and bool(np.ptp(widening) <= _EXACT * widening[0])
         self._widened = float(widening[0]) ** 2 if alike else 0.0
         """What the factor of all coefficients stretches their variance by; 0 where they have different ones."""
         covariances = [inputs.covariance]
@@ -112,26 +114,27 @@ class Propagation:
         if not (self._sees_all or self._rotated or compensation.solves_z):
             pairs = [(a, b) for a, b in pairs if a == b]
         self._pairs = {pair: k for k, pair in enumerate(pairs)}
-        self._forms = np.array(
-            [_form(errors[a] @ covariance @ errors[b].T) for covariance in covariances for a, b in pairs]
+        own = [_form(errors[a] @ covariance @ errors[b].T) for covariance in covariances for a, b in pairs]
+        self._by_noise = np.array(
+            [_form(self._noise(self._lift[a] * self._lift[b], errors.shape[1])) for a, b in pairs]
         )
-        self._noise = np.array([self._lift[a] * self._lift[b] * self._readings**2 for a, b in pairs])
+        self._forms = np.zeros((self._kinds * len(pairs), self._by_noise.shape[1]))
+        self._forms[: len(own)] = own
 
-    def __call__(self, chunk: KernelChunk) -> Array:
+    def __call__(self, chunk: KernelChunk, out: Array | None = None) -> Array:
         """Return standard and expanded uncertainty of every angle, rounded up, shape (2, angles, n), degrees."""
-        return self._uncertainties(chunk, round_up)
+        return self._uncertainties(chunk, lambda room: round_up(room, _DEGREES), out)
 
     def exact(self, chunk: KernelChunk) -> Array:
         """Return standard and expanded uncertainty of every angle, shape (2, angles, n), degrees."""
-        return self._uncertainties(chunk, lambda room: None)
+        return self._uncertainties(chunk, lambda room: np.multiply(room, _DEGREES, out=room))
 
-    def _uncertainties(self, chunk: KernelChunk, finish: Callable[[Array], None]) -> Array:
+    def _uncertainties(self, chunk: KernelChunk, finish: Callable[[Array], object], out: Array | None = None) -> Array:
         count = len(chunk.out.flag)
-        room = np.empty((2, self._angles, count))
+        room = np.empty((2, self._angles, count)) if out is None else out
         for start in range(0, count, _ROWS):
             rows = slice(start, start + _ROWS)
             self._fill(_part(chunk, rows), room[:, :, rows])
-            room[:, :, rows] *= _DEGREES
             finish(room[:, :, rows])
         lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)
         if lost.any():
@@ -143,8 +146,8 @@ class Propagation:
         application = chunk.out.gravity.T
         slope = None if chunk.hidden is None else self._slope_of_hidden(chunk.own, chunk.hidden, variances)
         for axis, argument in enumerate(application):
-            half, factor = self._half(self._of_axis(axis, chunk.own, slope, variances))
-            room[1, axis] = _through_arcsine(argument, half)
+            variance, factor = self._whole_variance(self._of_axis(axis, chunk.own, slope, variances))
+            _through_arcsine(argument, variance, factor, room[1, axis])
             np.divide(room[1, axis], factor, out=room[0, axis])
         if self._sees_all:
             for number, name in enumerate(DIRECTIONS, start=len(self._axes)):
@@ -253,6 +256,12 @@ class Propagation:
                 errors[output, up + following, about[last]] += 1.0
         return lift, errors
 
+    def _noise(self, weights: Array, rows: int) -> Array:
+        """Return the quadratic form of the readings' noise, each channel with a weight, shape (rows, rows)."""
+        found = np.zeros((rows, rows))
+        np.add.at(found, (self._derivatives.slopes,) * 2, weights * self._readings**2)
+        return found
+
     def _variances(self, chunk: KernelChunk) -> Array:
         """Return the covariance of each pair of outputs, shape (kinds, pairs, n).
 
@@ -260,17 +269,19 @@ class Propagation:
         differ the same widened by them, and of readings and temperature.
         """
         table, by_temperature = self._signals(chunk)
-        slopes = table[self._derivatives.slopes]
         if self._rotated:
             table = np.concatenate([table, self._compensation.up(chunk)])
-        found = np.zeros((self._kinds, len(self._pairs), table.shape[1]))
-        of_coefficients = found.reshape(-1, table.shape[1])[: len(self._forms)]
-        step = columns_of_one_thread(self._forms)
+        forms = self._forms.copy()
+        forms[-len(self._pairs) :] += self._by_noise * (chunk.share if isinstance(chunk.share, float) else 0.0)
+        found = np.empty((self._kinds, len(self._pairs), table.shape[1]))
+        flat = found.reshape(-1, table.shape[1])
+        step = columns_of_one_thread(forms)
         for start in range(0, table.shape[1], step):
             part = slice(start, start + step)
-            np.matmul(self._forms, _products(table[:, part]), out=of_coefficients[:, part])
-        slopes *= slopes
-        found[-1] += product(self._noise, slopes) * chunk.share
+            products = _products(table[:, part])
+            np.matmul(forms, products, out=flat[:, part])
+            if not isinstance(chunk.share, float):
+                found[-1, :, part] += product(self._by_noise, products) * chunk.share[part]
         if by_temperature is not None:
             moved = self._lift @ by_temperature
             for (a, b), k in self._pairs.items():
@@ -350,12 +361,15 @@ class Propagation:
 
     def _half(self, parts: Array) -> tuple[Array, Array | float]:
         """Half width of the 95 % interval, and its coverage factor."""
+        variance, factor = self._whole_variance(parts)
+        return factor * np.sqrt(variance), factor
+
+    def _whole_variance(self, parts: Array) -> tuple[Array, Array | float]:
+        """Variance of all kinds together, and the coverage factor of its 95 % interval."""
         np.maximum(parts, 0.0, out=parts)
         if self._coverage is None:
-            return NORMAL_FACTOR * np.sqrt(parts[0]), NORMAL_FACTOR
-        widened = parts[0] * self._widened if self._widened else parts[1]
-        factor = self._coverage.factor(parts[0], widened, parts[-1], self._widened)
-        return factor * np.sqrt(parts[0] + parts[-1]), factor
+            return parts[0], NORMAL_FACTOR
+        return self._coverage.whole(parts[0], self._widened or parts[1], parts[-1])
 
     def _direction(self, name: str, gravity: Array, variances: Array, room: Array) -> None:
         """Pitch, roll or inclination: an arctangent of one component over the length of the two others."""
@@ -409,7 +423,12 @@ def _form(matrix: Array) -> Array:
     """Return the coefficients of a quadratic form by products of two rows, each pair of rows once."""
     whole = matrix + matrix.T
     np.fill_diagonal(whole, matrix.diagonal())
-    return np.asarray(whole[np.triu_indices(len(whole))])
+    return np.asarray(whole[_upper_triangle(len(whole))])
+
+
+@cache
+def _upper_triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    return np.triu_indices(size)
 
 
 def _is_zero(component: Array | float) -> bool:
@@ -429,18 +448,24 @@ def _length(a: Array, b: Array) -> Array:
     return np.asarray(np.sqrt(a * a + b * b))
 
 
-def _through_arcsine(argument: Array, half: Array) -> Array:
-    """Half width of an arcsine, radians, from that of its argument; NaN where all of that is beyond ±1."""
-    room = 1.0 - argument * argument
-    width = half / np.sqrt(np.maximum(room, 1e-300))
-    curved = np.flatnonzero(half * np.abs(argument) > _CURVED * room)
-    if len(curved):
-        near, reach = argument[curved], half[curved]
-        middle, low, high = (np.arcsin(np.clip(near + side * reach, -1.0, 1.0)) for side in (0.0, -1.0, 1.0))
-        widest = np.maximum(high - middle, middle - low)
-        widest[widest == 0.0] = np.nan
-        width[curved] = widest
-    return width
+def _through_arcsine(argument: Array, variance: Array, factor: Array | float, width: Array) -> None:
+    """Half width of the interval of an arcsine, radians, from its argument's variance; NaN where that is beyond ±1."""
+    room = argument * argument
+    np.subtract(1.0, room, out=room)
+    half = np.max(factor) * sqrt(np.max(variance))
+    all_straight = bool(half <= _CURVED * np.min(room))  # not with a NaN among them
+    np.divide(variance, room if all_straight else np.maximum(room, 1e-300), out=width)
+    np.sqrt(width, out=width)
+    width *= factor
+    if all_straight:
+        return
+    halves = factor * np.sqrt(variance)
+    curved = np.flatnonzero(halves * np.abs(argument) > _CURVED * room)
+    near, reach = argument[curved], halves[curved]
+    middle, low, high = (np.arcsin(np.clip(near + side * reach, -1.0, 1.0)) for side in (0.0, -1.0, 1.0))
+    widest = np.maximum(high - middle, middle - low)
+    widest[widest == 0.0] = np.nan
+    width[curved] = widest
 
 
 def _part(chunk: KernelChunk, rows: slice) -> KernelChunk:

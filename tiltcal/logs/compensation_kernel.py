@@ -139,7 +139,7 @@ class TiltKernel:
                 if values.count is not None:
                     chunk = replace(chunk, share=1.0 / np.maximum(values.count[rows], 1))
                 if self._uncertain is not None:
-                    added[:own, rows] = self._uncertainties(self._uncertain.propagation, chunk)
+                    self._add_uncertainties(self._uncertain.propagation, chunk, added[:own, rows])
                 if self._earth is not None:
                     given = (values.magnetometer, values.heading, values.velocity)
                     added[own:, rows] = self._earth(
@@ -149,10 +149,11 @@ class TiltKernel:
             mark(out, lost, SUSPECT, NO_TEMPERATURE)
         return table | dict(zip(self.columns[len(table) :], added, strict=True))
 
-    def _uncertainties(self, propagation: Propagation, chunk: KernelChunk) -> Array:
-        if not self._averaged:
-            return propagation(chunk).reshape(-1, len(chunk.out.flag))
-        return with_shares(propagation.exact(chunk), propagation.exact(replace(chunk, share=0.0)))
+    def _add_uncertainties(self, propagation: Propagation, chunk: KernelChunk, out: Array) -> None:
+        if self._averaged:
+            out[...] = with_shares(propagation.exact(chunk), propagation.exact(replace(chunk, share=0.0)))
+        else:
+            propagation(chunk, out.reshape(2, -1, out.shape[1]))
 
 
 class PairKernel:

@@ -332,9 +332,9 @@ class TestExpansion:
     def test_welch_and_satterthwaite(self, dof: float, known: float) -> None:
         """GUM, eq. G.2b, with scipy's quantiles."""
         stretched = (scipy.stats.t.ppf(0.975, dof) / NORMAL) ** 2
-        found = CoverageFactors().factor(np.array([1.0]), np.array([stretched]), np.array([known]))
+        _, found = CoverageFactors().whole(np.array([1.0]), np.array([stretched]), np.array([known]))
         assert found[0] == pytest.approx(scipy.stats.t.ppf(0.975, dof * (1.0 + known) ** 2), rel=1e-3)
 
     def test_what_is_narrowed_is_narrowed_alone(self) -> None:
-        found = CoverageFactors().factor(np.array([1.0, 0.0]), np.array([0.64, 0.0]), np.array([1.0, 1.0]))
+        _, found = CoverageFactors().whole(np.array([1.0, 0.0]), np.array([0.64, 0.0]), np.array([1.0, 1.0]))
         np.testing.assert_allclose(found, [NORMAL * sqrt(1.64 / 2.0), NORMAL], rtol=1e-9)

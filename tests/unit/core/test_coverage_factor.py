@@ -26,5 +26,6 @@ def test_a_ratio_that_is_the_same_everywhere_need_not_be_looked_up() -> None:
     estimated, known = rng.uniform(0.1, 2.0, (2, 500))
     factors = CoverageFactors()
     widened = 1.7 * estimated
-    expected = factors.factor(estimated, widened, known)
-    np.testing.assert_allclose(factors.factor(estimated, widened, known, 1.7), expected, rtol=1e-4)
+    variance, expected = factors.whole(estimated, widened, known)
+    np.testing.assert_array_equal(variance, estimated + known)
+    np.testing.assert_allclose(factors.whole(estimated, 1.7, known)[1], expected, rtol=1e-4)
