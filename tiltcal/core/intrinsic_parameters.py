@@ -76,10 +76,12 @@ def intrinsic(coefficients: Coefficients, uncertain: UncertaintyInputs, *, mount
         raise EstimateError("a sensor is separated from its mounting where it has three channels over three axes")
     channels = coefficients.channels
     pairs = [first + second for first, second in combinations(channels, 2)]
+    names = [f"offset.{c}" for c in channels] + [f"sensitivity.{c}" for c in channels] + [f"angle.{ab}" for ab in pairs]
+    found = with_uncertainty(names, _nine, coefficients, uncertain)
     own = Intrinsic(
-        offset=with_uncertainty(channels, lambda moved: moved.offset, coefficients, uncertain),
-        sensitivity=with_uncertainty(channels, _lengths, coefficients, uncertain),
-        angle=with_uncertainty(pairs, _angles, coefficients, uncertain),
+        offset={channel: found[f"offset.{channel}"] for channel in channels},
+        sensitivity={channel: found[f"sensitivity.{channel}"] for channel in channels},
+        angle={pair: found[f"angle.{pair}"] for pair in pairs},
         mounting={},
         gimbal_lock=False,
     )
@@ -151,15 +153,10 @@ def _matrix(coefficients: Coefficients) -> Array:
     return coefficients.sensitivity[:, [coefficients.axes.index(axis) for axis in AXES]]
 
 
-def _lengths(coefficients: Coefficients) -> Array:
-    return np.asarray(np.linalg.norm(coefficients.sensitivity, axis=1))
-
-
-def _angles(coefficients: Coefficients) -> Array:
-    """Between each two rows, degrees."""
-    return np.array(
-        [
-            degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second))
-            for first, second in combinations(_matrix(coefficients), 2)
-        ]
-    )
+def _nine(coefficients: Coefficients) -> Array:
+    """Return the offsets, the lengths of the rows of S, and the angles between each two of them in degrees."""
+    rows = _matrix(coefficients)
+    first, second = rows[[0, 0, 1]], rows[[1, 2, 2]]
+    sine = np.linalg.norm(np.cross(first, second), axis=1)
+    angles = np.degrees(np.arctan2(sine, np.sum(first * second, axis=1)))
+    return np.concatenate([coefficients.offset, np.linalg.norm(rows, axis=1), angles])

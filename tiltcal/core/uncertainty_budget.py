@@ -143,6 +143,8 @@ def propagated(
     """
     wider = factors / NORMAL_FACTOR
     u = _standard_uncertainty(function, parameters, covariance)
+    if np.all(wider == 1.0):
+        return u, np.full_like(u, NORMAL_FACTOR)
     wide = _standard_uncertainty(function, parameters, covariance * np.outer(wider, wider))
     return u, NORMAL_FACTOR * np.divide(wide, u, out=np.ones_like(u), where=u > 0.0)
 
