@@ -35,14 +35,11 @@ class ThermalLag:
     ----------
     lag : float
         s; positive where the element is later than the thermometer.
-    smoothing : float
-        Of the derivative, as a part of a negative lag; a fit, which averages afterwards, takes less.
     """
 
-    def __init__(self, lag: float, smoothing: float = LOG_SMOOTHING) -> None:
+    def __init__(self, lag: float) -> None:
         self._lag = lag
-        self._smoothing = smoothing
-        self._constant = lag if lag > 0.0 else -smoothing * lag
+        self._constant = lag if lag > 0.0 else -LOG_SMOOTHING * lag
         self._time = self._temperature = self._filtered = np.nan
 
     def __call__(self, time: Array, temperature: Array) -> Array:
@@ -82,7 +79,7 @@ class ThermalLag:
         self._time, self._temperature, self._filtered = float(time[-1]), float(temperature[-1]), float(filtered[-1])
         if self._lag > 0.0:
             return filtered
-        return np.asarray(temperature + (temperature - filtered) / self._smoothing)
+        return np.asarray(temperature + (temperature - filtered) / LOG_SMOOTHING)
 
 
 def _recursion(decay: Array, added: Array, start: float) -> Array:

@@ -225,7 +225,9 @@ def slopes_of(element: Array, coefficients: Array) -> Array:
 
 def _means(values: Array, starts: NDArray[np.intp]) -> Array:
     """Return the means of rows from each start to the next one."""
-    sizes = np.diff([*starts, len(values)]).reshape(-1, *[1] * (values.ndim - 1))
+    if len(starts) == len(values):
+        return values
+    sizes = np.diff(starts, append=len(values)).reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray(np.add.reduceat(values, starts, axis=0) / sizes)
 
 

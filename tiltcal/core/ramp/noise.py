@@ -134,6 +134,7 @@ def noise_of_temperature(element: Array, coefficients: Array, means: FittedMeans
     flattened = np.linalg.pinv(powers.T @ powers) @ by_temperature.T @ slopes
     shifts = np.pad(coefficients[:, 1:] * np.arange(1, p), ((0, 0), (0, 1))) * means.shift
     found = np.zeros((channels, p, channels, p))
+    # Noise of a thermometer that is later cancels between the parts of a mean.
     variance = _variance_between(element, 1) / means.group**2
     for c, (flat, shifted) in enumerate(zip(variance * flattened.T, shifts, strict=True)):
         found[c, :, c] = np.outer(flat, flat) + np.outer(shifted, shifted)

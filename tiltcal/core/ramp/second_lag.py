@@ -19,7 +19,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import log, pi
+from math import log, pi, sqrt
+from operator import attrgetter
 
 import numpy as np
 
@@ -27,8 +28,11 @@ from tiltcal.core.model import Array
 from tiltcal.core.ramp.means import FittedMeans, slopes_of
 from tiltcal.core.ramp.noise import joint_least_squares, whitener
 
-_SPACING, _FINER = 1.36, 4
-"""Ratio of neighbouring lags of the pairs, and into how many steps it is divided about the likeliest pair."""
+_SPACING = 1.36
+"""Ratio of neighbouring lags of the pairs; its root about the likeliest pair, and again, up to ``_FINEST`` times."""
+
+_ENOUGH, _FINEST = 3.0, 8
+"""Pairs that share the weight where they are close enough."""
 
 _APART = 1.05
 """Ratio of the lags of a pair, below which it is none."""
@@ -89,11 +93,9 @@ def over_lags(means: FittedMeans, lag: float, polynomials: Array, covariance: Ar
     ]
     best = _likeliest(means, lag, polynomials)
     whiteners = [whitener(means, design, y[:, c]) for c, design in enumerate(best.designs)]
-    grid, near = _pairs(means, lag), _near(best.lags)
-    pairs = [_of_pair(means, pair, lag, polynomials, whiteners) for pair in grid + near]
-    volumes = np.repeat([1.0 / len(grid), 1.0 / (len(grid) * _FINER**2)], [len(grid), len(near)])
+    pairs, volume = _close_pairs(means, lag, polynomials, whiteners)
     single = _solve((0.0, lag), means.element(lag), alone, y, whiteners, abs(lag))
-    evidence = np.array([single.evidence, *(np.array([pair.evidence for pair in pairs]) + np.log(volumes))])
+    evidence = np.array([single.evidence, *(pair.evidence + log(volume) for pair in pairs)])
     weights = np.exp(evidence - evidence.max())
     weights /= weights.sum()
     coefficients = np.stack([polynomials.ravel(), *(pair.coefficients for pair in pairs)])
@@ -139,10 +141,25 @@ def _likeliest(means: FittedMeans, lag: float, polynomials: Array) -> _Solution:
     """Return the likeliest pair under white noise."""
     left = means.readings - means.powers(lag, polynomials.shape[1] - 1) @ polynomials.T
     whiteners = [np.eye(len(left)) / np.std(column) for column in left.T]
-    return max(
-        (_of_pair(means, pair, lag, polynomials, whiteners) for pair in _pairs(means, lag)),
-        key=lambda pair: pair.evidence,
-    )
+    return max(_close_pairs(means, lag, polynomials, whiteners)[0], key=attrgetter("evidence"))
+
+
+def _close_pairs(
+    means: FittedMeans, lag: float, polynomials: Array, whiteners: Sequence[Array]
+) -> tuple[list[_Solution], float]:
+    """Fit pairs that are so close that several count, and return the part of the prior weight that each has."""
+    grid, spacing = _pairs(means, lag), _SPACING
+    volume = 1.0 / len(grid)
+    for _ in range(_FINEST):
+        pairs = [_of_pair(means, pair, lag, polynomials, whiteners) for pair in grid]
+        best = max(pairs, key=attrgetter("evidence"))
+        weights = np.exp([pair.evidence - best.evidence for pair in pairs])
+        spacing = sqrt(spacing)
+        grid = _near(best.lags, spacing)
+        if np.sum(weights) ** 2 > _ENOUGH * np.sum(weights**2) or len(grid) == 1:
+            break
+        volume /= 2.0 if best.lags[0] == 0.0 or lag < 0.0 else 4.0
+    return pairs, volume
 
 
 def _pairs(means: FittedMeans, lag: float) -> list[tuple[float, float]]:
@@ -153,12 +170,11 @@ def _pairs(means: FittedMeans, lag: float) -> list[tuple[float, float]]:
     return list(combinations([0.0, *(part * lag for part in _PARTS)], 2))
 
 
-def _near(lags: tuple[float, float]) -> list[tuple[float, float]]:
-    """Return the pairs around one, closer than those of the grid."""
-    steps = (_SPACING ** (np.arange(1 - _FINER, _FINER) / _FINER)).tolist()
-    if lags[1] < 0.0:
-        return [(lags[0] * a, lags[1]) for a in steps]
-    return [(lags[0] * a, lags[1] * b) for a in steps for b in steps if lags[1] * b > _APART * lags[0] * a]
+def _near(lags: tuple[float, float], spacing: float) -> list[tuple[float, float]]:
+    """Return the pairs around one that are so close; the lag of a thermometer that is later varies with the share."""
+    steps = (spacing ** np.arange(-3.0, 4.0)).tolist()
+    pairs = {(lags[0] * a, lags[1] * (b if lags[1] > 0.0 else 1.0)) for a in steps for b in steps}
+    return sorted(pair for pair in pairs if pair[1] < 0.0 or pair[1] > _APART * pair[0])
 
 
 def _of_pair(
