@@ -39,6 +39,9 @@ BURST = 5.0
 FEWEST_SAMPLES = 8
 """Readings among which one can be called far off."""
 
+OUTLYING = 6.0
+"""Standard deviations beyond which a sample is far off."""
+
 LEFT_OUT = 0.05
 """The largest share of samples that is left out as far off; more is a fault that must not be hidden."""
 
@@ -251,7 +254,7 @@ def bursts(scatter: Array, rounding: ArrayLike = 0.0) -> Mask:
     return np.asarray(scatter > BURST * usual)
 
 
-def outliers(samples: Sequence[float] | Array, step: float = 0.0, sigmas: float = 6.0) -> NDArray[np.intp]:
+def outliers(samples: Sequence[float] | Array, step: float = 0.0) -> NDArray[np.intp]:
     """Return the samples of one channel that stand far out of the others; none of fewer than eight.
 
     Parameters
@@ -260,19 +263,30 @@ def outliers(samples: Sequence[float] | Array, step: float = 0.0, sigmas: float 
         Of a sensor at rest.
     step : float
         Of the reading, in the unit of the samples: a distance of two steps is no outlier.
-    sigmas : float
-        Standard deviations, judged by the median of the distances from the median, beyond which a sample is out.
     """
-    values = np.asarray(samples, dtype=float)
+    distance, limit, _ = distances(np.asarray(samples, dtype=float))
+    return np.flatnonzero(distance > max(limit, 2.0 * step))
+
+
+def distances(values: Array) -> tuple[Array, float, float]:
+    """Return how far each sample is from the median, beyond what distance it is far off, and the median.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        At least one; of fewer than eight none is an outlier.
+    """
+    centre = _median(values)
+    distance = np.abs(values - centre)
     if len(values) < FEWEST_SAMPLES:
-        return np.zeros(0, dtype=np.intp)
-    distance = np.abs(values - _median(values))
-    # Where more than half of the samples are in one step, the median of the distances is 0; the nearest 90 % are not.
-    count = max(1, round(0.9 * len(values)))
-    nearest = np.partition(distance, count - 1)[:count]
-    trimmed = _SIGMA_OF_NEAREST * float(np.sqrt(np.mean(nearest**2)))
-    usual = max(_SIGMA_OF_MEDIAN * _median(distance), trimmed, step / sqrt(12.0))
-    return np.flatnonzero(distance > max(sigmas * usual, 2.0 * step))
+        return distance, inf, centre
+    limit = OUTLYING * _SIGMA_OF_MEDIAN * _median(distance)
+    if distance.max() > limit:
+        # Where more than half of the samples are in one step, that median is 0; the nearest 90 % are not.
+        count = max(1, round(0.9 * len(values)))
+        nearest = np.partition(distance, count - 1)[:count]
+        limit = max(limit, OUTLYING * _SIGMA_OF_NEAREST * float(np.sqrt(np.mean(nearest**2))))
+    return distance, limit, centre
 
 
 def _median(values: Array) -> float:

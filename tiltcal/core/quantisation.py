@@ -18,6 +18,9 @@ HARMONICS = np.arange(1, 1001)
 MOST_VALUES = 4096
 """Different values beyond which a reading counts as continuous."""
 
+_ENOUGH_VALUES, _FEW_VALUES = 1 << 18, 1 << 16
+"""Different values among which two neighbours are a step apart, and those that are worth joining to the others."""
+
 _WHOLE = 0.01
 """By how many steps rounded readings are off a whole number of them, at most."""
 
@@ -56,20 +59,26 @@ def resolution(channels: Iterable[Array]) -> float:
 
 
 class DifferentValues:
-    """Collects the different values of a channel block by block, where they repeat so that they are few."""
+    """Collects the different values of a channel block by block, until there are so many that a step is among them."""
 
     def __init__(self) -> None:
-        self._blocks: list[Array] | None = []
+        self._values = np.empty(0)
+        self._waiting: list[Array] = []
 
     def add(self, samples: Array) -> None:
         """Take the next samples, shape (n,)."""
-        if self._blocks is not None:
-            different = np.unique(samples)
-            self._blocks = [*self._blocks, different] if 2 * len(different) <= len(samples) else None
+        if len(self._values) < _ENOUGH_VALUES:
+            self._waiting.append(np.unique(samples))
+            if sum(map(len, self._waiting)) >= max(len(self._values), _FEW_VALUES):
+                self._join()
 
-    def of(self, samples: Array) -> Array:
-        """Return every different value, some several times; all samples where they do not repeat."""
-        return samples if self._blocks is None else np.concatenate([[], *self._blocks])
+    def step(self) -> float:
+        """Return the :func:`resolution` of the channel."""
+        self._join()
+        return resolution([self._values])
+
+    def _join(self) -> None:
+        self._values, self._waiting = np.unique(np.concatenate([self._values, *self._waiting])), []
 
 
 def common_step(readings: Array) -> float:

@@ -80,17 +80,86 @@ def summarise(samples: Sequence[float] | NDArray[np.float64], resolution: float 
     resolution : float
         The step of the reading; 0 where it is continuous.
     """
-    values = np.asarray(samples, dtype=float)
+    return summary_of([moments_of(np.asarray(samples, dtype=float))], resolution)
+
+
+@frozen
+class Moments:
+    """The sums of some samples of a channel, from which the summary of many more follows.
+
+    Attributes
+    ----------
+    n : int
+    total : float
+        Sum of the samples.
+    mean : float
+    squares : float
+        Sum of the squares about the mean.
+    low, high : float
+        The smallest sample and the largest.
+    first : int
+        Number of the first block.
+    blocks : sequence of (float, int)
+        Sum and number of the samples of each block, as far as they are among these.
+    """
+
+    n: int
+    total: float
+    mean: float
+    squares: float
+    low: float
+    high: float
+    first: int
+    blocks: Sequence[tuple[float, int]]
+
+
+def moments_of(values: NDArray[np.float64], first: int = 0, edges: Sequence[int] = ()) -> Moments:
+    """Sum up some samples.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        At least one.
+    first : int
+        Number of the first block.
+    edges : sequence of int
+        Where blocks begin among the samples, and the end of the last; ten equal ones without.
+    """
     n, size = len(values), len(values) // BLOCKS
-    blocks = _summands(values[: BLOCKS * size].reshape(BLOCKS, size))
+    edges = edges or range(0, BLOCKS * size + 1, max(size, 1))
+    runs = [_summands(values[start:end]) for start, end in pairwise(edges)]
+    total = fsum(chain(values[: edges[0]].tolist(), *runs, values[edges[-1] :].tolist()))
+    low, high = float(values.min()), float(values.max())
     # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
-    alike = values.min() == values.max()
-    mean = float(values[0]) if alike else fsum(chain(*blocks, values[BLOCKS * size :].tolist())) / n
-    (squares,) = _summands(np.square(values - mean)[np.newaxis])
-    std = sqrt(fsum(squares) / (n - 1)) if n > 1 else 0.0
-    noise, dof, correlation = _type_a([fsum(block) / size for block in blocks] if size > 1 else [], n, std)
+    mean = low if low == high else total / n
+    blocks = [(fsum(run), end - start) for run, (start, end) in zip(runs, pairwise(edges), strict=True)]
+    off = values - mean
+    return Moments(n, total, mean, fsum(_summands(np.square(off, out=off))), low, high, first, blocks)
+
+
+def summary_of(parts: Sequence[Moments], resolution: float = 0.0) -> SampleSummary:
+    """Return what :func:`summarise` returns of the samples of all parts, in order."""
+    n = sum(part.n for part in parts)
+    alike = min(part.low for part in parts) == max(part.high for part in parts)
+    mean = parts[0].low if alike else fsum(part.total for part in parts) / n
+    squares = fsum(part.squares + part.n * (part.mean - mean) ** 2 for part in parts)
+    std = sqrt(squares / (n - 1)) if n > 1 else 0.0
+    noise, dof, correlation = _type_a(_block_means(parts) if n >= 2 * BLOCKS else [], n, std)
     step = rounding_uncertainty(std, resolution)
     return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
+
+
+def _block_means(parts: Sequence[Moments]) -> list[float]:
+    """Return the means of ten blocks, each of as many of the parts' blocks."""
+    count = max(part.first + len(part.blocks) for part in parts)
+    sums, counts = [0.0] * count, [0] * count
+    for part in parts:
+        for number, (total, size) in enumerate(part.blocks, start=part.first):
+            sums[number] += total
+            counts[number] += size
+    each = count // BLOCKS
+    groups = [slice(each * group, each * (group + 1)) for group in range(BLOCKS)]
+    return [fsum(sums[group]) / sum(counts[group]) for group in groups]
 
 
 def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:
@@ -118,28 +187,26 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
 
 
-def _summands(runs: NDArray[np.float64]) -> list[list[float]]:
-    """Return numbers that have the sum of each run, to be rounded once; few of them where the runs are long.
+def _summands(values: NDArray[np.float64]) -> list[float]:
+    """Return numbers that have the sum of others, to be rounded once; few of them where those are many.
 
     Parameters
     ----------
-    runs : ndarray, shape (runs, samples)
+    values : ndarray, shape (n,)
     """
-    count, length = runs.shape
-    columns = _COLUMNS // count
-    rows = length // columns
+    rows = len(values) // _COLUMNS
     if rows < _FEWEST_ROWS:
-        few: list[list[float]] = runs.tolist()
+        few: list[float] = values.tolist()
         return few
-    total, longer, lost, added, error = np.zeros((5, count, columns))
-    for row in runs[:, : rows * columns].reshape(count, rows, columns).swapaxes(0, 1):
+    total, longer, lost, added, error = np.zeros((5, _COLUMNS))
+    for row in values[: rows * _COLUMNS].reshape(rows, _COLUMNS):
         # Knuth, The Art of Computer Programming, vol. 2, 4.2.2, theorem B: the error of a sum, exactly.
         np.add(total, row, out=longer)
         np.subtract(longer, total, out=added)
         np.subtract(total, np.subtract(longer, added, out=error), out=error)
         lost += np.add(error, np.subtract(row, added, out=added), out=error)
         total, longer = longer, total
-    left: list[list[float]] = np.hstack([total, lost, runs[:, rows * columns :]]).tolist()
+    left: list[float] = np.concatenate([total, lost, values[rows * _COLUMNS :]]).tolist()
     return left
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -30,14 +31,14 @@ from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.provenance_record import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.segments import Segment, read_segments
-from tiltcal.logs.columns import named_columns
+from tiltcal.logs.columns import TIME, named_columns
 from tiltcal.logs.frames import FrameReader, rows_of
+from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Rails, sampled
 from tiltcal.logs.log import Progress
 from tiltcal.logs.ramp import read_ramp
-from tiltcal.logs.recorded_readings import RecordedReadings, recorded_readings, timed_readings
+from tiltcal.logs.recorded_readings import RecordedReadings, recorded_readings
 from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
 from tiltcal.logs.static_intervals import (
-    Rails,
     StaticInterval,
     intervals_of,
     intervals_of_table,
@@ -315,12 +316,13 @@ class FitSource:
             return FitPositions(
                 oriented(intervals, directions([interval.summaries for interval in intervals])), provenance
             )
-        record = self._record(sensor)
+        with self._record(sensor) as record:
+            readings = record.readings()
         windows = WINDOWS if self.window is None else (self.window,)
-        chosen, tried = find_still(record.readings, windows)
+        chosen, tried = find_still(readings, windows)
         say(choice_table(chosen, tried, sensor.unit))
         found = still_segments(chosen)
-        intervals = intervals_of(record, found, file=record.name, rails=self.rails)
+        intervals = intervals_of(*sampled(record, found, self.rails), record, file=record.name)
         attitudes = directions([interval.summaries for interval in intervals])
         for interval, (x, y, z) in zip(intervals, attitudes.tolist(), strict=True):
             rows = [segment for segment in found if segment.name == interval.position]
@@ -357,22 +359,39 @@ class FitSource:
         segments = read_segments(_path_or_rows(self.segments, "the segments"))
         if procedure is not None:
             require_positions(segments, procedure, file=self._name)
-        record = self._record(sensor, timed=soak > 0.0)
-        intervals = intervals_of(record, segments, file=self._name, soak=soak, rails=self.rails)
+        samples, step, record = self._sampled(sensor, segments, soak)
+        intervals = intervals_of(samples, step, record, file=self._name)
         return intervals, self._provenance(record, _origin(self.segments, SegmentsRecord))
 
     def _whole(self, sensor: SensorIdentity, procedure: Procedure) -> tuple[list[StaticInterval], Provenance]:
         """What the sensor read in the one position of a procedure, which is the whole log."""
-        record = self._record(sensor)
-        whole = [Segment(procedure.positions[0].name, 0, record.rows, None, None)]
-        return intervals_of(record, whole, file=record.name, rails=self.rails), self._provenance(record)
+        whole = [Segment(procedure.positions[0].name, 0, TO_THE_END, None, None)]
+        samples, step, record = self._sampled(sensor, whole)
+        return intervals_of(samples, step, record, file=record.name), self._provenance(record)
 
-    def _record(self, sensor: SensorIdentity, *, timed: bool = False) -> RecordedReadings:
+    def _sampled(
+        self, sensor: SensorIdentity, segments: Sequence[Segment], soak: float = 0.0
+    ) -> tuple[list[IntervalSamples], float, RecordedReadings]:
+        """Read the log, with its times where a soak is judged and it has any."""
+        if soak:
+            try:
+                with self._record(sensor, (TIME,)) as record:
+                    return (*sampled(record, segments, self.rails, soak), record)
+            except InputError:
+                if TIME in named_columns(self.columns, sensor.channels):
+                    raise
+        with self._record(sensor) as record:
+            return (*sampled(record, segments, self.rails, soak), record)
+
+    @contextmanager
+    def _record(self, sensor: SensorIdentity, others: Sequence[str] = ()) -> Iterator[RecordedReadings]:
         named = named_columns(self.columns, sensor.channels)
-        read = timed_readings if timed else recorded_readings
-        with ThreadPoolExecutor(1) as thread:
+        with (
+            ThreadPoolExecutor(1) as thread,
+            recorded_readings(self.data, sensor.channels, named, sensor.unit, self.progress, others) as record,
+        ):
             thread.submit(import_module, "scipy.special")  # which the fit needs, and a long log leaves time for
-            return read(self.data, sensor.channels, named, sensor.unit, self.progress)
+            yield record
 
     def _provenance(self, record: RecordedReadings | None = None, segments: SegmentsRecord | None = None) -> Provenance:
         log = None

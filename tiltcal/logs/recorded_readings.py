@@ -1,77 +1,69 @@
-"""The readings of a recorded log, whole in memory, by the roles of their columns."""
+"""The readings of a recorded log, block by block, by the roles of their columns."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import DifferentValues
-from tiltcal.errors import InputError
 from tiltcal.logs.columns import TEMPERATURE, TIME, locate_readings
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import Progress
 
 
-@dataclass(frozen=True)
 class RecordedReadings:
-    """The number columns of a log, whole.
+    """The number columns of a log: the channels and, behind them, the temperature and the time where these are read.
+
+    Parameters
+    ----------
+    blocks : iterable of ndarray, shape (columns, rows)
+        NaN where a value is missing.
 
     Attributes
     ----------
     name : str
         The log as the user named it.
-    roles : sequence of str
-        The channels and, behind them, the time and the temperature where these are read.
-    values : ndarray, shape (roles, rows)
-        NaN where a value is missing.
-    different : sequence of ndarray
-        The values of each channel, most of them once where they repeat.
+    thermometer, timed : bool
+        Whether there are temperatures, and times.
+    rows : int
+        Number of rows, once they are read.
     sha256 : str or None
-        Of the file; None of a frame.
+        Of the file, once it is read; None of a frame.
     """
 
-    name: str
-    roles: Sequence[str]
-    values: Array
-    different: Sequence[Array]
-    sha256: str | None
+    def __init__(
+        self, name: str, channels: Sequence[str], blocks: Iterable[Array], *, thermometer: bool, timed: bool = False
+    ) -> None:
+        self.name, self.channels = name, tuple(channels)
+        self.thermometer, self.timed = thermometer, timed
+        self.rows = 0
+        self.sha256: str | None = None
+        self._blocks = blocks
 
-    @property
-    def columns(self) -> Mapping[str, Array]:
-        """The columns by role, each of shape (rows,)."""
-        return dict(zip(self.roles, self.values, strict=True))
+    def blocks(self) -> Iterator[tuple[int, Array]]:
+        """Yield the first row of each block, and its values."""
+        self.rows = 0
+        for values in self._blocks:
+            self.rows += values.shape[1]
+            yield self.rows - values.shape[1], values
 
-    @property
-    def rows(self) -> int:
-        """Number of rows."""
-        return len(self.readings)
-
-    @property
     def readings(self) -> Array:
-        """The channels side by side, shape (rows, channels)."""
-        return self.values[: len(self.roles) - len({TEMPERATURE, TIME}.intersection(self.roles))].T
+        """Return the channels of all rows side by side, shape (rows, channels); they stay in memory."""
+        values = np.empty((len(self.channels) + self.thermometer + self.timed, 0))
+        for first, block in self.blocks():
+            if self.rows > values.shape[1]:
+                longer = np.empty((len(values), 2 * self.rows))  # what stays empty takes no memory
+                longer[:, :first] = values[:, :first]
+                values = longer
+            values[:, first : self.rows] = block
+        self._blocks = [values[:, : self.rows]]
+        return values[: len(self.channels), : self.rows].T
 
 
-def timed_readings(
-    log: object,
-    channels: Sequence[str],
-    named: Mapping[str, str],
-    unit: str,
-    progress: Progress | None = None,
-) -> RecordedReadings:
-    """Read the readings of a log with its times, where it has any, by the arguments of :func:`recorded_readings`."""
-    try:
-        return recorded_readings(log, channels, named, unit, progress, (TIME,))
-    except InputError:
-        if TIME in named:
-            raise
-        return recorded_readings(log, channels, named, unit, progress)
-
-
+@contextmanager
 def recorded_readings(
     log: object,
     channels: Sequence[str],
@@ -79,8 +71,8 @@ def recorded_readings(
     unit: str,
     progress: Progress | None = None,
     others: Sequence[str] = (),
-) -> RecordedReadings:
-    """Read the readings of a log.
+) -> Iterator[RecordedReadings]:
+    """Open a log for its readings.
 
     Parameters
     ----------
@@ -91,7 +83,7 @@ def recorded_readings(
     progress : callable, optional
         Called with the bytes that have been read, after each block.
     others : sequence of str
-        Further roles that are needed, such as time.
+        Further roles that are needed: time.
 
     Raises
     ------
@@ -101,22 +93,11 @@ def recorded_readings(
     is_file = isinstance(log, str | Path)
     with open_log(log, digest=is_file, progress=progress) as reader:
         where = locate_readings(reader, channels, named, unit, others)
-        rows = reader.rows(sorted(set(where.values())), where.get(TIME))
-        values, end = np.empty((len(where), 0)), 0
-        different = [DifferentValues() for _ in channels]
-        for block in rows:
-            start, end = end, end + len(block)
-            if end > values.shape[1]:
-                longer = np.empty((len(where), 2 * end))  # what stays empty takes no memory
-                longer[:, :start] = values[:, :start]
-                values = longer
-            np.stack([block.values[index] for index in where.values()], out=values[:, start:end])
-            for channel, found in zip(values, different, strict=False):
-                found.add(channel[start:end])
-        return RecordedReadings(
-            reader.name,
-            tuple(where),
-            values[:, :end],
-            [found.of(channel[:end]) for found, channel in zip(different, values, strict=False)],
-            reader.sha256 if is_file else None,
+        columns = [where[role] for role in (*channels, TEMPERATURE, TIME) if role in where]
+        blocks = (
+            np.stack([block.values[index] for index in columns])
+            for block in reader.rows(sorted(set(columns)), where.get(TIME))
         )
+        record = RecordedReadings(reader.name, channels, blocks, thermometer=TEMPERATURE in where, timed=TIME in where)
+        yield record
+        record.sha256 = reader.sha256 if is_file else None

@@ -4,42 +4,30 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from difflib import get_close_matches
-from itertools import groupby
+from functools import reduce
 from math import sqrt
 from typing import Any
 
 import numpy as np
 
 from tiltcal.calibration.measurement import Measurement, at_rail
-from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, TILTED, identical_by_chance, outliers
+from tiltcal.core.detection import LEFT_OUT, TILTED, identical_by_chance
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.quantisation import noise_under_rounding, resolution
-from tiltcal.core.statistics import SampleSummary, drift, summarise
+from tiltcal.core.quantisation import noise_under_rounding
+from tiltcal.core.statistics import SampleSummary, summary_of
 from tiltcal.errors import InputError
 from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
-from tiltcal.logs.columns import TEMPERATURE, TIME
+from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Line, Piece
 from tiltcal.logs.recorded_readings import RecordedReadings
 
 FEWEST_ROWS = 2
 """Samples that a segment needs for a standard deviation."""
-
-FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
-"""Samples that tell a rise from their scatter, and by how many of its standard deviations."""
-
-SOAKS = 3
-"""Soaks up to the end of a segment over which the temperature is judged."""
-
-_THREADS = 2  # each holds several copies of an interval
-
-Rails = Mapping[str, tuple[float, float]]
-"""The lowest and the highest reading of channels, unit."""
 
 FLICKER = 0.5
 """Standard deviation of a reading that takes two neighbouring values, at most, in steps."""
@@ -80,41 +68,24 @@ class StaticInterval:
 
 
 def intervals_of(
-    record: RecordedReadings, segments: Sequence[Segment], *, file: str, soak: float = 0.0, rails: Rails | None = None
+    samples: Sequence[IntervalSamples], step: float, record: RecordedReadings, *, file: str
 ) -> list[StaticInterval]:
-    """Return what the sensor read in each segment, without the samples that are far off the others.
+    """Return what the sensor read in each interval, without the samples that are far off the others.
 
     Parameters
     ----------
-    segments : sequence of Segment
-        Segments of one name that follow each other are parts of one interval.
+    samples, step
+        Of the record; see :func:`tiltcal.logs.interval_samples.sampled`.
     file : str
         Where the segments stand, for messages.
-    soak : float
-        Seconds over which a temperature must stand still: the rise is also judged over the rows before a segment.
-    rails : mapping of str to (float, float)
-        The lowest and the highest reading of each channel, where they are known, unit.
 
     Raises
     ------
     InputError
         A segment reaches beyond the log, has a missing value, samples at a rail or too many far off, or is stuck.
     """
-    parts = [list(group) for _, group in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
-    names = _distinct([part[0].name for part in parts])
-    with ThreadPoolExecutor(_THREADS) as threads:
-        steps = threads.map(lambda values: resolution([values]), record.different)
-        step = min(filter(None, steps), default=0.0)
-        intervals = list(
-            threads.map(lambda part, name: _interval(record, step, part, name, rails or {}, file), parts, names)
-        )
-    if soak and TEMPERATURE in record.columns:
-        ends = [0, *(part[-1].end for part in parts)]
-        before = [max((end for end in ends if end <= part[0].start), default=0) for part in parts]
-        intervals = [
-            replace(interval, warming=max(interval.warming, _rise_before(record, part, first, soak), key=abs))
-            for interval, part, first in zip(intervals, parts, before, strict=True)
-        ]
+    names = _distinct([one.parts[0].name for one in samples])
+    intervals = [_interval(one, step, record, name, file) for one, name in zip(samples, names, strict=True)]
     _require_not_stuck(intervals, step, file)
     return intervals
 
@@ -281,98 +252,55 @@ def _require_not_stuck_everywhere(measurements: Sequence[Measurement], file: str
             )
 
 
-def _interval(
-    record: RecordedReadings, step: float, parts: Sequence[Segment], name: str, rails: Rails, file: str
-) -> StaticInterval:
-    samples = {role: _samples(record, role, parts) for role in record.columns}
-    temperature = samples.pop(TEMPERATURE, None)
-    samples.pop(TIME, None)
-    for part in parts:
-        _require_readings(record, part, list(samples), file)
-    wrong = {
-        number: f"{channel} reads {values[number]:.6g} where the other samples read {np.median(values):.6g}"
-        for channel, values in samples.items()
-        for number in outliers(values, step).tolist()
-    }
-    _require_few(wrong, parts, file)
-    if wrong:
-        samples = {channel: np.delete(values, list(wrong)) for channel, values in samples.items()}
-    for channel, (low, high) in rails.items():
-        beyond = np.flatnonzero(~((low < samples[channel]) & (samples[channel] < high)))
-        if len(beyond):
-            reads = f"{samples[channel][beyond[0]]:.6g} in {len(beyond)} of its rows"
-            raise _refusal(parts[0], at_rail(channel, reads, (low, high)), file)
-    known = None if temperature is None else temperature[np.isfinite(temperature)]
-    if known is not None:
-        far = [n for n in outliers(known).tolist() if abs(known[n] - np.median(known)) > TEMPERATURE_JUMP]
-        _require_few({n: f"the thermometer reads {known[n]:g} °C" for n in far}, parts, file)
-        known = np.delete(known, far)
+def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, name: str, file: str) -> StaticInterval:
+    parts = [replace(part, end=record.rows) if part.end == TO_THE_END else part for part in samples.parts]
+    pieces = [piece.result() for piece in samples.pieces]
+    _require_readings(parts, pieces, record, file)
+    sums = [piece.summed(step) for piece in pieces]
+    far = sum(found.far for found in sums)
+    _require_few(far, next((found.why for found in sums if found.why), ""), parts, file)
+    for channel, rails in samples.rails.items():
+        beyond = [found.beyond[channel] for found in sums if channel in found.beyond]
+        if beyond:
+            reads = f"{beyond[0][0]:.6g} in {sum(count for _, count in beyond)} of its rows"
+            raise _refusal(parts[0], at_rail(channel, reads, rails), file)
+    temperatures = [piece.temperatures for piece in pieces if piece.temperatures is not None]
+    jumped = [reading for found in temperatures for reading in found.jumped]
+    _require_few(len(jumped), f"the thermometer reads {jumped[0]:g} °C" if jumped else "", parts, file)
+    known = [found.moments for found in temperatures if found.moments is not None]
+    warming = reduce(Line.followed_by, (found.line for found in temperatures)).rise if temperatures else 0.0
     return StaticInterval(
         name,
         parts[0].name,
         parts[0].gravity,
-        {channel: summarise(values, step) for channel, values in samples.items()},
-        None if known is None or not len(known) else summarise(known).mean,
+        {channel: summary_of([found.channels[channel] for found in sums], step) for channel in record.channels},
+        summary_of(known).mean if known else None,
         parts[0].line,
-        0.0 if known is None else _rise(known),
-        {"rows": tuple((part.start, part.end) for part in parts), **({"left_out": len(wrong)} if wrong else {})},
+        warming if samples.before is None else max(warming, samples.before.rise, key=abs),
+        {"rows": tuple((part.start, part.end) for part in parts), **({"left_out": far} if far else {})},
     )
 
 
-def _require_few(wrong: Mapping[int, str], parts: Sequence[Segment], file: str) -> None:
+def _require_few(count: int, why: str, parts: Sequence[Segment], file: str) -> None:
     """Refuse a segment of which too many samples are far off the others."""
-    count = sum(part.end - part.start for part in parts)
-    if len(wrong) > max(1, LEFT_OUT * count):
-        why = f"{len(wrong)} of its {count} samples are far off: {next(iter(wrong.values()))}; choose other rows"
-        raise _refusal(parts[0], why, file)
+    rows = sum(part.end - part.start for part in parts)
+    if count > max(1, LEFT_OUT * rows):
+        raise _refusal(parts[0], f"{count} of its {rows} samples are far off: {why}; choose other rows", file)
 
 
-def _rise_before(record: RecordedReadings, parts: Sequence[Segment], first: int, soak: float) -> float:
-    """Return the rise up to the end of a segment, °C: over several soaks, or over as many times its own rows.
-
-    A short segment of a steady ramp looks still, and the sensor is as far behind its thermometer as in a long one.
-
-    Parameters
-    ----------
-    first : int
-        The row behind the segment before, from which on rows are of this one where the log has no times.
-    soak : float
-        s.
-    """
-    start, end = parts[0].start, parts[-1].end
-    times = record.columns.get(TIME)
-    if times is None:
-        start = max(first, start - (SOAKS - 1) * (end - start))
-    else:
-        early = np.flatnonzero(~(times[:end] >= times[end - 1] - SOAKS * soak))
-        start = min(start, int(early[-1]) + 1 if len(early) else 0)
-    temperature = record.columns[TEMPERATURE][start:end]
-    return _rise(temperature[np.isfinite(temperature)])
-
-
-def _rise(values: Array) -> float:
-    """Return the rise along the straight line through all values, less what their scatter explains."""
-    count = len(values)
-    if count < FEWEST_FOR_A_RISE:
-        return 0.0
-    rise, uncertainty = drift(range(count), values.tolist())
-    return float(np.sign(rise)) * max(abs(rise) - CERTAIN * uncertainty, 0.0)
-
-
-def _samples(record: RecordedReadings, role: str, parts: Iterable[Segment]) -> Array:
-    return np.concatenate([record.columns[role][part.start : part.end] for part in parts])
-
-
-def _require_readings(record: RecordedReadings, segment: Segment, channels: Iterable[str], file: str) -> None:
-    if segment.end > record.rows:
-        raise _refusal(segment, f"ends at row {segment.end}; {record.name} has {record.rows} rows", file)
-    if segment.end - segment.start < FEWEST_ROWS:
-        raise _refusal(segment, f"has {segment.end - segment.start} row; at least {FEWEST_ROWS} are needed", file)
-    for channel in channels:
-        lost = np.flatnonzero(~np.isfinite(record.columns[channel][segment.start : segment.end]))
-        if len(lost):
-            row = segment.start + int(lost[0])
-            raise _refusal(segment, f"{channel} has no number in row {row} of {record.name}", file)
+def _require_readings(parts: Sequence[Segment], pieces: Sequence[Piece], record: RecordedReadings, file: str) -> None:
+    for part in parts:
+        if part.end > record.rows:
+            raise _refusal(part, f"ends at row {part.end}; {record.name} has {record.rows} rows", file)
+        if part.end - part.start < FEWEST_ROWS:
+            raise _refusal(part, f"has {part.end - part.start} row; at least {FEWEST_ROWS} are needed", file)
+    lost = next((piece.lost for piece in pieces if piece.lost is not None), None)
+    if lost is not None:
+        place, channel = lost
+        for part in sorted(parts, key=lambda part: part.start):
+            if place < part.end - part.start:
+                raise _refusal(part, f"{channel} has no number in row {part.start + place} of {record.name}", file)
+            place -= part.end - part.start
 
 
 def _refusal(segment: Segment, why: str, file: str) -> InputError:

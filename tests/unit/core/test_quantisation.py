@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from support import coloured_noise as coloured
@@ -14,17 +16,25 @@ def test_resolution_is_the_smallest_step_of_any_channel() -> None:
     assert resolution([np.array([0.3, 0.1 + 0.2])]) == 0.0
 
 
-@pytest.mark.parametrize(("step", "few"), [(0.25, True), (0.0, False)], ids=["rounded", "continuous"])
-def test_different_values_are_kept_once_where_they_repeat(step: float, few: bool) -> None:
-    noise = np.random.default_rng(4).normal(0.0, 1.0, (3, 200))
-    blocks = step * np.round(noise / step) if step else noise
-    blocks[1, :7] = np.nan
+@pytest.mark.parametrize(("decimals", "block"), [(2, 700), (9, 700), (9, 100_000)])
+def test_the_step_of_all_blocks_is_that_of_all_samples(decimals: int, block: int) -> None:
+    samples = np.round(np.random.default_rng(4).normal(0.0, 1.0, 200_000), decimals)
+    samples[3:9] = np.nan
     found = DifferentValues()
-    for block in blocks:
-        found.add(block)
-    kept = found.of(blocks.ravel())
-    assert (len(kept) < 100) is few
-    assert set(kept[~np.isnan(kept)].tolist()) == set(blocks[~np.isnan(blocks)].tolist())
+    for start in range(0, len(samples), block):
+        found.add(samples[start : start + block])
+    assert found.step() == resolution([samples])
+
+
+def test_the_values_of_a_long_channel_take_little_memory() -> None:
+    found, rng = DifferentValues(), np.random.default_rng(4)
+    tracemalloc.start()
+    for _ in range(16):
+        found.add(rng.normal(0.0, 1.0, 1 << 16))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 16 << 20
+    assert 0.0 < found.step() < 1e-6
 
 
 @pytest.mark.parametrize("noise", [0.15, 0.4, 1.5])

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.core.statistics import drift, summarise
+from tiltcal.core.statistics import drift, moments_of, summarise, summary_of
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=50))
@@ -29,6 +29,19 @@ def test_the_mean_of_a_long_run_is_rounded_once(spread: float) -> None:
     samples = np.concatenate([rng.permutation(np.concatenate([large, -large])), [0.1, 0.2, 0.3]]) + 0.1
     exact = sum(map(Fraction, samples.tolist()))
     assert summarise(samples).mean == float(exact) / len(samples)
+
+
+def test_the_summary_of_parts_is_that_of_all_samples() -> None:
+    """Blocks of 123 samples, which the parts cut."""
+    samples = 100.0 + np.cumsum(np.random.default_rng(3).normal(size=1234))
+    edges = [(0, 123, 246, 369, 400), (0, 92, 215, 338, 461, 500), (0, 84, 207, 330, 334)]
+    parts = [
+        moments_of(part, first, edge)
+        for part, first, edge in zip(np.split(samples, [400, 900]), (0, 3, 7), edges, strict=True)
+    ]
+    whole, found = summarise(samples), summary_of(parts)
+    assert (found.mean, found.std, found.u) == pytest.approx((whole.mean, whole.std, whole.u), rel=1e-12)
+    assert found.correlation == pytest.approx(whole.correlation, rel=1e-9)
 
 
 def test_white_noise_averages_down() -> None:

@@ -1,0 +1,383 @@
+"""The samples of a log's still intervals, judged and summed up piece by piece while the log is read.
+
+A piece has a quarter of a million rows, the last piece of an interval up to twice as many, so an interval of less than
+half a million rows is one piece. Samples are far off where they are by the median and the scatter of their piece.
+
+Whether a sample is far off also depends on the step of the reading, which the whole log shows, where the noise is less
+than a third of it. A piece is summed up for every step that makes a difference; these are few.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import groupby
+from math import sqrt
+from sys import maxsize
+from typing import Any
+
+import numpy as np
+
+from tiltcal.core.detection import TEMPERATURE_JUMP, distances, outliers
+from tiltcal.core.model import Array
+from tiltcal.core.quantisation import DifferentValues, resolution
+from tiltcal.core.statistics import BLOCKS, Moments, moments_of
+from tiltcal.files.segments import Segment
+from tiltcal.frozen import frozen
+from tiltcal.logs.recorded_readings import RecordedReadings
+
+PIECE = 1 << 18
+"""Rows of a piece."""
+
+TO_THE_END = maxsize
+"""The end of a segment that has the rest of the log."""
+
+SOAKS = 3
+"""Soaks up to the end of a segment over which the temperature is judged."""
+
+FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
+"""Samples that tell a rise from their scatter, and by how many of its standard deviations."""
+
+_ROWS = 1 << 10  # of the blocks of an interval whose length is not known
+_RECENT = 1 << 21  # rows of temperatures that are kept
+_THREADS = 2  # each holds several copies of a piece
+
+Rails = Mapping[str, tuple[float, float]]
+"""The lowest and the highest reading of channels, unit."""
+
+
+@frozen
+class Sums:
+    """What the samples of a piece say without those that are far off.
+
+    Attributes
+    ----------
+    limit : float
+        Two steps of the reading are at least so much, unit.
+    far : int
+        Samples that are far off.
+    why : str
+        Which, and by how much; empty without.
+    beyond : mapping of str to (float, int)
+        The first reading of a channel at a rail, and how many are.
+    channels : mapping of str to Moments
+    """
+
+    limit: float
+    far: int
+    why: str
+    beyond: Mapping[str, tuple[float, int]]
+    channels: Mapping[str, Moments]
+
+
+@frozen
+class Line:
+    """A straight line through some values, one after the other: their sums.
+
+    Attributes
+    ----------
+    n : int
+    mean : float
+    product, squares : float
+        Sums of the products with the places and of the squares, both about their means.
+    """
+
+    n: int
+    mean: float
+    product: float
+    squares: float
+
+    @classmethod
+    def through(cls, values: Array) -> Line:
+        """Sum up some values, shape (n,)."""
+        off = values - (mean := float(values.mean()) if len(values) else 0.0)
+        return cls(len(values), mean, float(off @ (np.arange(len(off)) - (len(off) - 1) / 2)), float(off @ off))
+
+    def followed_by(self, other: Line) -> Line:
+        """Return the line through the values of both."""
+        n = self.n + other.n
+        if not n:
+            return self
+        share, step = self.n * other.n / n, other.mean - self.mean
+        return Line(
+            n,
+            self.mean + step * other.n / n,
+            self.product + other.product + share * step * n / 2,
+            self.squares + other.squares + share * step**2,
+        )
+
+    @property
+    def rise(self) -> float:
+        """From the first value to the last, less what their scatter explains."""
+        if self.n < FEWEST_FOR_A_RISE:
+            return 0.0
+        places = self.n * (self.n**2 - 1.0) / 12.0
+        slope = self.product / places
+        scatter = sqrt(max(self.squares - slope * self.product, 0.0) / (self.n - 2) / places)
+        return float(np.sign(slope)) * max(abs(slope) - CERTAIN * scatter, 0.0) * (self.n - 1)
+
+
+@frozen
+class Temperatures:
+    """The temperatures of a piece without those that are far off.
+
+    Attributes
+    ----------
+    jumped : sequence of float
+        Those that are.
+    """
+
+    jumped: Sequence[float]
+    line: Line
+    moments: Moments | None
+
+
+@frozen
+class Piece:
+    """Some samples of an interval.
+
+    Attributes
+    ----------
+    lost : (int, str) or None
+        The first sample of which a channel has no number, counted from the beginning of the interval, and the channel.
+    sums : sequence of Sums
+        By rising limit; none where a number is missing.
+    temperatures : Temperatures or None
+        None without a thermometer.
+    """
+
+    lost: tuple[int, str] | None
+    sums: Sequence[Sums]
+    temperatures: Temperatures | None
+
+    def summed(self, step: float) -> Sums:
+        """Return the sums for a step of the reading."""
+        return next(found for found in reversed(self.sums) if found.limit <= 2.0 * step)
+
+
+class IntervalSamples:
+    """The samples of one interval, summed up in a thread as they come.
+
+    Parameters
+    ----------
+    parts : sequence of Segment
+        Its rows.
+    channels : sequence of str
+        Of the rows that are added; behind them may be the temperature.
+    submit : callable
+        Calls a function in a thread.
+
+    Attributes
+    ----------
+    last : Segment
+        Of its parts, by rows.
+    pieces : list of Future
+    before : Line or None
+        Of the temperature up to the interval's end, where it is judged over more rows than these.
+    """
+
+    def __init__(
+        self, parts: Sequence[Segment], channels: Sequence[str], rails: Rails, submit: Callable[..., Future[Piece]]
+    ) -> None:
+        self.parts = parts
+        self.last = max(parts, key=lambda part: part.start)
+        self.pieces: list[Future[Piece]] = []
+        self.before: Line | None = None
+        self.rails = rails
+        self._channels, self._submit = channels, submit
+        self._block = sum(part.end - part.start for part in parts) // BLOCKS if self.last.end < TO_THE_END else _ROWS
+        self._waiting: list[Array] = []
+        self._begun = 0
+
+    def add(self, values: Array) -> None:
+        """Take the next rows, shape (columns, n)."""
+        self._waiting.append(values)
+        while sum(rows.shape[1] for rows in self._waiting) >= 2 * PIECE:
+            joined = np.concatenate(self._waiting, axis=1)
+            self._waiting = [joined[:, PIECE:]]
+            self._sum_up(joined[:, :PIECE], self._block)
+
+    def end(self) -> None:
+        """Sum up the last rows."""
+        rows, self._waiting = self._waiting, []
+        if rows:
+            self._sum_up(np.concatenate(rows, axis=1), self._block if self.pieces else 0)
+
+    def _sum_up(self, values: Array, block: int) -> None:
+        self.pieces.append(self._submit(piece_of, values, self._channels, self.rails, self._begun, block))
+        self._begun += values.shape[1]
+
+
+def sampled(
+    record: RecordedReadings, segments: Sequence[Segment], rails: Rails, soak: float = 0.0
+) -> tuple[list[IntervalSamples], float]:
+    """Read a log, and sum up what it has in each segment.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Segments of one name that follow each other are parts of one interval.
+    rails : mapping of str to (float, float)
+        The lowest and the highest reading of each channel, where they are known, unit.
+    soak : float
+        Seconds over which a temperature must stand still: the rise is also judged over the rows before a segment.
+
+    Returns
+    -------
+    intervals : list of IntervalSamples
+    step : float
+        Of the readings, unit; 0 where all are alike.
+    """
+    different = [DifferentValues() for _ in record.channels]
+    recent = RecentTemperatures(soak, timed=record.timed) if soak and record.thermometer else None
+    columns = len(record.channels) + record.thermometer
+    unfinished: deque[Future[Piece]] = deque()
+    with ThreadPoolExecutor(_THREADS) as threads:
+
+        def submit(*work: Any) -> Future[Piece]:
+            if len(unfinished) > _THREADS:
+                unfinished.popleft().result()
+            unfinished.append(threads.submit(*work))
+            return unfinished[-1]
+
+        groups = groupby(segments, key=lambda segment: (segment.name, segment.gravity))
+        intervals = [IntervalSamples(list(parts), record.channels, rails, submit) for _, parts in groups]
+        ends = [0, *(interval.parts[-1].end for interval in intervals)]
+        coming = deque(sorted(((part, one) for one in intervals for part in one.parts), key=lambda pair: pair[0].start))
+        for first, values in record.blocks():
+            for channel, found in zip(values, different, strict=False):
+                found.add(channel)
+            if recent is not None:
+                recent.add(values[len(record.channels) :])
+            while coming and coming[0][0].start < first + values.shape[1]:
+                part, interval = coming[0]
+                interval.add(values[:columns, max(part.start - first, 0) : part.end - first])
+                if part.end > first + values.shape[1]:
+                    break
+                coming.popleft()
+                if part is interval.last:
+                    interval.end()
+                    start = interval.parts[0].start
+                    if recent is not None:
+                        before = max((end for end in ends if end <= start), default=0)
+                        interval.before = recent.line_before(start, interval.parts[-1].end, before)
+        for interval in intervals:
+            interval.end()
+    return intervals, min(filter(None, (found.step() for found in different)), default=0.0)
+
+
+def piece_of(values: Array, channels: Sequence[str], rails: Rails, begun: int = 0, block: int = 0) -> Piece:
+    """Judge some samples of an interval, and sum up the others.
+
+    Parameters
+    ----------
+    values : ndarray, shape (columns, n)
+        The channels and, where there is one, the temperature.
+    begun : int
+        Samples of the interval before these.
+    block : int
+        Samples of the interval that make one block of a mean; 0 where these are all and make ten.
+    """
+    temperatures = _temperatures(values[len(channels)]) if len(values) > len(channels) else None
+    samples = values[: len(channels)]
+    lost = np.flatnonzero(~np.isfinite(samples).all(axis=0))
+    if len(lost):
+        missing = channels[int(np.argmin(np.isfinite(samples[:, lost[0]])))]
+        return Piece((begun + int(lost[0]), missing), (), temperatures)
+    judged = [distances(channel) for channel in samples]
+    # How far a sample is off in the channel in which it is farthest of those that make it an outlier.
+    off = np.zeros(samples.shape[1])
+    for distance, limit, _ in judged:
+        np.maximum(off, distance, out=off, where=distance > limit)
+    doubtful = off[off > 0.0]
+    if len(doubtful):
+        doubtful = np.unique(doubtful[doubtful <= 2.0 * resolution(samples)])
+    sums = []
+    for limit in (0.0, *doubtful.tolist()):
+        kept = off <= limit
+        why, left = "", samples
+        if not kept.all():
+            far = [np.flatnonzero((distance > least) & ~kept) for distance, least, _ in judged]
+            first = next(int(numbers[0]) for numbers in far if len(numbers))
+            k = max(k for k, numbers in enumerate(far) if first in numbers)
+            reads, centre = samples[k][first], judged[k][2]
+            why = f"{channels[k]} reads {reads:.6g} where the other samples read {centre:.6g}"
+            left = samples[:, kept]
+        number, edges = 0, ()
+        if block:
+            places = begun + np.flatnonzero(kept)
+            number = int(places[0]) // block
+            bounds = np.arange(number + 1, int(places[-1]) // block + 1) * block
+            edges = (0, *np.searchsorted(places, bounds).tolist(), len(places))
+        moments = {name: moments_of(channel, number, edges) for name, channel in zip(channels, left, strict=True)}
+        beyond = {}
+        for name, (low, high) in rails.items():
+            channel = left[list(channels).index(name)]
+            at = channel[~((low < channel) & (channel < high))]
+            if len(at):
+                beyond[name] = (float(at[0]), len(at))
+        sums.append(Sums(limit, len(kept) - int(kept.sum()), why, beyond, moments))
+    return Piece(None, sums, temperatures)
+
+
+def _temperatures(values: Array) -> Temperatures:
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return Temperatures((), Line.through(known), None)
+    far = outliers(known)
+    far = far[np.abs(known[far] - np.median(known)) > TEMPERATURE_JUMP] if len(far) else far
+    jumped = known[far].tolist()
+    known = np.delete(known, far) if jumped else known
+    return Temperatures(jumped, Line.through(known), moments_of(known))
+
+
+class RecentTemperatures:
+    """The temperatures of the latest rows, two million at most.
+
+    Parameters
+    ----------
+    soak : float
+        s.
+    timed : bool
+        Whether their times are known.
+    """
+
+    def __init__(self, soak: float, *, timed: bool) -> None:
+        self._soak, self._timed = soak, timed
+        self._blocks: deque[Array] = deque()
+        self._first = self._end = 0
+
+    def add(self, values: Array) -> None:
+        """Take the next rows, shape (1 or 2, n): temperatures, °C, and times, s."""
+        self._blocks.append(values.copy())
+        self._end += values.shape[1]
+        while self._end - self._first - self._blocks[0].shape[1] >= _RECENT:
+            self._first += self._blocks.popleft().shape[1]
+
+    def line_before(self, start: int, end: int, first: int) -> Line | None:
+        """Return the line up to the end of a segment: over several soaks, or over as many times its own rows.
+
+        A short segment of a steady ramp looks still, and the sensor is as far behind its thermometer as in a long one.
+
+        Parameters
+        ----------
+        start, end : int
+            The segment's rows, of which the last has just come.
+        first : int
+            The row behind the segment before, from which on rows are of this one where the log has no times.
+
+        Returns
+        -------
+        Line or None
+            None where it would begin with the segment.
+        """
+        values = np.concatenate(self._blocks, axis=1)[:, : end - self._first]
+        begin = max(first, start - (SOAKS - 1) * (end - start))
+        if self._timed:
+            early = np.flatnonzero(~(values[1] >= values[1, -1] - SOAKS * self._soak))
+            begin = self._first + (int(early[-1]) + 1 if len(early) else 0)
+        if begin >= start:
+            return None
+        known = values[0, max(begin - self._first, 0) :]
+        return Line.through(known[np.isfinite(known)])
