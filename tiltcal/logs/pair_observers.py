@@ -72,6 +72,7 @@ class PairObserver:
             raise EstimateError(online.refused)
         if not loops:
             recursive = online.recursive
+            recursive.solve()
             return PairCoefficients(recursive.p, recursive.q, *recursive.uncertainty())
         # A loop that is trimmed wanders by its noise and by what it has still to go.
         late = np.array([course.loops for course in online.course[-_LAST_TURNS:]])

@@ -5,7 +5,7 @@ accelerometer is gone, then q as well until the component in quadrature is. The 
 reference, so the zero of the stage angle does not matter.
 
 The recursive estimator keeps the sums of products of all rows, older ones with less weight (least squares with
-exponential forgetting), and solves for p and q in closed form.
+exponential forgetting), and solves for p and q in closed form once a turn.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import regress
-from tiltcal.core.pair.matching import PairCoefficients, solve
+from tiltcal.core.pair.matching import solve
 from tiltcal.core.pair.model import Pair, sum_weights
 from tiltcal.core.pair.sectors import (
     DRIFT,
@@ -213,6 +213,7 @@ class Recursive:
         self._squared_weights = 0.0
         self._turn: Array | None = None
         self._turns: deque[tuple[Array, int]] = deque(maxlen=round(2 * memory))
+        self._refusal: EstimateError | None = None
 
     @property
     def u_p(self) -> float:
@@ -230,12 +231,12 @@ class Recursive:
         return self._white[0] * colour, self._white[1] * colour
 
     def update(self, sector: Sector) -> None:
-        """Go on by one sector.
+        """Go on by one sector, and solve for p and q at the end of a turn.
 
         Raises
         ------
         EstimateError
-            The sums cannot determine p and q; they stay as they are.
+            At the end of the last turn the sums did not determine p and q, which stay as they were.
         """
         rows = float(sector.products[ONE, ONE])
         if self._products is None:
@@ -246,17 +247,29 @@ class Recursive:
         self._remember(sector)
         self._end = sector.end
         self._sectors += 1
-        if self._sectors < SECTORS:
-            return
-        found = self._solved()
+        if self._sectors % SECTORS == 0:
+            self._refusal = None
+            try:
+                self.solve()
+            except EstimateError as refusal:
+                self._refusal = refusal
+        if self._refusal is not None:
+            raise self._refusal
+
+    def solve(self) -> None:
+        """Solve for p and q with all sectors so far, of which there must be those of a turn.
+
+        Raises
+        ------
+        EstimateError
+            The sums do not determine p and q, which stay as they were.
+        """
+        products = np.zeros((1, 0, 0)) if self._products is None else self._products[None]
+        found = solve(regress(products, self._channels, HARMONICS), self._pair)
         # Faded rows carry less of the mean than whole ones would, and have less noise in it too.
-        fading = sqrt(self._squared_weights / float(self._products[ONE, ONE]))
+        fading = sqrt(self._squared_weights / float(products[0, ONE, ONE]))
         self.p, self.q = found.p, found.q
         self._white = found.u_p * fading, found.u_q * fading
-
-    def _solved(self) -> PairCoefficients:
-        products = np.zeros((1, 0, 0)) if self._products is None else self._products[None]
-        return solve(regress(products, self._channels, HARMONICS), self._pair)
 
     def _remember(self, sector: Sector) -> None:
         """Keep the products of the latest turns: how they scatter shows how much noise there is at the turning."""

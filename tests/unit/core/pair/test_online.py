@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from support import accelerometer_disk as disk
 
 from tiltcal.core.pair.model import Pair, matching_coefficients
 from tiltcal.core.pair.online import LoopGains, Online, Recursive
-from tiltcal.core.pair.sectors import Sector, SectorStream
+from tiltcal.core.pair.sectors import SECTORS, Sector, SectorStream
 from tiltcal.drivers.twin.gradiometer import CHANNELS, Disk, Gradiometer
 
 PAIR = Pair("a1", "a2", "a4")
@@ -54,6 +55,19 @@ TAKEN = disk.record(start=200.0)
 def online() -> Online:
     """Both estimators at the end of the laboratory record."""
     return pushed(TAKEN)[0]
+
+
+def test_the_recursive_estimator_solves_once_a_turn_and_when_it_is_told_to() -> None:
+    found, course = Recursive(PAIR, disk.NAMES), [0.0]
+    for sector in SectorStream(len(disk.NAMES)).push(TAKEN.theta[:4000], TAKEN.readings[:4000]):
+        assert isinstance(sector, Sector)
+        found.update(sector)
+        course.append(found.p)
+    solved = [number for number, (before, now) in enumerate(pairwise(course), start=1) if now != before]
+    assert solved == list(range(SECTORS, len(course), SECTORS))
+    assert (len(course) - 1) % SECTORS
+    found.solve()
+    assert found.p != course[-1]
 
 
 class TestLaboratoryRecord:
