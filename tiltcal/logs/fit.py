@@ -31,7 +31,7 @@ from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.provenance_record import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.segments import Segment, read_segments
-from tiltcal.logs.columns import TIME, named_columns
+from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Rails, sampled
 from tiltcal.logs.log import Progress
@@ -279,8 +279,8 @@ class FitSource:
                     "first row and the last of the whole ramp",
                     file=self._name,
                 )
-        named = named_columns(self.columns, sensor.channels)
-        found = read_ramp(self.data, sensor.channels, named, sensor.unit, segment)
+        with self._record(sensor, (TIME, TEMPERATURE)) as record:
+            found = read_ramp(record, segment)
         first = procedure.positions[0]
         known = {position.name: position.gravity for position in procedure.positions}
         gravity = first.gravity
@@ -294,10 +294,9 @@ class FitSource:
             dict.fromkeys(sensor.channels, SampleSummary(0.0, 0.0, 1, 0.0)),
         )
         segments = None if segment is None else _origin(self.segments, SegmentsRecord)
-        provenance = self._provenance(None, segments)
-        log = _origin(self.data, LogRecord)
-        if log is not None:
-            provenance = replace(provenance, log=replace(log, rows=found.rows, missing=found.missing or None))
+        provenance = self._provenance(record, segments)
+        if provenance.log is not None:
+            provenance = replace(provenance, log=replace(provenance.log, missing=found.missing or None))
         return FitPositions([attitude], provenance, found.record)
 
     def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
