@@ -305,12 +305,13 @@ class Compensation:
 
     def sensed(self, chunk: KernelChunk) -> Array:
         """Return g of some rows in the sensor's frame; see :meth:`up`."""
+        if self.axes == ("x", "y"):
+            hidden = chunk.hidden
+            if hidden is None:
+                hidden = np.sqrt(np.maximum(1.0 - np.sum(chunk.own**2, axis=0), 0.0))
+            return np.concatenate([chunk.own, hidden[None]])
         gravity = np.zeros((3, chunk.own.shape[1]))
         gravity[[AXES.index(axis) for axis in self.axes]] = chunk.own
-        if self.axes == ("x", "y"):
-            gravity[2] = (
-                np.sqrt(np.maximum(1.0 - np.sum(chunk.own**2, axis=0), 0.0)) if chunk.hidden is None else chunk.hidden
-            )
         return gravity
 
     def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:

@@ -55,13 +55,15 @@ class SignalDerivatives:
             self._own.append(list(places.items())[first:])
         self.count = len(places)
 
-    def __call__(self, along: Array, dt: Array | None, table: Array) -> list[Array]:
+    def __call__(self, along: Array, linear: Array, dt: Array | None, table: Array) -> list[Array]:
         """Fill the table, and return the signal of each channel with its nonlinearity.
 
         Parameters
         ----------
         along : ndarray, shape (axes, n)
             Gravity along the axes of the coefficients, g.
+        linear : ndarray, shape (channels, n)
+            The signals S g without nonlinearity, unit.
         dt : ndarray, shape (n,), or None
             Temperature from the reference, °C; None for 0.
         table : ndarray, shape (count, n)
@@ -69,8 +71,10 @@ class SignalDerivatives:
         coefficients = self._coefficients
         powers: Array | float = 0.0 if dt is None else dt
         return [
-            _fill(model, theta, own, along, powers, table)
-            for model, theta, own in zip(coefficients.models, coefficients.vectors, self._own, strict=True)
+            _fill(model, theta, own, along, signal, powers, table)
+            for model, theta, own, signal in zip(
+                coefficients.models, coefficients.vectors, self._own, linear, strict=True
+            )
         ]
 
 
@@ -92,11 +96,16 @@ def _key(model: ChannelModel, name: str) -> _Key:
 
 
 def _fill(
-    model: ChannelModel, theta: Array, own: list[tuple[_Key, int]], along: Array, dt: Array | float, table: Array
+    model: ChannelModel,
+    theta: Array,
+    own: list[tuple[_Key, int]],
+    along: Array,
+    signal: Array,
+    dt: Array | float,
+    table: Array,
 ) -> Array:
-    """Fill the rows that a channel is the first to have; return its signal."""
+    """Fill the rows that a channel is the first to have; return its signal with its nonlinearity."""
     sensitivity, _, gain, shares = model.split(theta)
-    signal: Array = sensitivity @ along
     scale = 1.0 + polynomial(gain, np.asarray(dt)) if model.gain else 1.0
     a, own_signal = signal, 1.0
     bend: Array | float = 1.0

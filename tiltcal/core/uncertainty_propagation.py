@@ -15,18 +15,16 @@ the arcsine, and where pitch or inclination comes from a length near zero, an er
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
-from itertools import combinations_with_replacement
 from math import pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.coverage_factor import NEGLIGIBLE, NORMAL_FACTOR, coverage_factors
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE
 from tiltcal.core.matrix_product import columns_of_one_thread, product
 from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.quadratic_forms import form, pairs_of, products_of
 from tiltcal.core.signal_derivatives import SignalDerivatives
 from tiltcal.core.tilt_angles import DIRECTIONS
 from tiltcal.core.uncertainty_columns import round_up
@@ -110,14 +108,12 @@ class Propagation:
         order += [inputs.names.index(TURN + axis) for axis in AXES] if self._rotated else []
         self._whole = [covariance[np.ix_(order, order)] for covariance in covariances]
         self._lift, errors = self._outputs(compensation, inputs.names)
-        pairs = _pairs(len(errors))
+        pairs = pairs_of(len(errors))
         if not (self._sees_all or self._rotated or compensation.solves_z):
             pairs = [(a, b) for a, b in pairs if a == b]
         self._pairs = {pair: k for k, pair in enumerate(pairs)}
-        own = [_form(errors[a] @ covariance @ errors[b].T) for covariance in covariances for a, b in pairs]
-        self._by_noise = np.array(
-            [_form(self._noise(self._lift[a] * self._lift[b], errors.shape[1])) for a, b in pairs]
-        )
+        own = [form(errors[a] @ covariance @ errors[b].T) for covariance in covariances for a, b in pairs]
+        self._by_noise = np.array([form(self._noise(self._lift[a] * self._lift[b], errors.shape[1])) for a, b in pairs])
         self._forms = np.zeros((self._kinds * len(pairs), self._by_noise.shape[1]))
         self._forms[: len(own)] = own
 
@@ -150,8 +146,7 @@ class Propagation:
             _through_arcsine(argument, variance, factor, room[1, axis])
             np.divide(room[1, axis], factor, out=room[0, axis])
         if self._sees_all:
-            for number, name in enumerate(DIRECTIONS, start=len(self._axes)):
-                self._direction(name, application, variances, room[:, number])
+            self._directions(application, variances, room[:, len(self._axes) :])
 
     def half_widths(self, chunk: KernelChunk, gradients: Sequence[UpGradient]) -> tuple[Array, Array]:
         """Return half of the 95 % interval of any quantities that follow from up, and the coverage factors.
@@ -278,7 +273,7 @@ class Propagation:
         step = columns_of_one_thread(forms)
         for start in range(0, table.shape[1], step):
             part = slice(start, start + step)
-            products = _products(table[:, part])
+            products = products_of(table[:, part])
             np.matmul(forms, products, out=flat[:, part])
             if not isinstance(chunk.share, float):
                 found[-1, :, part] += product(self._by_noise, products) * chunk.share[part]
@@ -316,7 +311,7 @@ class Propagation:
             chunk.own if axes == self._axes else self._compensation.sensed(chunk)[[AXES.index(axis) for axis in axes]]
         )
         table = np.empty((derivatives.count, along.shape[1]))
-        signals = derivatives(along, chunk.dt, table)
+        signals = derivatives(along, chunk.signal, chunk.dt, table)
         if not self._temperature:
             return table, None
         dt = np.zeros(along.shape[1]) if chunk.dt is None else chunk.dt
@@ -330,13 +325,17 @@ class Propagation:
 
     def _along(self, variances: Array, gradient: Sequence[Array | float]) -> Array:
         """Variance along a gradient over the outputs, shape (kinds, n)."""
-        total, term = np.zeros((2, len(variances), variances.shape[2]))
+        total, term = np.empty((2, len(variances), variances.shape[2]))
+        target = total
         for (first, second), k in self._pairs.items():
             by_first, by_second = gradient[first], gradient[second]
             if _is_zero(by_first) or _is_zero(by_second):
                 continue
             weight = by_first * by_second if first == second else (2.0 * by_first) * by_second
-            total += np.multiply(weight, variances[:, k], out=term)
+            np.multiply(weight, variances[:, k], out=target)
+            if target is term:
+                total += term
+            target = term
         return total
 
     def _slope_of_hidden(self, own: Array, hidden: Array, variances: Array) -> Array:
@@ -371,9 +370,16 @@ class Propagation:
             return parts[0], NORMAL_FACTOR
         return self._coverage.whole(parts[0], self._widened or parts[1], parts[-1])
 
-    def _direction(self, name: str, gravity: Array, variances: Array, room: Array) -> None:
-        """Pitch, roll or inclination: an arctangent of one component over the length of the two others."""
-        alone, across = (0, (1, 2)) if name != "inclination" else (2, (0, 1))
+    def _directions(self, gravity: Array, variances: Array, room: Array) -> None:
+        """Pitch, roll and inclination: arctangents with one component and the length of the two others."""
+        across = self._across(gravity, variances, (1, 2))
+        across.roll(room[:, DIRECTIONS.index("roll")])
+        self._from_length(0, across, gravity, variances, room[:, DIRECTIONS.index("pitch")])
+        across = self._across(gravity, variances, (0, 1))
+        self._from_length(2, across, gravity, variances, room[:, DIRECTIONS.index("inclination")])
+
+    def _across(self, gravity: Array, variances: Array, across: tuple[int, int]) -> _Across:
+        """Return two components as a length and a direction, with the interval of an error that turns them."""
         length = _length(gravity[across[0]], gravity[across[1]])
         cosine, sine = gravity[across[0]] / length, gravity[across[1]] / length
         nowhere = length == 0.0
@@ -381,54 +387,54 @@ class Propagation:
             cosine[nowhere], sine[nowhere] = 1.0, 0.0
         gradient: list[Array | float] = [0.0, 0.0, 0.0]
         gradient[across[0]], gradient[across[1]] = -sine, cosine
-        beside, factor = self._half(self._along(variances, gradient))
-        if name == "roll":
-            half = beside / length
-            np.minimum(half, HALF_TURN, out=room[1])
-            np.minimum(half / factor, ANYWHERE, out=room[0])
-            return
+        return _Across(across, length, cosine, sine, *self._half(self._along(variances, gradient)))
+
+    def _from_length(self, alone: int, across: _Across, gravity: Array, variances: Array, room: Array) -> None:
+        """Pitch or inclination: the arctangent of a component over the length of the two others."""
+        length = across.length
         size = length * length + gravity[alone] * gravity[alone]
+        gradient: list[Array | float] = [0.0, 0.0, 0.0]
         gradient[alone] = length / size
-        gradient[across[0]] = gravity[alone] * cosine / -size
-        gradient[across[1]] = gravity[alone] * sine / -size
+        share = gravity[alone] / -size
+        gradient[across.axes[0]], gradient[across.axes[1]] = share * across.cosine, share * across.sine
         half, factor = self._half(self._along(variances, gradient))
         # The length of the two grows by an error across it, which near zero is as good as one along it.
-        longer = gravity[alone] * (_length(length, beside) - length) / size
+        longer = (_length(length, across.half) - length) * share
         width = _length(half, longer)
         # Within the circle that holds 95 % of the errors, the truth may as well be straight down.
         from_edge = length / np.abs(gravity[alone])
-        within = from_edge <= CIRCLE * np.maximum(half, beside / np.sqrt(size))
+        within = from_edge <= CIRCLE * np.maximum(half, across.half / np.sqrt(size))
         np.copyto(width, np.maximum(width, from_edge), where=within)
         np.minimum(width, HALF_TURN, out=room[1])
         np.minimum(room[1] / factor, ANYWHERE, out=room[0])
 
 
-def _pairs(count: int) -> list[tuple[int, int]]:
-    return list(combinations_with_replacement(range(count), 2))
+@frozen
+class _Across:
+    """Two components of g, by length and direction, of n rows.
 
+    Attributes
+    ----------
+    axes : (int, int)
+        The two components.
+    half : ndarray, shape (n,)
+        Half of the 95 % interval of an error across their direction.
+    factor : ndarray, shape (n,), or float
+        Its coverage factor.
+    """
 
-def _products(table: Array) -> Array:
-    """Return the products of two rows each, in the order of :func:`_form`."""
-    count = len(table)
-    found = np.empty((count * (count + 1) // 2, table.shape[1]))
-    start = 0
-    for k, row in enumerate(table):
-        end = start + count - k
-        np.multiply(row, table[k:], out=found[start:end])
-        start = end
-    return found
+    axes: tuple[int, int]
+    length: Array
+    cosine: Array
+    sine: Array
+    half: Array
+    factor: Array | float
 
-
-def _form(matrix: Array) -> Array:
-    """Return the coefficients of a quadratic form by products of two rows, each pair of rows once."""
-    whole = matrix + matrix.T
-    np.fill_diagonal(whole, matrix.diagonal())
-    return np.asarray(whole[_upper_triangle(len(whole))])
-
-
-@cache
-def _upper_triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    return np.triu_indices(size)
+    def roll(self, room: Array) -> None:
+        """Fill in the uncertainty of the direction itself, radians."""
+        half = self.half / self.length
+        np.minimum(half, HALF_TURN, out=room[1])
+        np.minimum(half / self.factor, ANYWHERE, out=room[0])
 
 
 def _is_zero(component: Array | float) -> bool:
