@@ -18,7 +18,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import partial
+from functools import cached_property, partial
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -74,7 +74,7 @@ class ColumnLayout:
     names: tuple[str, ...]
     separator: bytes
 
-    @property
+    @cached_property
     def channels(self) -> tuple[str, ...]:
         """The axes in the order x, y, z, then the other readings in the order of the line."""
         others = [name for name in self.names if name not in (*AXES, TEMPERATURE, TIME, "-")]

@@ -52,7 +52,7 @@ def test_the_stated_uncertainty_covers_the_truth() -> None:
     """Over random mountings each angle lies within 1.96 of its stated standard uncertainty in 95 % of the cases."""
     rng = np.random.default_rng(11)
     sigma, inside, total = radians(0.2), 0, 0
-    for _ in range(700):
+    for _ in range(400):
         truth = Mounting(rng.uniform(-pi, pi), rng.uniform(-1.3, 1.3), rng.uniform(-pi, pi))
         found = solve_mounting(noisy(rng, mounting_matrix(truth), sigma), KNOWN, np.full(len(KNOWN), sigma))
         assert found.u is not None
@@ -64,10 +64,10 @@ def test_the_stated_uncertainty_covers_the_truth() -> None:
 
 
 def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
-    """Base and mounting err together: 60 sensors are calibrated on one jig and mounted on another, both of 0.2°."""
+    """Base and mounting err together: 40 sensors are calibrated on one jig and mounted on another, both of 0.2°."""
     rng = np.random.default_rng(31)
     plan, sigma, inside, scatter = plan_of(12, noise=1e-4, jig=0.2), radians(0.2), [], []
-    for _ in range(60):
+    for _ in range(40):
         truth, turned = part(rng), mounting_matrix(Mounting(*rng.uniform(-1.2, 1.2, 3)))
         (found,) = estimate_jointly(fixture(measured(rng, plan, [truth]), design(plan, jig=0.2)))
         identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
@@ -82,7 +82,7 @@ def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
         inside.append(np.mean(np.abs(error) <= result.expanded[:, :2]))
         scatter.append(np.mean((error / result.standard[:, :2]) ** 2))
     assert np.mean(inside) == pytest.approx(0.95, abs=3 * np.std(inside) / np.sqrt(len(inside)) + 0.005)
-    assert np.sqrt(np.mean(scatter)) == pytest.approx(1.0, abs=0.1)
+    assert np.sqrt(np.mean(scatter)) == pytest.approx(1.0, abs=0.12)
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from math import sqrt
 from zlib import crc32
 
 import numpy as np
+import scipy
 from numpy.random import Generator
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from support.simulated_bench import BLOCK_DOF, FACES, POSITIONS, Part, Plan, design, fixture, measured, part, plan_of
@@ -231,7 +231,7 @@ def correlated(rng: Generator, memory: float, samples: int) -> SimulatedSession:
     truth, plan = part(rng), plan_of(12, noise=NOISE, jig=0.0)
     mean = truth.reading(plan.gravity, np.zeros(12))
     white = rng.standard_normal((2000 + samples, 12, 3))
-    noise = lfilter([1.0], [1.0, -memory], white, axis=0)[2000:]
+    noise = scipy.signal.lfilter([1.0], [1.0, -memory], white, axis=0)[2000:]
     # The variance of the mean of n samples of the process, exactly.
     lag = np.arange(1, samples)
     of_mean = (1.0 + 2.0 * np.sum((1.0 - lag / samples) * memory**lag)) / samples / (1.0 - memory**2)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 
 import tiltcal
 from tiltcal.files.procedure_file import find_procedure
@@ -182,7 +182,7 @@ def test_the_noise_of_a_table_is_that_of_the_textbook() -> None:
     assert found.fit.noise_estimated == pytest.approx(deviation, rel=5e-3)
     assert found.uncertainty["offset.x"] == pytest.approx(deviation / np.sqrt(6), rel=1e-3)
     assert found.uncertainty["sensitivity.y.z"] == pytest.approx(deviation / np.sqrt(2), rel=1e-3)
-    assert found.uncertainty.coverage_factor["offset.x"] == pytest.approx(stats.t.ppf(0.975, 6), rel=2e-3)
+    assert found.uncertainty.coverage_factor["offset.x"] == pytest.approx(scipy.stats.t.ppf(0.975, 6), rel=2e-3)
 
 
 @pytest.mark.filterwarnings("error")

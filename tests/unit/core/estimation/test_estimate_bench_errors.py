@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import scipy
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from tiltcal.core.coverage_factor import coverage_factor
@@ -94,14 +93,14 @@ class TestLean:
     OFFSETS = ("offset.x", "offset.y")
 
     def test_a_stated_lean_is_in_the_offsets(self) -> None:
-        """A lean of 0.2° moves the offsets by 0.93 of it, the mean of cos 30° and 1; 95 % of 100 benches."""
+        """A lean of 0.2° moves the offsets by 0.93 of it, the mean of cos 30° and 1; 95 % of 70 benches."""
         rng = np.random.default_rng(1)
         hits = []
-        for _ in range(100):
+        for _ in range(70):
             first, second = radians(0.2) * rng.standard_normal(2)
             found = estimate(plane(rng, (first, second), jig=0.1), Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2))
             hits.append(inside(found, self.OFFSETS))
-        assert np.mean(hits) == pytest.approx(0.95, abs=0.045)
+        assert np.mean(hits) == pytest.approx(0.95, abs=0.055)
         by_lean = radians(0.2) * (1 + cos(radians(30))) / 2
         assert sqrt(found.budget.variance["table"][0]) == pytest.approx(by_lean, rel=0.12)
 
@@ -129,20 +128,20 @@ class TestLean:
         """A table that leans by 1° and headings that are off by 2°: the angles move by 0.035°, 95 % are inside."""
         rng = np.random.default_rng(4)
         hits = []
-        for _ in range(100):
+        for _ in range(70):
             lean = (radians(1.0), radians(-0.8))
             headings = (0.0, 0.0, 180.0, 180.0)
             off = tuple(h + e for h, e in zip(headings, 2.0 * rng.standard_normal(4), strict=True))
             observations = [replace(one, heading=h) for one, h in zip(plane(rng, lean, off), headings, strict=True)]
             found = estimate(observations, Design(("x", "y"), ("x", "y"), jig=0.0, heading=2.0))
             hits.append(inside(found, self.OFFSETS))
-        assert np.mean(hits) == pytest.approx(0.95, abs=0.055)
+        assert np.mean(hits) == pytest.approx(0.95, abs=0.065)
 
 
 def records(rng: np.random.Generator, memory: float, count: int, samples: int = 300) -> list[SampleSummary]:
     """Positions with the noise of an autoregressive process of variance 1 about 0."""
     white = rng.standard_normal((count, samples + 2000))
-    noise = lfilter([1.0], [1.0, -memory], white, axis=1)[:, 2000:] * sqrt(1.0 - memory**2)
+    noise = scipy.signal.lfilter([1.0], [1.0, -memory], white, axis=1)[:, 2000:] * sqrt(1.0 - memory**2)
     return [summarise(one) for one in noise.tolist()]
 
 
@@ -164,7 +163,9 @@ class TestCorrelatedNoise:
 
     def test_the_mean_of_what_is_expected_of_short_records(self) -> None:
         """3,000 autoregressive records of 300 samples, 200 of them a correlation time: mean and true factor."""
-        noise = lfilter([1.0], [1.0, -0.995], np.random.default_rng(12).standard_normal((3000, 2600)), axis=1)[:, 2300:]
+        noise = scipy.signal.lfilter(
+            [1.0], [1.0, -0.995], np.random.default_rng(12).standard_normal((3000, 2600)), axis=1
+        )[:, 2300:]
         blocks = noise.reshape(3000, 10, 30).mean(axis=2)
         off = blocks - blocks.mean(axis=1, keepdims=True)
         squares = np.sum(off**2, axis=1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from math import log, pi, sqrt
 
-import allantools
 import numpy as np
 import pytest
 from hypothesis import given
@@ -41,6 +40,8 @@ def noise_of(samples: coloured.Samples, *sizes: int) -> ChannelNoise:
 
 class TestAllanDeviation:
     def test_against_allantools(self) -> None:
+        import allantools  # here, for it takes a second of every worker that collects this file
+
         samples = coloured.flicker(rng(), 20_000, 1.0) + 100.0
         found = allan(samples - 100.0)
         _, deviation, _, _ = allantools.oadev(samples, data_type="freq", taus=found.factor.astype(float))
@@ -82,6 +83,8 @@ class TestAllanDeviation:
     @pytest.mark.parametrize("kind", ["white", "flicker", "walk"])
     def test_degrees_of_freedom(self, kind: Kind) -> None:
         """By Greenhall and Riley's sums, in allantools, and by the scatter of 300 records."""
+        import allantools
+
         exponent = {"white": 0, "flicker": -1, "walk": -2}[kind]
         made = {"white": coloured.white, "flicker": coloured.flicker, "walk": coloured.walk}[kind]
         many = np.array([allan(made(rng(seed), 1024, 1.0)).variance[:, 0] for seed in range(300)])

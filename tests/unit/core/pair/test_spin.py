@@ -6,10 +6,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
-from scipy.signal import welch
 from support import accelerometer_disk as disk
 
 from tiltcal.core.model import Array
@@ -116,7 +116,7 @@ def test_spectra_are_those_of_welch_for_any_mix_and_any_blocks() -> None:
     for start in range(0, 5000, 333):
         spectra.add(readings[start : start + 333])
     frequency, density = spectra.density({"a": 1.0, "c": -0.7}, rate=50.0)
-    expected_frequency, expected = welch(
+    expected_frequency, expected = scipy.signal.welch(
         readings[:, 0] - 0.7 * readings[:, 2], 50.0, nperseg=512, noverlap=256, detrend="constant"
     )
     assert frequency == pytest.approx(expected_frequency)

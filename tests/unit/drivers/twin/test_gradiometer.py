@@ -7,7 +7,7 @@ from math import cos, radians, sin
 
 import numpy as np
 import pytest
-from scipy.signal import welch
+import scipy
 from support import accelerometer_disk as disk
 
 from tiltcal.drivers.twin.gradiometer import Accelerometer, Disk, Gradiometer
@@ -53,7 +53,7 @@ def test_a_second_order_term_turns_up_twice_a_turn_too() -> None:
 def test_noise_has_the_density_and_the_corner_that_are_asked_for() -> None:
     made = Disk(accelerometers=(Accelerometer(1.0),) * 4, inclination=0.0, noise=1.5e-7, corner=0.2, rate=16.0)
     signal = taken(made, 30_000, seed=5).readings[:, 0]
-    frequency, density = welch(signal, 16.0, nperseg=4096)
+    frequency, density = scipy.signal.welch(signal, 16.0, nperseg=4096)
     for low, high in ((0.02, 0.05), (0.05, 0.2), (0.2, 1.0), (2.0, 7.0)):
         band = (frequency > low) & (frequency < high)
         expected = 1.5e-7**2 * (1 + 0.2 / frequency[band])
