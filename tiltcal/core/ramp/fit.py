@@ -13,8 +13,9 @@ predicts each of them better, and where hysteresis without time does not explain
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from math import sqrt
 from operator import attrgetter
 
@@ -26,7 +27,7 @@ from tiltcal.core.ramp.loops import HalfLoop, Loops, error_of_hysteresis, loop_t
 from tiltcal.core.ramp.means import FittedMeans
 from tiltcal.core.ramp.noise import joint_least_squares, noise_covariance, noise_of_temperature, whitener
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
-from tiltcal.core.ramp.second_lag import element_of_pair, over_lags
+from tiltcal.core.ramp.second_lag import element_of_pair, error_of_pair, over_lags
 from tiltcal.errors import EstimateError
 
 LEG_LAGS = 4.0
@@ -153,13 +154,11 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
         The legs cannot tell lag from drift; the message has the pace to take.
     """
     legs = legs_of(record)
-    means = FittedMeans(record, legs, reference)
-    scale = _scale(means, highest)
     lags, no_lag = _trial_lags(legs), np.zeros(1)
-    first = _solve(means, np.ones(len(means), dtype=bool), highest, lags, scale)
+    means, first, scale = _from_start(record, legs, reference, highest)
     means = means.grouped(first.lag, first.coefficients)
-    plain = _cross_validated(means, highest, no_lag, scale)
-    lagged = _cross_validated(means, highest, lags, scale)
+    plain = _cross_validated(means, highest, scale, partial(_with_some_lag, means, no_lag, scale))
+    lagged = _cross_validated(means, highest, scale, partial(_with_some_lag, means, lags, scale))
     everything = np.ones(len(means), dtype=bool)
     solution = _solve(means, everything, lagged.order, lags, scale)
     found_lag, _, covariance = _one_lag(means, solution.lag, lagged.order)
@@ -171,7 +170,9 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
         and solution.error < error_of_hysteresis(means, lagged.order, scale)
     )
     if used:
-        chosen = _cross_validated_order(means, highest, found_lag, scale)
+        # One lag leaves more at the turns than a coefficient explains, where the element has two.
+        element = element_of_pair(means, found_lag, _least_squares(means.powers(found_lag, highest), means.readings).T)
+        chosen = _cross_validated(means, highest, scale, partial(_with_element, means, element))
         estimate = _with_lag(means, *_one_lag(means, found_lag, chosen.order))
     else:
         chosen = plain
@@ -199,6 +200,22 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     )
 
 
+def _from_start(
+    record: RampRecord, legs: list[Leg], reference: float, highest: int
+) -> tuple[FittedMeans, _Solution, Array]:
+    """Return means, fit and scale of a record that starts at rest, or on the way: whichever explains the record better.
+
+    One lag alone would take a second one for a start on the way.
+    """
+    starts = [FittedMeans(record, legs, reference, running=running) for running in (False, True)]
+    scale, everything = _scale(starts[0], highest), np.ones(len(starts[0]), dtype=bool)
+    at_rest, running = (_solve(start, everything, highest, _trial_lags(legs), scale) for start in starts)
+    found = list(zip(starts, (at_rest, running), strict=True))
+    if running.lag > 0.0 and running.error < at_rest.error:
+        found.sort(key=lambda one: error_of_pair(one[0], one[1].lag, one[1].coefficients.T, scale))
+    return *found[0], scale
+
+
 def _trial_lags(legs: list[Leg]) -> Array:
     """Return the lags that are tried first, of both signs, from a thousandth to half of the longest leg, s."""
     longest = max(leg.seconds for leg in legs)
@@ -224,39 +241,28 @@ def _scale(means: FittedMeans, order: int) -> Array:
     return np.asarray(np.maximum(np.std(left, axis=0), smallest))
 
 
-def _cross_validated(means: FittedMeans, highest: int, lags: Array, scale: Array) -> _CrossValidated:
-    """Predict each leg from the others, by polynomials of every order with one of some lags."""
-    errors = {}
-    for order in range(1, highest + 1):
-        rows = []
-        for number in range(len(means.legs)):
-            out = means.leg == number
-            found = _solve(means, ~out, order, lags, scale)
-            left = means.readings[out] - means.powers(found.lag, order)[out] @ found.coefficients
-            rows.append(np.mean(left**2, axis=0))
-        errors[order] = np.array(rows)
-    return _CrossValidated(_best_order(errors, scale), errors)
+def _cross_validated(
+    means: FittedMeans, highest: int, scale: Array, predicted: Callable[[int, NDArray[np.bool_]], Array]
+) -> _CrossValidated:
+    """Compare each leg with what an order predicts of it from the others."""
+    legs = [means.leg == number for number in range(len(means.legs))]
+    errors = {
+        order: np.array([np.mean((means.readings[out] - predicted(order, out)) ** 2, axis=0) for out in legs])
+        for order in range(1, highest + 1)
+    }
+    return _CrossValidated(min(errors, key=lambda order: float(np.mean(errors[order] / scale**2))), errors)
 
 
-def _cross_validated_order(means: FittedMeans, highest: int, lag: float, scale: Array) -> _CrossValidated:
-    """Choose the order of a polynomial with a lag, of the temperature that the likeliest pair of lags gives.
-
-    One lag leaves more at the turns than a coefficient of the polynomial explains, where the element has two.
-    """
-    y = means.readings
-    element = element_of_pair(means, lag, _least_squares(means.powers(lag, highest), y).T)
-    errors = {}
-    for order in range(1, highest + 1):
-        x, rows = means.powers_of(element, order), []
-        for number in range(len(means.legs)):
-            out = means.leg == number
-            rows.append(np.mean((y[out] - x[out] @ _least_squares(x[~out], y[~out])) ** 2, axis=0))
-        errors[order] = np.array(rows)
-    return _CrossValidated(_best_order(errors, scale), errors)
+def _with_some_lag(means: FittedMeans, lags: Array, scale: Array, order: int, out: NDArray[np.bool_]) -> Array:
+    """Predict a leg by a polynomial with one of some lags."""
+    found = _solve(means, ~out, order, lags, scale)
+    return np.asarray(means.powers(found.lag, order)[out] @ found.coefficients)
 
 
-def _best_order(errors: Mapping[int, Array], scale: Array) -> int:
-    return min(errors, key=lambda order: float(np.mean(errors[order] / scale**2)))
+def _with_element(means: FittedMeans, element: Array, order: int, out: NDArray[np.bool_]) -> Array:
+    """Predict a leg by a polynomial of a temperature."""
+    x = means.powers_of(element, order)
+    return np.asarray(x[out] @ _least_squares(x[~out], means.readings[~out]))
 
 
 def _solve(means: FittedMeans, kept: NDArray[np.bool_], order: int, lags: Array, scale: Array) -> _Solution:

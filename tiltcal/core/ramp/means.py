@@ -48,12 +48,21 @@ class FittedMeans:
         Consecutive parts that make one mean; the powers of a temperature are those of its parts.
     noisy : bool
         Whether the thermometer's noise hides what a second lag makes at the turns.
+    running : bool
+        Whether the temperature was changing before the record, at the pace of its start.
     """
 
     def __init__(
-        self, record: RampRecord, legs: list[Leg], reference: float, group: int = 1, noisy: bool = False
+        self,
+        record: RampRecord,
+        legs: list[Leg],
+        reference: float,
+        group: int = 1,
+        noisy: bool = False,
+        running: bool = False,
     ) -> None:
         self._record = record
+        self._running = running
         self._reference = reference
         n = len(record.time)
         # Over a whole step of the thermometer its rounding averages out; parts of one would look like noise that lasts.
@@ -106,7 +115,12 @@ class FittedMeans:
 
         time = self._record.time
         if lag >= 0.0:
-            return ThermalLag(lag)(time, temperature)
+            filtered = ThermalLag(lag)(time, temperature)
+            if self._running and lag > 0.0:
+                start = slice(max(int(np.searchsorted(time, time[0] + 0.5 * lag)), 2))
+                pace = float(np.polyfit(time[start] - time[0], temperature[start], 1)[0])
+                filtered -= lag * pace * np.exp((time[0] - time) / lag)
+            return filtered
         slope = CubicSpline(_means(time, self._knots), _means(temperature, self._knots))(time, 1)
         return np.asarray(temperature - lag * slope)
 
@@ -136,7 +150,9 @@ class FittedMeans:
         seconds = float(np.ptp(record.time)) / len(self)
         group = ratio * len(record.time) / len(self) / (THERMOMETER_SHARE * seconds**2)
         most = max(len(self) // (FEWEST_MEANS * len(self.legs)), 1)
-        return FittedMeans(record, self.legs, self._reference, int(min(max(group, 1), most)), group > most)
+        return FittedMeans(
+            record, self.legs, self._reference, int(min(max(group, 1), most)), group > most, self._running
+        )
 
     def powers(self, lag: float, order: int) -> Array:
         """Return the powers 0 to ``order`` of that temperature, shape (means, order + 1)."""

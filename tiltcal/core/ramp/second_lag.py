@@ -137,6 +137,14 @@ def element_of_pair(means: FittedMeans, lag: float, polynomials: Array) -> Array
     return _likeliest(means, lag, polynomials).element
 
 
+def error_of_pair(means: FittedMeans, lag: float, polynomials: Array, scale: Array) -> float:
+    """Return the sum of squares that the likeliest pair leaves, over the variance ``scale`` squared."""
+    pair = _likeliest(means, lag, polynomials)
+    powers = means.powers_of(pair.element, polynomials.shape[1] - 1)
+    left = means.readings - powers @ pair.coefficients.reshape(polynomials.shape).T
+    return float(np.sum((left / scale) ** 2))
+
+
 def _likeliest(means: FittedMeans, lag: float, polynomials: Array) -> _Solution:
     """Return the likeliest pair under white noise."""
     left = means.readings - means.powers(lag, polynomials.shape[1] - 1) @ polynomials.T

@@ -214,6 +214,18 @@ def test_noise_and_steps_of_the_thermometer_are_not_taken_for_drift_of_a_quiet_s
     assert np.mean([error[c] <= 1.96 / 3.0 * u_of_curve(fit, c) for c in (0, 1)]) > 0.85
 
 
+def test_a_record_that_starts_on_the_way_has_the_lag_of_the_whole():
+    """An element with the temperature of its thermometer in the first row made a lag of 116 s, which legs refuted."""
+    seconds = np.arange(0.0, 7200.0, 4.0)
+    readings = read(delayed(seconds, 1.0, 120.0)) + 0.05 * np.random.default_rng(7).normal(size=(len(seconds), 2))
+    late = seconds > 900.0
+    fit = fit_ramp(recorded(seconds[late], chamber(seconds[late], 1.0), readings[late]), reference=REFERENCE)
+    assert fit.lag == pytest.approx(120.0, rel=0.01)
+    error = np.abs(curve_error(fit.coefficients))
+    assert np.max(error) < 0.02
+    assert np.mean([error[c] < 1.96 * u_of_curve(fit, c) for c in (0, 1)]) > 0.8
+
+
 def test_a_thermometer_with_a_lag_of_its_own_leaves_the_curve_where_it_is():
     """Pairs of lags that are a third apart left the curve off by 0.006 units."""
     draw, seconds = np.random.default_rng(9), np.arange(0.0, 7200.0, 4.0)
