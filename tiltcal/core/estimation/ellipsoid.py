@@ -101,11 +101,10 @@ def count_distinct(attitudes: Array) -> int:
     attitudes : ndarray, shape (n, 3)
         Unit vectors.
     """
-    kept: list[Array] = []
-    for attitude in attitudes:
-        if all(float(attitude @ other) < cos(radians(DIFFERENT_ATTITUDE)) for other in kept):
-            kept.append(attitude)
-    return len(kept)
+    count, left = 0, attitudes
+    while len(left):
+        count, left = count + 1, left[1:][left[1:] @ left[0] < cos(radians(DIFFERENT_ATTITUDE))]
+    return count
 
 
 def misfits(mean: Array, offset: Array, sensitivity: Array) -> Array:
