@@ -27,7 +27,7 @@ from tiltcal.core.ramp.loops import HalfLoop, Loops, error_of_hysteresis, loop_t
 from tiltcal.core.ramp.means import FittedMeans
 from tiltcal.core.ramp.noise import joint_least_squares, noise_covariance, noise_of_temperature, whitener
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
-from tiltcal.core.ramp.second_lag import element_of_pair, error_of_pair, over_lags
+from tiltcal.core.ramp.second_lag import likeliest_pair, over_lags
 from tiltcal.errors import EstimateError
 
 LEG_LAGS = 4.0
@@ -171,8 +171,8 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     )
     if used:
         # One lag leaves more at the turns than a coefficient explains, where the element has two.
-        element = element_of_pair(means, found_lag, _least_squares(means.powers(found_lag, highest), means.readings).T)
-        chosen = _cross_validated(means, highest, scale, partial(_with_element, means, element))
+        pair = likeliest_pair(means, found_lag, _least_squares(means.powers(found_lag, highest), means.readings).T)
+        chosen = _cross_validated(means, highest, scale, partial(_with_element, means, pair.element))
         estimate = _with_lag(means, *_one_lag(means, found_lag, chosen.order))
     else:
         chosen = plain
@@ -212,7 +212,7 @@ def _from_start(
     at_rest, running = (_solve(start, everything, highest, _trial_lags(legs), scale) for start in starts)
     found = list(zip(starts, (at_rest, running), strict=True))
     if running.lag > 0.0 and running.error < at_rest.error:
-        found.sort(key=lambda one: error_of_pair(one[0], one[1].lag, one[1].coefficients.T, scale))
+        found.sort(key=lambda one: likeliest_pair(one[0], one[1].lag, one[1].coefficients.T).error(one[0], scale))
     return *found[0], scale
 
 

@@ -28,10 +28,10 @@ from tiltcal.core.model import Array
 from tiltcal.core.ramp.means import FittedMeans, slopes_of
 from tiltcal.core.ramp.noise import joint_least_squares, whitener
 
-_SPACING = 1.36
-"""Ratio of neighbouring lags of the pairs; its root about the likeliest pair, and again, up to ``_FINEST`` times."""
+_SPACING, _CLOSEST = 1.36, 1.002
+"""Ratio of neighbouring lags of the pairs; its root about the likeliest pair, and again, down to the second."""
 
-_ENOUGH, _FINEST = 3.0, 8
+_ENOUGH = 3.0
 """Pairs that share the weight where they are close enough."""
 
 _APART = 1.05
@@ -91,7 +91,7 @@ def over_lags(means: FittedMeans, lag: float, polynomials: Array, covariance: Ar
         np.column_stack([means.powers(lag, polynomials.shape[1] - 1), slope])
         for slope in means.by_lag(lag, polynomials.T).T
     ]
-    best = _likeliest(means, lag, polynomials)
+    best = likeliest_pair(means, lag, polynomials)
     whiteners = [whitener(means, design, y[:, c]) for c, design in enumerate(best.designs)]
     pairs, volume = _close_pairs(means, lag, polynomials, whiteners)
     single = _solve((0.0, lag), means.element(lag), alone, y, whiteners, abs(lag))
@@ -112,8 +112,11 @@ def over_lags(means: FittedMeans, lag: float, polynomials: Array, covariance: Ar
 
 
 @dataclass(frozen=True)
-class _Solution:
-    """Coefficients channel by channel, their covariance, what the last unknown changes by, and the log evidence."""
+class LagPairFit:
+    """Coefficients channel by channel, their covariance, what the last unknown changes by, and the log evidence.
+
+    The element has the temperatures of the parts of the means, °C from the reference.
+    """
 
     lags: tuple[float, float]
     element: Array
@@ -123,30 +126,15 @@ class _Solution:
     change: float
     evidence: float
 
-
-def element_of_pair(means: FittedMeans, lag: float, polynomials: Array) -> Array:
-    """Return the temperature of the element by the likeliest pair of lags, °C from the reference, shape (parts,).
-
-    Parameters
-    ----------
-    lag : float
-        That of one lag, s.
-    polynomials : ndarray, shape (channels, order + 1)
-        Coefficients to start from.
-    """
-    return _likeliest(means, lag, polynomials).element
+    def error(self, means: FittedMeans, scale: Array) -> float:
+        """Return the sum of squares that is left, over the variance ``scale`` squared."""
+        coefficients = self.coefficients.reshape(means.readings.shape[1], -1)
+        left = means.readings - means.powers_of(self.element, coefficients.shape[1] - 1) @ coefficients.T
+        return float(np.sum((left / scale) ** 2))
 
 
-def error_of_pair(means: FittedMeans, lag: float, polynomials: Array, scale: Array) -> float:
-    """Return the sum of squares that the likeliest pair leaves, over the variance ``scale`` squared."""
-    pair = _likeliest(means, lag, polynomials)
-    powers = means.powers_of(pair.element, polynomials.shape[1] - 1)
-    left = means.readings - powers @ pair.coefficients.reshape(polynomials.shape).T
-    return float(np.sum((left / scale) ** 2))
-
-
-def _likeliest(means: FittedMeans, lag: float, polynomials: Array) -> _Solution:
-    """Return the likeliest pair under white noise."""
+def likeliest_pair(means: FittedMeans, lag: float, polynomials: Array) -> LagPairFit:
+    """Return the likeliest pair under white noise, near one lag and its polynomials of shape (channels, order + 1)."""
     left = means.readings - means.powers(lag, polynomials.shape[1] - 1) @ polynomials.T
     whiteners = [np.eye(len(left)) / np.std(column) for column in left.T]
     return max(_close_pairs(means, lag, polynomials, whiteners)[0], key=attrgetter("evidence"))
@@ -154,20 +142,20 @@ def _likeliest(means: FittedMeans, lag: float, polynomials: Array) -> _Solution:
 
 def _close_pairs(
     means: FittedMeans, lag: float, polynomials: Array, whiteners: Sequence[Array]
-) -> tuple[list[_Solution], float]:
+) -> tuple[list[LagPairFit], float]:
     """Fit pairs that are so close that several count, and return the part of the prior weight that each has."""
     grid, spacing = _pairs(means, lag), _SPACING
     volume = 1.0 / len(grid)
-    for _ in range(_FINEST):
+    while True:
         pairs = [_of_pair(means, pair, lag, polynomials, whiteners) for pair in grid]
         best = max(pairs, key=attrgetter("evidence"))
         weights = np.exp([pair.evidence - best.evidence for pair in pairs])
         spacing = sqrt(spacing)
         grid = _near(best.lags, spacing)
-        if np.sum(weights) ** 2 > _ENOUGH * np.sum(weights**2) or len(grid) == 1:
-            break
+        enough = np.sum(weights) ** 2 > _ENOUGH * np.sum(weights**2)
+        if enough or spacing < _CLOSEST or len(grid) == 1:
+            return pairs, volume
         volume /= 2.0 if best.lags[0] == 0.0 or lag < 0.0 else 4.0
-    return pairs, volume
 
 
 def _pairs(means: FittedMeans, lag: float) -> list[tuple[float, float]]:
@@ -187,7 +175,7 @@ def _near(lags: tuple[float, float], spacing: float) -> list[tuple[float, float]
 
 def _of_pair(
     means: FittedMeans, lags: tuple[float, float], whole: float, polynomials: Array, whiteners: Sequence[Array]
-) -> _Solution:
+) -> LagPairFit:
     """Fit polynomials and the share of the first lag, which starts where both are ``whole`` on the mean."""
     coefficients = polynomials
     first, second = means.elements_of(lags)
@@ -210,8 +198,8 @@ def _solve(
     y: Array,
     whiteners: Sequence[Array],
     typical: float,
-) -> _Solution:
+) -> LagPairFit:
     """Solve for polynomials and a change that all channels share, whose prior is as wide as twice a typical value."""
     solution, covariance, square = joint_least_squares(whiteners, designs, y)
     evidence = 0.5 * (log(2.0 * pi * covariance[-1, -1]) - square) - log(2.0 * typical)
-    return _Solution(lags, element, designs, solution[:-1], covariance[:-1, :-1], float(solution[-1]), evidence)
+    return LagPairFit(lags, element, designs, solution[:-1], covariance[:-1, :-1], float(solution[-1]), evidence)
