@@ -187,26 +187,30 @@ class IntervalSamples:
         self.rails = rails
         self._channels, self._submit = channels, submit
         self._block = sum(part.end - part.start for part in parts) // BLOCKS if self.last.end < TO_THE_END else _ROWS
-        self._waiting: list[Array] = []
-        self._begun = 0
+        self._piece: list[Array] = []
+        self._next: list[Array] = []
+        self._rows = self._begun = 0
 
     def add(self, values: Array) -> None:
         """Take the next rows, shape (columns, n)."""
-        self._waiting.append(values)
-        while sum(rows.shape[1] for rows in self._waiting) >= 2 * PIECE:
-            joined = np.concatenate(self._waiting, axis=1)
-            self._waiting = [joined[:, PIECE:]]
-            self._sum_up(joined[:, :PIECE], self._block)
+        while values.shape[1]:
+            taken, values = np.split(values, [PIECE - self._rows], axis=1)
+            self._next.append(taken)
+            self._rows += taken.shape[1]
+            if self._rows == PIECE:
+                if self._piece:
+                    self._sum_up(self._piece, self._block)
+                    self._begun += PIECE
+                self._piece, self._next, self._rows = self._next, [], 0
 
     def end(self) -> None:
         """Sum up the last rows."""
-        rows, self._waiting = self._waiting, []
+        rows, self._piece, self._next = self._piece + self._next, [], []
         if rows:
-            self._sum_up(np.concatenate(rows, axis=1), self._block if self.pieces else 0)
+            self._sum_up(rows, self._block if self.pieces else 0)
 
-    def _sum_up(self, values: Array, block: int) -> None:
-        self.pieces.append(self._submit(piece_of, values, self._channels, self.rails, self._begun, block))
-        self._begun += values.shape[1]
+    def _sum_up(self, rows: Sequence[Array], block: int) -> None:
+        self.pieces.append(self._submit(piece_of, rows, self._channels, self.rails, self._begun, block))
 
 
 def sampled(
@@ -267,18 +271,19 @@ def sampled(
     return intervals, min(filter(None, (found.step() for found in different)), default=0.0)
 
 
-def piece_of(values: Array, channels: Sequence[str], rails: Rails, begun: int = 0, block: int = 0) -> Piece:
+def piece_of(rows: Sequence[Array], channels: Sequence[str], rails: Rails, begun: int = 0, block: int = 0) -> Piece:
     """Judge some samples of an interval, and sum up the others.
 
     Parameters
     ----------
-    values : ndarray, shape (columns, n)
+    rows : sequence of ndarray, shape (columns, n)
         The channels and, where there is one, the temperature.
     begun : int
         Samples of the interval before these.
     block : int
         Samples of the interval that make one block of a mean; 0 where these are all and make ten.
     """
+    values = np.concatenate(rows, axis=1)
     temperatures = _temperatures(values[len(channels)]) if len(values) > len(channels) else None
     samples = values[: len(channels)]
     lost = np.flatnonzero(~np.isfinite(samples).all(axis=0))
