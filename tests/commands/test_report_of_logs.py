@@ -13,8 +13,17 @@ from support.html_page import Page
 
 from tiltcal.cli import apply_tasks
 from tiltcal.cli.main import run
+from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
 
 CALIBRATION = str(FIXTURES / "complete.yaml")
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> str:
+    """The same calibration without its records: the only figures of its page are those of logs."""
+    known, path = read_calibration(CALIBRATION), tmp_path / "bare.yaml"
+    write_calibration(path, CalibrationRecord(known.sensor, known.coefficients))
+    return str(path)
 
 
 @pytest.fixture
@@ -78,35 +87,35 @@ def tables(page: Page, first: str) -> list[list[list[str]]]:
     return [rows for rows in found if rows and rows[0][:1] == [first]]
 
 
-def test_other_names_of_columns_moments_and_bad_rows(tmp_path: Path) -> None:
+def test_other_names_of_columns_moments_and_bad_rows(bare: str, tmp_path: Path) -> None:
     path = tmp_path / "own.csv"
     path.write_text(
         "when,VoutX,VoutY,time\n2026-01-17T22:00:00,1024,1020,a\n2026-01-17T22:00:10,oops,1020,b\n", encoding="utf-8"
     )
     output = tmp_path / "r.html"
     named = ["--columns", "x=VoutX,y=VoutY,time=when", "--skip-bad-rows"]
-    assert run(["report", CALIBRATION, str(path), "-o", str(output), *named]) == 0
+    assert run(["report", bare, str(path), "-o", str(output), *named]) == 0
     text = output.read_text(encoding="utf-8")
     assert shares(Page(text), "Log own.csv")["Flag 9"] == (1, 50.0)
     assert "time from 2026-01-17 22:00:00 UTC [s]" in text
 
 
-def test_a_log_without_time_counts_its_rows(tmp_path: Path) -> None:
+def test_a_log_without_time_counts_its_rows(bare: str, tmp_path: Path) -> None:
     path = tmp_path / "rows.csv"
     path.write_text("x,y,temperature\n" + "1030,1020,20\n" * 5, encoding="utf-8")
     output = tmp_path / "r.html"
-    report(CALIBRATION, path, output=output)
+    report(bare, path, output=output)
     assert re.search(r">row</text>", output.read_text(encoding="utf-8"))
 
 
-def test_the_page_does_not_grow_with_the_log(tmp_path: Path) -> None:
+def test_the_page_does_not_grow_with_the_log(bare: str, tmp_path: Path) -> None:
     sizes = []
     for rows in (20_000, 100_000):
         path = tmp_path / f"{rows}.csv"
         lines = "".join(f"{k},{1000 + k * 7919 % 50},{1020 + k * 104729 % 30},20\n" for k in range(rows))
         path.write_text("time,x,y,temperature\n" + lines, encoding="utf-8")
         output = tmp_path / f"{rows}.html"
-        report(CALIBRATION, path, output=output)
+        report(bare, path, output=output)
         sizes.append(output.stat().st_size)
     assert sizes[1] < 1.3 * sizes[0] < 600_000
 
