@@ -162,7 +162,8 @@ def test_a_session_cut_between_any_two_transactions_ends_in_the_same_file(tmp_pa
     """A conversion is started by one transaction and read by a later one: a new twin must know of it."""
     path = tmp_path / "S-7.journal.jsonl"
     place = ["--sensor", "sca100t-d02-analog", "--address", "sim:?seed=1", "--serial", "S-7", "-o", "S-7.yaml"]
-    assert tiltcal("measure", "plane", *place, "--operator", "sim", "--samples", "5", cwd=tmp_path).returncode == 0
+    quick = ["--operator", "sim", "--samples", "5", "--settle", "0.5"]
+    assert tiltcal("measure", "plane", *place, *quick, cwd=tmp_path).returncode == 0
     whole, golden = path.read_bytes(), (tmp_path / "S-7.yaml").read_bytes()
     lines = whole.splitlines(keepends=True)
     # A sample is four conversions of three transactions or a few more.
