@@ -313,10 +313,8 @@ def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
         f"record as well (of the loop it explains {explains})"
     ]
     if fit.u_element >= NOTED:
-        notes.append(
-            f"the turns show a second lag: one lag is off by {fit.u_element:.2g} °C, which is in the uncertainty of a "
-            "temperature"
-        )
+        cause = "the turns show a second lag: one lag" if fit.lag > 0.0 else "behind turns the temperature in a log"
+        notes.append(f"{cause} is off by {fit.u_element:.2g} °C, which is in the uncertainty of a temperature")
     if not fit.uses_lag and abs(fit.found_lag) > RESOLVED * fit.u_lag:
         notes.append("legs of two paces tell a lag, whose loop grows with the pace, from hysteresis")
     if fit.loop_covariance.any():

@@ -86,7 +86,8 @@ class RampFit:
     loop_covariance : ndarray, shape (channels (order + 1),) twice
         What that adds to the covariance of the coefficients.
     u_element : float
-        Standard uncertainty of the element's temperature because a second lag may follow the turns as well, °C.
+        Standard uncertainty of the element's temperature in a log, behind turns, °C: a second lag may follow them as
+        well, and the filter of a log smooths those of a thermometer that is later.
     error_by_order : mapping of int to float
         Mean square error of predicting a leg that was left out, over the variance of the residuals.
     """
@@ -333,7 +334,7 @@ def _with_lag(means: FittedMeans, lag: float, polynomials: Array, covariance: Ar
     covariance = covariance.copy()
     covariance[:-1, :-1] = mean.covariance + noise_of_temperature(mean.element, mean.coefficients, means)
     lag = means.closest_lag(mean.element, lag)
-    u_element = mean.distance(means.element(lag))
+    u_element = mean.distance(means.in_log(lag))
     return _Estimate(lag, u_element, mean.coefficients, covariance, _widened(found, powers, covariance))
 
 

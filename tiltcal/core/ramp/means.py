@@ -134,6 +134,12 @@ class FittedMeans:
                 starts.append(row)
         return np.array(starts)
 
+    def in_log(self, lag: float) -> Array:
+        """Return the temperature that the filter of a log gives, from rows before alone, °C, shape (parts,)."""
+        if lag >= 0.0:
+            return self.element(lag)
+        return self._parts(ThermalLag(lag)(self._record.time, self._record.temperature)) - self._reference
+
     def grouped(self, lag: float, coefficients: Array) -> FittedMeans:
         """Return means so long that a thermometer that is later adds little noise to that of the readings.
 

@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 from tiltcal.core.ramp.fit import fit_ramp
 from tiltcal.core.ramp.record import RampRecord, RecordAverager, legs_of
+from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
 
 REFERENCE = 24.0
@@ -212,6 +213,13 @@ def test_noise_and_steps_of_the_thermometer_are_not_taken_for_drift_of_a_quiet_s
     error = np.abs(curve_error(fit.coefficients / 3.0))
     assert np.max(error) < 0.2
     assert np.mean([error[c] <= 1.96 / 3.0 * u_of_curve(fit, c) for c in (0, 1)]) > 0.85
+
+
+def test_what_the_filter_of_a_log_makes_of_the_turns_is_in_the_uncertainty_of_a_temperature():
+    seconds = np.arange(0.0, 7200.0, 2.0)
+    fit = fit_ramp(late_thermometer(seconds, 0.0, 0.0), reference=REFERENCE)
+    in_log = ThermalLag(fit.lag)(seconds, delayed(seconds, 1.0, 120.0))
+    assert fit.u_element == pytest.approx(np.sqrt(np.mean((in_log - chamber(seconds, 1.0)) ** 2)), rel=0.05)
 
 
 def test_a_record_that_starts_on_the_way_has_the_lag_of_the_whole():
