@@ -22,6 +22,7 @@ _MOST_SLIP = 0.5
 _FEWEST_ROWS = 16
 _PIECE = 1 << 14
 """Rows whose columns are in memory together, and in the processor's cache."""
+_PADDING = 2
 _CLEAREST = 30.0
 """How far the spin's line must stand above the median of the spectrum, in power."""
 
@@ -124,24 +125,18 @@ def _strongest(centred: Array, readings: Array) -> float:
     rows = len(centred)
     line = np.stack([np.ones(rows), centred])
     level = np.linalg.solve(line @ line.T, line @ readings)
-    window = np.hanning(rows)
-    power = np.zeros(rows // 2 + 1)
+    window, count = np.hanning(rows), _PADDING * rows
+    power = np.zeros(count // 2 + 1)
     for channel, (offset, drift) in zip(readings.T, level.T, strict=True):
-        power += np.abs(np.fft.rfft((channel - offset - drift * centred) * window)) ** 2
-    first = round(FEWEST_TURNS / 2)
+        power += np.abs(np.fft.rfft((channel - offset - drift * centred) * window, count)) ** 2
+    first = round(_PADDING * FEWEST_TURNS / 2)
     peak = first + int(np.argmax(power[first:]))
-    side = 1 if peak + 1 < len(power) and power[peak + 1] > power[peak - 1] else -1
-    # Of a sine wave under this window the ratio of neighbouring lines shows how far it lies between them, and how high
-    # it stands there.
-    ratio = float(np.sqrt(power[peak + side] / power[peak])) if power[peak] > 0.0 else 0.0
-    beside = max(2.0 * ratio - 1.0, 0.0) / (1.0 + ratio)
-    height = power[peak] * ((1.0 - beside**2) / np.sinc(beside)) ** 2
-    if not height > _CLEAREST * float(np.median(power)):
+    if not power[peak] > _CLEAREST * float(np.median(power)):
         raise EstimateError(
             "no spectral line is above the noise: the stage is not turning, or its axis is not inclined"
         )
     # The record has n - 1 steps between its n rows.
-    return (peak + side * beside) * (rows - 1) / rows
+    return peak / _PADDING * (rows - 1) / rows
 
 
 def _refined(centred: Array, readings: Array, turns: float) -> tuple[float, Array]:

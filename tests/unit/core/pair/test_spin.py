@@ -54,6 +54,12 @@ class TestSpin:
         assert sine == pytest.approx(3.383 * np.hypot(1, 0.022), abs=1e-9)
         assert cosine == pytest.approx(0.0, abs=1e-9)
 
+    @pytest.mark.parametrize("turns", [20.0, 20.25, 20.5, 20.75])
+    def test_the_stronger_of_two_lines_is_the_spin_wherever_it_lies(self, turns: float) -> None:
+        time = np.arange(4000) / 50.0
+        spin, other = (np.sin(2 * np.pi * number * time[:, None] / 80.0 + disk.PHASES) for number in (turns, 51.0))
+        assert estimate_spin(time, spin + 0.9 * other).frequency * 80.0 == pytest.approx(turns, abs=0.01)
+
     def test_it_is_the_least_squares_fit_of_all_channels(self) -> None:
         """Against scipy's, of frequency, amplitudes, offsets and drifts; readings far from zero lose no digits."""
         taken = disk.record(seconds=40, wander=0.0, noise=1e-3, start=100.0)
