@@ -39,6 +39,8 @@ def joint_least_squares(
 
     Parameters
     ----------
+    whiteners : sequence of ndarray, shape (means, means)
+        Of each channel; of shape (means,) where they are diagonal.
     designs : sequence of ndarray, shape (means, p + 1)
         Of each channel; the last column is that of the unknown that they share.
     values : ndarray, shape (means, channels)
@@ -55,7 +57,9 @@ def joint_least_squares(
     normal, right, square = np.zeros((size, size)), np.zeros(size), 0.0
     for c, (whiten, design) in enumerate(zip(whiteners, designs, strict=True)):
         places = [*range(c * p, (c + 1) * p), size - 1]
-        x, y = whiten @ design, whiten @ values[:, c]
+        table = np.column_stack([design, values[:, c]])
+        table = whiten @ table if whiten.ndim == 2 else whiten[:, None] * table
+        x, y = table[:, :-1], table[:, -1]
         normal[np.ix_(places, places)] += x.T @ x
         right[places] += x.T @ y
         square += float(y @ y)

@@ -136,7 +136,7 @@ class LagPairFit:
 def likeliest_pair(means: FittedMeans, lag: float, polynomials: Array) -> LagPairFit:
     """Return the likeliest pair under white noise, near one lag and its polynomials of shape (channels, order + 1)."""
     left = means.readings - means.powers(lag, polynomials.shape[1] - 1) @ polynomials.T
-    whiteners = [np.eye(len(left)) / np.std(column) for column in left.T]
+    whiteners = [np.full(len(left), 1.0 / np.std(column)) for column in left.T]
     return max(_close_pairs(means, lag, polynomials, whiteners)[0], key=attrgetter("evidence"))
 
 
