@@ -156,7 +156,8 @@ class Scl3300:
         """
         self._ready = False
         reading = self.read()
-        _, low, high, _ = self._asked((BANK_1, SERIAL1, SERIAL2, BANK_0))
+        # The last answer is fetched with the first request again, so the part ends in bank 0: no other has a reset.
+        _, _, low, high = self._asked((BANK_0, BANK_1, SERIAL1, SERIAL2))
         said = {
             "part": self._part.name,
             "serial": f"{(high.data << 16 | low.data)}B33",
@@ -210,7 +211,7 @@ class Scl3300:
         standing = 0xFFFF
         mode = MODES[self._range.mode - 1]
         requests = (mode, STATUS, STATUS, STATUS, WHOAMI)
-        for _ in range(ATTEMPTS):
+        for attempt in range(ATTEMPTS):
             self._exchange(RESET)
             self._clock.sleep(RESET_SECONDS)
             # What answers the reset is not defined.
@@ -223,7 +224,10 @@ class Scl3300:
             if not all(self._answers(request, answer) for request, answer in zip(requests, answers, strict=True)):
                 continue
             if whoami.status == NORMAL and whoami.data != self._part.identity:
-                raise DeviceFault(self._other_part(whoami.data))
+                if attempt:
+                    raise DeviceFault(self._other_part(whoami.data))
+                self._exchange(BANK_0)  # another program may have left it in bank 1, where nothing resets it
+                continue
             # Reading STATUS clears what the start has set: the second answer has to be free of errors.
             if echo.data == self._range.mode - 1 and second.status == third.status == whoami.status == NORMAL:
                 return

@@ -114,7 +114,7 @@ class Scl3300Twin:
         operation = request[0] >> 2 if request else 0
         if len(request) != 4 or crc8(request[:3]) != request[3]:
             self._answer = partial(_frame, operation, ERROR, 0)
-        elif request == RESET:
+        elif request == RESET and self._bank == 0:
             self._reset()
         elif request[0] & 0x80:
             self._write(request)

@@ -93,7 +93,7 @@ class Scl3300Part(HeldPart):
         operation, data = request >> 26, request >> 8 & 0xFFFF
         if sealed(request >> 8) != request.to_bytes(4, "big"):
             return sealed(operation << 18 | 0b11 << 16 | self.chance.randrange(65536))
-        if request == 0xB4002098:
+        if request == 0xB4002098 and self.bank == 0:
             self.restart()
             self.ready_ns = self.now_ns + 3_000_000
             return self.answer
@@ -101,7 +101,7 @@ class Scl3300Part(HeldPart):
             self.counts["forbidden"] += 1
             return self.undefined()
         return_status = 0b11 if self.error or self.broken else 0b01
-        if operation == 0b101101:
+        if operation == 0b101101 and self.bank == 0:
             self.mode = data
             self.error |= 2
             self.status |= 2

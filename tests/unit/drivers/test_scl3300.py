@@ -189,7 +189,15 @@ def test_probe_says_which_part_it_is() -> None:
     assert (said["part"], said["serial"]) == ("SCL3300-D01", "1021704154B33")
     assert said["range"] == "±1.2 g (mode 1), 6000 count/g, 40 Hz"
     sensor.read()
+    assert link.part.bank == 0, "in bank 1 it has no reset"
     link.close()
+
+
+def test_a_part_that_was_left_in_bank_1_is_set_up() -> None:
+    """DS-33, table 15: reset, mode and WHOAMI are in bank 0 alone, acceleration in both."""
+    sensor, link = bench(SCL)
+    link.part.bank = 1
+    assert sensor.read().values == expected(link, SCL)
 
 
 def test_the_wrong_sibling_is_named() -> None:
