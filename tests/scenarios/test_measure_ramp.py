@@ -7,8 +7,13 @@ from pathlib import Path
 import pytest
 from support.json_program import Event, ProgramSession, lead
 
+from tiltcal.bench.operators.operator import Live, OperatorAnswer
+from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.session import Session
+from tiltcal.bench.session_plan import plan_session, single
 from tiltcal.files.calibration import read_calibration
+from tiltcal.files.procedure import Position
+from tiltcal.files.procedure_file import find_procedure
 
 TWIN = """\
 tiltcal: 1
@@ -77,3 +82,32 @@ def test_a_replay_gives_the_same_file(led: tuple[Path, ProgramSession]) -> None:
     session = Session.of_journal(folder / "S-1.journal.jsonl")
     (text,) = session.replay().texts.values()
     assert text == (folder / "S-1.yaml").read_text()
+
+
+class Watching(SimOperator):
+    """A person at a terminal, who looks at a few live readings before each answer."""
+
+    def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
+        for _ in range(3):
+            live()
+        return super().position(position, number, live)
+
+
+def test_live_readings_are_taken_again_in_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("twin.yaml").write_text(TWIN)
+    Path("quick.yaml").write_text(PROCEDURE)
+    journal = Path("S-1.journal.jsonl")
+    plan = plan_session(
+        find_procedure("quick.yaml"),
+        single("sca100t-d02", "S-1", "sim:?twin=twin.yaml"),
+        [Path("S-1.yaml")],
+        journal,
+        operator="sim",
+    )
+    session = Session(plan, journal)
+    session.preflight()
+    measured = session.run(Watching())
+    measured.write()
+    assert journal.read_text().count('"live"') == 9
+    assert Session.of_journal(journal).replay().texts == measured.texts

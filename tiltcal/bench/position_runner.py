@@ -13,7 +13,7 @@ from datetime import timedelta
 from functools import partial
 
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
-from tiltcal.bench.operators.operator import PositionOperator
+from tiltcal.bench.operators.operator import OperatorAnswer, PositionOperator
 from tiltcal.bench.position_result import PositionResult, temperature_of
 from tiltcal.bench.sample_checks import far_off, require_agreement, require_few, require_not_stuck, require_off_rails
 from tiltcal.bench.sensor_set import ConnectedSensor, Sample, SensorSet
@@ -106,11 +106,7 @@ class PositionRunner:
     def _attempt(self, position: Position, accepted: Sequence[PositionResult]) -> PositionResult | str:
         """Ask for a position, measure it, have it judged; return it, or the answer ``redo`` or ``back``."""
         log, operator = self._log, self._operator
-        self._hold(position)
-        while log.plays_live_reading():
-            with suppress(HardwareError):
-                self._sensors.read(fresh=True)
-        answer = log.ask("position", operator.position, position, len(accepted) + 1, self._live)
+        answer = self._asked(position, len(accepted) + 1)
         if answer.word != "ready":
             return answer.word
         actual = answer.as_set(position)
@@ -130,6 +126,14 @@ class PositionRunner:
         log.position(result.record())
         log.report(operator.accepted, result)
         return result
+
+    def _asked(self, position: Position, number: int) -> OperatorAnswer:
+        """Ask for a position; the readings that the operator looks at meanwhile are taken again in a replay."""
+        self._hold(position)
+        while self._log.plays_live_reading():
+            with suppress(HardwareError):
+                self._sensors.read(fresh=True)
+        return self._log.ask("position", self._operator.position, position, number, self._live)
 
     def _refuse(self, position: Position, error: Exception) -> None:
         log, sensors = self._log, self._sensors

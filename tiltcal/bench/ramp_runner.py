@@ -67,8 +67,7 @@ class RampRunner(PositionRunner):
     def _attempt(self, position: Position, accepted: Sequence[PositionResult]) -> PositionResult | str:
         """Ask for a turning point, and sample until it is reached."""
         log, operator = self._log, self._operator
-        self._hold(position)
-        answer = log.ask("position", operator.position, position, len(accepted) + 1, self._live)
+        answer = self._asked(position, len(accepted) + 1)
         if answer.word != "ready":
             raise Unsettled(NO_WAY_BACK)
         # A temperature that is typed is that of one moment; the thermometer is read all the time.
