@@ -252,7 +252,7 @@ class TestFromCsvToParquet:
 
     def test_a_column_without_a_name(self) -> None:
         said = refused(apply("cal.yaml", "-", "-o", "out.parquet", stdin=b"x,,y\n1,2,3\n"), InputError)
-        assert said == "standard input:1: column 2 has no name: Parquet needs one; name it in the header"
+        assert said == "standard input:1: column 2 has no name, which Parquet and means need: name it in the header"
 
 
 class TestFromParquetToCsv:

@@ -176,7 +176,7 @@ def test_what_is_no_answer_is_refused_and_it_goes_on(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
         program = led(tmp_path, serial(path), hear=lambda said: "accept" if said.get("turn") == 1 else None)
     assert program.exit_code == 0, program.errors
-    assert [said["why"] for said in program.events("refused")] == ["answer 'accept' is none of stop, quit"]
+    assert [said["why"] for said in program.events("refused")] == ["answer 'accept' is not one of stop, quit"]
 
 
 @pytest.mark.parametrize("number", range(4))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from enum import Enum
+from shlex import quote
 from typing import Any, ParamSpec
 
 from tiltcal.bench.operators.operator import OperatorAnswer
@@ -194,7 +195,7 @@ class EventLog:
         if self._writer is None and self._journal is not None:
             path = self._journal.path
             raise JournalError(
-                f"the session was interrupted here; continue it with: tiltcal measure --resume {path}",
+                f"the session was interrupted here; continue it with: tiltcal measure --resume {quote(str(path))}",
                 file=path,
                 line=len(self._events) + 1,
             )

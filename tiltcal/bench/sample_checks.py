@@ -77,7 +77,7 @@ def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
 
 
 def require_agreement(result: PositionResult, accepted: Sequence[PositionResult], *, asked: float | None) -> None:
-    """Refuse a temperature that is none, or fits neither the one asked for nor those of the positions before.
+    """Refuse a thermometer that converts nothing, and a temperature that fits no other of its position.
 
     Raises
     ------

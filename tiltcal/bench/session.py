@@ -8,6 +8,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 from tiltcal.bench.device_setup import DeviceSetup
@@ -137,8 +138,8 @@ class Session:
         named = self._named
         if named is None and self._outside:
             named = self.outputs[0] if len(self.outputs) == 1 else self.outputs[0].parent
-        where = "" if named is None else f" -o {named}"
-        go_on = f"everything measured is kept; continue with: tiltcal {command} --resume {self.path}{where}"
+        where = "" if named is None else f" -o {quote(str(named))}"
+        go_on = f"everything measured is kept; continue with: tiltcal {command} --resume {quote(str(self.path))}{where}"
         try:
             yield
         except KeyboardInterrupt:

@@ -28,8 +28,8 @@ LONG = 10
 for, and a reading whose noise hides a slow drift over one window."""
 
 SOAKS = 3
-"""Windows over which a soaking sensor must not drift either. One window is judged again and again while it waits, so
-that chance lets a slow drift pass one of them some time."""
+"""Windows over which a soaking sensor must not drift either. A window is judged again and again while the
+sensor soaks, and by chance one of the judgements would let a slow drift pass."""
 
 JUDGEMENTS = 20
 """Judgements of the readings in one window."""
@@ -37,7 +37,7 @@ JUDGEMENTS = 20
 SIGMAS = 4.0
 """A drift below this many of its own standard uncertainties is noise."""
 
-COVERAGE = 2.0
+SHOWN_WITHIN = 2.0
 """Standard uncertainties within which a slow drift must be shown to be small."""
 
 STILL = 0.0005
@@ -215,7 +215,7 @@ def movement(
             values = [reading.values[place] for reading in readings]
             change, uncertainty = drift(times, values)
             limit = still * model.sensitivity
-            if not is_still(change, uncertainty, limit, sigmas=sigmas, shown=shown, coverage=COVERAGE):
+            if not is_still(change, uncertainty, limit, sigmas=sigmas, shown=shown, coverage=SHOWN_WITHIN):
                 return f"{channel} drifts by {change:+.4g} {model.unit} in {span:.3g} s"
             mean = sum(values) / len(values)
             scatter = (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5

@@ -111,7 +111,7 @@ class CalibrationLibrary:
         UsageError
             The folder has no calibration of this sensor.
         InputError
-            The time is none, a file is wrong, or two contradict each other.
+            The time is not one, a file is wrong, or two contradict each other.
         """
         from tiltcal.files.moments import moment
 

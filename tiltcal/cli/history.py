@@ -43,7 +43,7 @@ def read_history(folder: Path, interval: str = "365d") -> FleetHistory:
     Raises
     ------
     UsageError
-        It is no folder, it has no calibration, or the interval is none.
+        It is no folder, it has no calibration, or the interval is not one.
     """
     from datetime import UTC, datetime, timedelta
 

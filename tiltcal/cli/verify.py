@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, cast
 
 import click
@@ -94,7 +95,7 @@ def command(
         )
     session.preflight()
     with (
-        session.resumable(f"verify {calibration}", options.remark),
+        session.resumable(f"verify {quote(str(calibration))}", options.remark),
         open_operator(operator, turns=False, virtual=session.plan.virtual, say=options.remark, plain=plain) as leader,
     ):
         found = session.verify(cast("PositionOperator", leader), judged, limit)

@@ -106,8 +106,9 @@ class CoverageFactors:
 
         Notes
         -----
-        A part that its factor narrows, because errors come with the residuals that show their size, is narrowed by
-        itself.
+        The estimated part may have a factor below 1.96, where large errors also make the residuals large from which
+        their size is estimated. Then no degrees of freedom are sought: the interval is the root of the sum of
+        squares of both parts' intervals.
         """
         total = estimated + known
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.model import Array, Mounting
 from tiltcal.errors import EstimateError
 
@@ -19,7 +20,6 @@ UNKNOWN_ANGLE = pi / sqrt(3.0)
 UNKNOWN_FACTOR = 0.95 * sqrt(3.0)
 """Its coverage factor: 95 % of the whole circle."""
 
-NORMAL_FACTOR = 1.96
 
 _LOCK = 1e-8  # cosine of pitch below which roll and yaw turn about one line, within double precision
 _ORTHOGONAL = 1e-6

@@ -1,4 +1,4 @@
-"""The columns of an uncertainty in a log: their names, the shares of a mean, and their digits."""
+"""The columns of an uncertainty in a log: their names and their digits."""
 
 from __future__ import annotations
 
@@ -16,25 +16,6 @@ def uncertainty_columns(quantities: Sequence[str], *, averaged: bool = False) ->
     """Return the names of the columns that hold the uncertainties of some quantities; of means, with their shares."""
     leads = ("u_", "U95_", *(("u_random_", "u_common_") if averaged else ()))
     return tuple(f"{lead}{name}" for lead in leads for name in quantities)
-
-
-def with_shares(total: Array, common: Array) -> Array:
-    """Return what means add to the standard uncertainty: the share of independent readings, then the common one.
-
-    Parameters
-    ----------
-    total, common : ndarray, shape (2, k, n)
-        Standard and expanded uncertainty of k quantities: of the means, and without the noise of readings.
-
-    Returns
-    -------
-    ndarray, shape (4 k, n)
-        Rounded up: standard and expanded uncertainty, then both shares of the standard one.
-    """
-    random = np.sqrt(np.maximum(total[0] ** 2 - common[0] ** 2, 0.0))
-    found = np.concatenate([total[0], total[1], random, common[0]])
-    round_up(found)
-    return found
 
 
 def round_up(room: Array, unit: float = 1.0) -> None:

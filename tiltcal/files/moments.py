@@ -14,7 +14,7 @@ def moment(text: str, path: str | Path | None = None) -> datetime:
     Raises
     ------
     InputError
-        It is none.
+        It is not one.
     """
     try:
         found = datetime.fromisoformat(text)

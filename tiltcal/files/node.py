@@ -176,7 +176,7 @@ class Node:
         Raises
         ------
         InputError
-            NaN or an infinity: a record with a number that is none is a mistake where it was written.
+            NaN or an infinity: a record with one is a mistake of the code that wrote it.
         """
         if isinstance(self.content, dict):
             return {name: node.plain() for name, node in self.content.items()}

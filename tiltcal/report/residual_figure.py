@@ -6,15 +6,13 @@ from functools import partial
 from operator import mul
 from typing import TYPE_CHECKING
 
+from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.figure import CHANNELS, GREY, INK, RED, SvgFigure, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-COVERAGE = 1.96
-"""Half length of a bar, in standard uncertainties of the mean."""
 
 
 def residual_figure(calibration: CalibrationRecord) -> SvgFigure | None:
@@ -55,7 +53,7 @@ def _plot(figure: Figure, calibration: CalibrationRecord, positions: list[str]) 
 
 
 def _plot_channel(panel: Axes, calibration: CalibrationRecord, positions: list[str], channel: str) -> None:
-    residuals, half_widths = calibration.fit.residuals, _uncertainties(calibration, channel)
+    residuals, uncertainties = calibration.fit.residuals, _uncertainties(calibration, channel)
     colour, mark, _ = CHANNELS[channel]
     panel.axvline(0.0, color=INK, linewidth=0.6)
     for row, name in enumerate(positions):
@@ -65,7 +63,7 @@ def _plot_channel(panel: Axes, calibration: CalibrationRecord, positions: list[s
             panel.errorbar(
                 value,
                 row,
-                xerr=COVERAGE * half_widths.get(name, 0.0),
+                xerr=NORMAL_FACTOR * uncertainties.get(name, 0.0),
                 color=colour,
                 marker=mark,
                 markersize=3.2,

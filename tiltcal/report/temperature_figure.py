@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.model import Array, Thermal, polynomial
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.figure import CHANNELS, GREY, SvgFigure, picture
@@ -99,7 +100,7 @@ def _half_width(calibration: CalibrationRecord, names: list[str], powers: Array)
         for j, other in known:
             own[i, j] = matrix[row, other]
     factors = calibration.uncertainty.coverage_factor
-    factor = max((factors[name] for name in names if name in factors), default=1.96)
+    factor = max((factors[name] for name in names if name in factors), default=NORMAL_FACTOR)
     return np.asarray(factor * np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", powers, own, powers), 0.0)))
 
 

@@ -172,7 +172,22 @@ def test_a_rig_whose_answers_are_none_is_given_up_with_the_reason() -> None:
         measure("plane", operator=Mute(), output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("said", [None, 3, {}, {"answer": "yes"}, {"answer": "ready", "tilt": {"x": float("inf")}}])
+def test_a_rig_that_only_talks_nonsense_while_the_stage_turns_is_given_up() -> None:
+    class Babbling:
+        def rotation(self, ask: object) -> Mapping[str, Any]:
+            return {"answer": "ready"}
+
+        def poll(self) -> object:
+            return {"answer": "perhaps"}
+
+    with pytest.raises(Stopped, match="'perhaps' is not one of stop, quit"):
+        RigRotationOperator(Babbling()).poll()
+
+
+@pytest.mark.parametrize(
+    "said",
+    [None, 3, {}, {"answer": "yes"}, {"answer": "ready", "tilt": {"x": float("inf")}}, {"answer": "ready", "tilt": []}],
+)
 def test_an_answer_is_checked(said: object) -> None:
     with pytest.raises(InputError):
         understood(said)

@@ -16,7 +16,7 @@ class JsonLinesRig:
     Parameters
     ----------
     answers : text stream
-        What the program says; its end is taken as ``quit``.
+        What the program says; its end, while it is asked, ends the session.
     asks : text stream
         What the program gets.
     """
@@ -31,7 +31,7 @@ class JsonLinesRig:
         Raises
         ------
         InputError
-            The line is no JSON.
+            The line is not JSON.
         Stopped
             The program closed its stream, or is gone.
         """
@@ -69,7 +69,7 @@ def parsed(line: str) -> object:
     Raises
     ------
     InputError
-        It is none, or an object has a key twice.
+        It is not JSON, or an object has a key twice.
     """
     try:
         return json.loads(line, parse_constant=_no_constant, object_pairs_hook=_once)

@@ -13,6 +13,9 @@ from tiltcal.errors import Stopped
 
 ENTER = "\n"
 
+_ESCAPE = "\x1b"
+_REST = 0.05  # seconds within which the rest of an escape sequence arrives
+
 
 class Keys(Protocol):
     """A source of the operator's choices."""
@@ -94,10 +97,25 @@ class TerminalKeys:
         ready, _, _ = select.select([self._descriptor], [], [], timeout)
         if not ready:
             return None
-        key = os.read(self._descriptor, 1).decode(errors="replace")
+        key = self._byte()
         if key in ("", "\x04"):
             raise Stopped("the input has ended")
+        if key == _ESCAPE:
+            self._skip_sequence()
         return ENTER if key in "\r\n" else key.lower()
+
+    def _byte(self) -> str:
+        return os.read(self._descriptor, 1).decode(errors="replace")
+
+    def _skip_sequence(self) -> None:
+        """Read the rest of what an arrow or a function key sends, whose letters are no choices (ECMA-48, 5.4)."""
+        if not select.select([self._descriptor], [], [], _REST)[0]:
+            return
+        kind = self._byte()
+        if kind == "O":
+            self._byte()
+        while kind == "[" and (byte := self._byte()) and not "@" <= byte <= "~":
+            pass
 
     def pressed(self, choices: str) -> str | None:
         key = self.choice(0.0)

@@ -87,7 +87,7 @@ class _Rig:
             except InputError as error:
                 why = str(error)
                 self._tell("refused", position=about, why=why)
-        raise Stopped(f"{WRONG_ANSWERS} answers in a row could not be understood, the last because {why}")
+        raise _not_understood(why)
 
 
 class RigPositionOperator(_Rig):
@@ -168,8 +168,9 @@ class RigRotationOperator(_Rig):
                 said = look()
                 return None if said is None else _heeded(understood(said, WHILE_TURNING))
             except InputError as error:
-                self.refused(str(error))
-        return None
+                why = str(error)
+                self.refused(why)
+        raise _not_understood(why)
 
     def turn_completed(self, turn: StageTurn) -> None:
         remarks: dict[str, Any] = {"unknown": turn.unknown, "left_out": turn.left_out}
@@ -213,8 +214,8 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
         raise InputError(f"unknown key {strange[0]!r} in the answer; it may have {', '.join(sorted(KEYS))}")
     word = said.get("answer")
     if not isinstance(word, str) or word not in words:
-        raise InputError(f"answer {word!r} is none of {', '.join(words)}")
-    tilt = said.get("tilt") or {}
+        raise InputError(f"answer {word!r} is not one of {', '.join(words)}")
+    tilt = {} if said.get("tilt") is None else said["tilt"]
     if not isinstance(tilt, Mapping):
         raise InputError('tilt is an object of degrees such as {"y": 30.02}')
     gravity = said.get("gravity")
@@ -229,8 +230,12 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
     )
 
 
+def _not_understood(why: str) -> Stopped:
+    return Stopped(f"{WRONG_ANSWERS} answers in a row could not be understood, the last because {why}")
+
+
 def _heeded(answer: OperatorAnswer) -> OperatorAnswer:
-    """Return the answer; ``quit`` is none, it ends the session."""
+    """Return the answer, unless it is ``quit``, which ends the session."""
     if answer.word == "quit":
         raise Stopped("the operator program answered quit")
     return answer

@@ -218,7 +218,7 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
 
 
 def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
-    """Estimate the jig from the residuals, and solve the equations with it as if it was stated."""
+    """Estimate the jig from the residuals, and solve the equations with it as if it were stated."""
     known = replace(system, jig=0.0)
     z = minimum_from(known, _start(system.unweighted()))
     near = with_attitudes(known, z)

@@ -81,7 +81,7 @@ class Octaves:
             depth += 1
 
     def result(self) -> AllanVariance:
-        """Return the deviations so far, for averages that fit :data:`FEWEST_STRETCHES` times into the samples."""
+        """Return the variances so far, for averages that fit :data:`FEWEST_STRETCHES` times into the samples."""
         found = {
             width << level.depth: level.variance(place)
             for level in self._levels

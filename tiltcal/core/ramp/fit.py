@@ -396,7 +396,7 @@ def _require_lag_resolved(legs: list[Leg], lag: float, u: float) -> None:
         slower = widest / (2.0 * LEG_LAGS * abs(lag)) * 60.0
         raise EstimateError(
             f"at {pace:.2g} °C/min a leg lasts {shortest:.0f} s, and the lag is about {abs(lag):.0f} s: so short a leg "
-            f"cannot tell it from drift; change the temperature by {slower:.2g} °C/min or slower"
+            f"cannot tell it from drift; change the temperature at {slower:.2g} °C/min or slower"
         )
     if not 2.0 * u * pace / 60.0 < LAG_RESOLUTION * widest:
         raise EstimateError(

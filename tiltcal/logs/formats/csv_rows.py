@@ -419,7 +419,7 @@ def _records(text: str) -> Iterator[tuple[int, str, list[str] | None, str]]:
 def _parse_cells(
     cells: Mapping[int, pl.Series], names: Sequence[str], faults: dict[int, str], time: int | None
 ) -> dict[int, Array]:
-    """Numbers from text; adds what is none to ``faults``."""
+    """Return numbers from text; add cells that are no numbers to ``faults``."""
     values: dict[int, Array] = {}
     for index, column in cells.items():
         if index == time:
@@ -436,11 +436,21 @@ def _parse_cells(
 def _with_bad_rows(words: Mapping[int, pl.Series], lines: pl.Series, faults: Mapping[int, str]) -> dict[int, pl.Series]:
     """Return the text columns with the cells of bad rows as these were refitted."""
     rows = sorted(faults)
-    cells = [next(csv.reader([line])) if '"' in line else line.split(",") for line in lines.gather(rows)]
+    cells = [_refitted_cells(line) for line in lines.gather(rows)]
     return {
         index: column.scatter(rows, [row[index] if index < len(row) and row[index] else None for row in cells])
         for index, column in words.items()
     }
+
+
+def _refitted_cells(line: str) -> list[str]:
+    """Return the cells of a bad row that was refitted."""
+    if '"' not in line:
+        return line.split(",")
+    try:
+        return next(csv.reader([line]))
+    except csv.Error:  # it is longer than a field that `csv` reads, and the whole row is one
+        return [line.rstrip(",")[1:-1].replace('""', '"')]
 
 
 def _refitted(row: Sequence[str], line: str, fields: int) -> str:

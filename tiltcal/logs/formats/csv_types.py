@@ -1,4 +1,4 @@
-"""A CSV log on its way to a format whose columns have types.
+"""A CSV log on its way to a format whose columns have types, or to means.
 
 Text has none, so the first block of rows decides: a column whose cells are all numbers there, or missing, is one of
 numbers. Numbers that would not come back as they were written, such as a serial number ``0042`` or more digits than a
@@ -54,7 +54,7 @@ class ColumnTypes:
     def __init__(self, names: Sequence[str], needed: Sequence[int], time: int | None, *, file: str) -> None:
         if "" in names:
             raise InputError(
-                f"column {names.index('') + 1} has no name: Parquet needs one; name it in the header",
+                f"column {names.index('') + 1} has no name, which Parquet and means need: name it in the header",
                 file=file,
                 line=1,
             )
@@ -101,7 +101,7 @@ class ColumnTypes:
                 found = int(np.flatnonzero(wrong)[0])
                 raise InputError(
                     f"row {self._row + found}: column {self._names[index]!r} holds {block.texts[index][found]!r}, and "
-                    "numbers above it: a Parquet column has one type; write CSV, or mend the column",
+                    "numbers above it: Parquet and means need one type in a column; mend it, or write CSV without them",
                     file=self._file,
                 )
         return pl.Series(values).fill_nan(None)

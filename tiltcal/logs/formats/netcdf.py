@@ -211,7 +211,7 @@ class NetcdfWriter(LogWriter):
 
         log = self._log
         if not isinstance(log, NetcdfReader):
-            raise UsageError(f"only a NetCDF log becomes NetCDF, and {log.name} is none")
+            raise UsageError(f"only a NetCDF log becomes NetCDF, and {log.name} is another kind")
         rows = iter(blocks)
         first = next(rows)
         if first[0].counts is not None:

@@ -267,7 +267,7 @@ def test_ways_that_share_too_little_are_refused():
 
 def test_too_fast_a_pace_is_refused_with_the_pace_to_take():
     """Legs of 240 s against a lag of 120 s; eight lags are 40 °C at 2.5 °C/min."""
-    with pytest.raises(EstimateError, match=r"a leg lasts 239 s.*change the temperature by 2\.5 °C/min or slower"):
+    with pytest.raises(EstimateError, match=r"a leg lasts 239 s.*change the temperature at 2\.5 °C/min or slower"):
         fit_ramp(made(10.0, lag=120.0, noise=0.1), reference=REFERENCE)
 
 

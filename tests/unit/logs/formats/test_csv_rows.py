@@ -312,3 +312,12 @@ def test_a_bad_row_with_a_carriage_return_in_a_field_is_kept() -> None:
     assert block.frame is not None
     assert block.frame["name"].to_list() == ["a\rb", "c"]
     assert block.frame["y"].to_list() == [None, 5.0]
+
+
+def test_a_bad_row_longer_than_a_field_may_be_is_kept() -> None:
+    """Python's csv reads fields of up to 131,072 characters."""
+    damaged = b'"' + b"q" * 200_000 + b'"x,1'
+    (block,) = log(b"name,x,y\n" + damaged + b"\nc,4,5\n", skip=True).rows([1], frames=True)
+    assert block.frame is not None
+    assert block.frame["name"].to_list() == [damaged.decode(), "c"]
+    assert block.frame["y"].to_list() == [None, 5.0]
