@@ -145,23 +145,34 @@ def turns_until(distance: np.ndarray, goal: float) -> int:
     return int(above[-1]) + 2 if len(above) else 1
 
 
-@pytest.mark.parametrize("gains", [None, LoopGains(0.02, 0.06, 0.0)], ids=["quick loops", "quiet loops"])
-def test_the_recursive_estimator_needs_at_most_half_the_turns(twin: disk.Record, gains: LoopGains | None) -> None:
-    online, _ = pushed(twin, gains)
-    loops, recursive = (distances(online, kind) for kind in ("loops", "recursive"))
-    floor = float(np.max(loops[-30:]))
-    assert turns_until(recursive, floor) <= turns_until(loops, floor) / 2
+@pytest.fixture(scope="module")
+def quick(twin: disk.Record) -> Online:
+    """Both estimators after all turns of the twin."""
+    return pushed(twin)[0]
 
 
-def test_at_the_papers_noise_both_reach_their_figures(twin: disk.Record) -> None:
+@pytest.fixture(scope="module")
+def quiet(twin: disk.Record) -> Online:
+    """The same with loops of small gains."""
+    return pushed(twin, LoopGains(0.02, 0.06, 0.0))[0]
+
+
+@pytest.mark.parametrize("loops", ["quick", "quiet"])
+def test_the_recursive_estimator_needs_at_most_half_the_turns(loops: str, request: pytest.FixtureRequest) -> None:
+    online: Online = request.getfixturevalue(loops)
+    trimmed, recursive = (distances(online, kind) for kind in ("loops", "recursive"))
+    floor = float(np.max(trimmed[-30:]))
+    assert turns_until(recursive, floor) <= turns_until(trimmed, floor) / 2
+
+
+def test_at_the_papers_noise_both_reach_their_figures(twin: disk.Record, quiet: Online) -> None:
     assert len(CHANNELS) == 4
-    online, _ = pushed(twin, LoopGains(0.02, 0.06, 0.0))
     a1, a2, _, _ = twin.readings.T
-    after_p = np.hypot(*disk.judged(twin, a1 + a2 / (1 - online.loops.p)))
+    after_p = np.hypot(*disk.judged(twin, a1 + a2 / (1 - quiet.loops.p)))
     assert np.hypot(*disk.judged(twin, a1)) / after_p > 1e3
     noise_floor = 1.5e-7 * np.sqrt(2 / 1600.0) / 1.5e-3 * np.sqrt(2)  # amplitude of the sum's noise over the record
     for kind in ("loops", "recursive"):
-        found = getattr(online, kind)
+        found = getattr(quiet, kind)
         assert disk.suppression(twin, found.p, found.q) > min(1e5, 0.3 / noise_floor)
 
 
