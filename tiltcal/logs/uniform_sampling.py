@@ -21,6 +21,12 @@ _MILLISECOND = 1e-3
 _PIECE = 1 << 16
 """Rows that a gap is filled with at a time."""
 
+_LONGEST_GAP = 10_000_000
+"""Rows that may be missing in any gap."""
+
+_GAP_SHARE = 100
+"""Times the rows before a gap that may be missing in it, where these are more."""
+
 
 @dataclass
 class SamplingInterval:
@@ -106,7 +112,7 @@ class UniformLog:
         Raises
         ------
         InputError
-            A row cannot be parsed, or time stands still or goes back.
+            A row cannot be parsed, or time stands still, goes back or leaps, as where a clock is set.
         """
         columns = {self._where[channel] for channel in self._channels}
         if self._time is not None:
@@ -155,6 +161,12 @@ class UniformLog:
         for row, step in zip(known[late].tolist(), steps[late].tolist(), strict=True):
             yield readings[done:row]
             lost = max(1, round(step / self.pace.interval) - 1)
+            place = self.pace.rows + row
+            if lost > max(_LONGEST_GAP, _GAP_SHARE * place):
+                raise InputError(
+                    f"the time leaps by {step:.6g} s at row {place}: cut the log there, or state --rate HZ",
+                    file=self._file,
+                )
             self.pace.gaps += 1
             self.pace.lost += lost
             for start in range(0, lost, _PIECE):

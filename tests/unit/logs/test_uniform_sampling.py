@@ -87,6 +87,14 @@ def test_what_tells_no_pace(times: list[str], said: str) -> None:
         paced(log_of(times))
 
 
+@pytest.mark.parametrize("block", [1 << 20, 64])
+def test_a_clock_that_is_set_while_it_records_is_no_gap(block: int) -> None:
+    times = [f"{start + k * 0.01:.2f}" for start in (0, 1_767_000_000) for k in range(1000)]
+    with pytest.raises(InputError, match=r"leaps by 1\.767e\+09 s at row 1000: cut the log there, or state --rate HZ"):
+        paced(log_of(times), block=block)
+    assert len(paced(log_of(times), rate=100.0)[1]) == 2000
+
+
 def test_no_column_of_time() -> None:
     with pytest.raises(InputError, match=r"log.csv:1: .*--columns time=NAME, or state --rate HZ"):
         paced("x\n1\n2\n")
