@@ -215,11 +215,12 @@ class LibraryKernel:
         return table if lost is None else mark_columns(table, lost, SUSPECT, NO_TEMPERATURE)
 
     def _compensated(self, values: RoleValues, time: Array, steps: NDArray[np.int64]) -> Table:
-        if np.count_nonzero(np.diff(steps)) > _MOST_PIECES:  # the rows are in no order
+        changes = np.diff(steps)
+        if np.count_nonzero(changes) > _MOST_PIECES and (changes < 0).any():  # the rows are in no order
             order = np.argsort(steps, kind="stable")
             table = self._compensated(_taken(values, order), time[order], steps[order])
             return {name: column[np.argsort(order)] for name, column in table.items()}
-        ends = [0, *(np.flatnonzero(np.diff(steps)) + 1).tolist(), len(steps)]
+        ends = [0, *(np.flatnonzero(changes) + 1).tolist(), len(steps)]
         parts = []
         for begin, end in pairwise(ends):
             rows, step = slice(begin, end), int(steps[begin])

@@ -100,6 +100,20 @@ def test_a_row_has_the_same_result_wherever_its_block_begins(tmp_path: Path) -> 
         assert {name: column[0] for name, column in alone.items()} == {name: whole[name][row] for name in whole}
 
 
+def test_a_season_of_hours_with_many_calibrations_takes_each_in_its_time(tmp_path: Path) -> None:
+    """18 calibrations, 30 days apart, have 1088 steps of 12 rows; the uncertainty is that of a step's middle."""
+    records = [calibrated(30.0 * k, (1000.0 + k * k, 990.0 - k)) for k in range(18)]
+    library = tiltcal.open_calibrations(kept(tmp_path, *records))
+    days = (np.arange(13_056) + 0.5) * 510.0 / 13_056
+    frame = {"time": seconds(days), "x": np.full(13_056, 1400.0), "y": np.full(13_056, 900.0)}
+    found = library.apply(frame, uncertainty=True, stability=0.5)
+    for row in (6, 5010, 13_050):
+        at = library.at("S-1", START + timedelta(days=days[row]), stability=0.5)
+        alone = at.apply({"x": np.array([1400.0]), "y": np.array([900.0])}, uncertainty=True)
+        assert found["tilt_x"][row] == pytest.approx(alone["tilt_x"][0], abs=1e-9)
+        assert found["u_tilt_x"][row] == pytest.approx(alone["u_tilt_x"][0], rel=0.005)
+
+
 def test_the_uncertainty_is_that_of_both_calibrations_and_of_a_stated_walk(tmp_path: Path) -> None:
     """At the middle of 100 days: half of each variance, and 0.5² mg² times 25; 20 days outside 0.5² mg² times 20."""
     library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
