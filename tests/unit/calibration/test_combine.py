@@ -14,6 +14,8 @@ import tiltcal
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.combine import combine
+from tiltcal.calibration.combined_session import CombinedSession
+from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
 from tiltcal.core.combination import Statement, combine_statements
 from tiltcal.core.model import Coefficients, Thermal, vector_of
@@ -21,6 +23,7 @@ from tiltcal.core.named_coefficients import values
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.position_record import CompletingRun
 from tiltcal.files.procedure import Determines, Procedure
 from tiltcal.files.procedure_file import find_procedure
 
@@ -196,6 +199,19 @@ def test_what_is_not_stated_is_asked_for() -> None:
         )
     with pytest.raises(UsageError, match="name two calibrations or more, or a --mounting"):
         combine([SCALE])
+
+
+@pytest.mark.parametrize(("warmth", "holds"), [(5.0, (5.0, 0.0)), (None, None)])
+def test_a_renewed_offset_holds_where_the_level_lay(warmth: float | None, holds: tuple[float, float] | None) -> None:
+    """And not at the mean over the session before, nor over that of a mounting."""
+    scale = calibrated(ZERO_45, measured(ZERO_45, 1, at=20.0)).record
+    mounted = [replace(scale.positions[0], position="mounted", temperature=30.0)]
+    run = replace(scale.procedure, mounting=CompletingRun(positions=("mounted",)))
+    scale = replace(scale, procedure=run, positions=(*scale.positions, *mounted))
+    assert CombinedSession.of(Calibration(scale)).temperature == (20.0, 0.0)
+    at_level = [replace(measured(ZERO_45, 2, at=5.0)[0], position="again", temperature=warmth)]
+    renewed = level(scale, at_level, find_procedure("level"), BenchUncertainty(JIG))
+    assert CombinedSession.of(Calibration(renewed)).temperature == holds
 
 
 def test_an_offset_without_a_temperature_is_left_out() -> None:
