@@ -56,13 +56,11 @@ def mount(
         One direction of gravity alone, or a sensor without x and y.
     """
     known = np.array([measurement.gravity for measurement in measurements])
-    sigma = None if jig is None else _sigma(base.coefficients, measurements, jig)
-    found, side = _best(base.coefficients, measurements, known, sigma)
+    found, side, sigma = _best(base.coefficients, measurements, known, jig)
     if sigma is not None and _noise_unknown(measurements, base) and found.chi_square > found.dof:
         # Nothing is stated of the noise, and the residuals show more than the jig.
-        sigma = None
-        found, side = _best(base.coefficients, measurements, known, sigma)
-    joint = _joined(base, found, lambda c: mounting_rotation(_directions(c, measurements) * side, known, sigma))
+        found, side, sigma = _best(base.coefficients, measurements, known, None)
+    joint = _joined(base, found, lambda c: mounting_rotation(_directions(c, measurements, side), known, sigma))
     mounting, u = _rounded(found, joint)
     locked = found.gimbal_lock or u.get("roll") == significant(degrees(UNKNOWN_ANGLE), 4)
     return replace(
@@ -80,22 +78,26 @@ def mount(
 
 
 def _best(
-    coefficients: Coefficients, measurements: Sequence[Measurement], known: Array, sigma: Array | None
-) -> tuple[MountingEstimate, Array]:
-    """Return the mounting and the side of z: a sensor of two axes may hang upside down; the better one is taken."""
-    read = _directions(coefficients, measurements)
-    sides = [np.ones(3)] if len(coefficients.channels) == 3 else [np.ones(3), np.array([1.0, 1.0, -1.0])]
-    found = [(solve_mounting(read * side, known, sigma), side) for side in sides]
-    return min(found, key=lambda candidate: float(np.sum(candidate[0].residuals ** 2)))
+    coefficients: Coefficients, measurements: Sequence[Measurement], known: Array, jig: float | None
+) -> tuple[MountingEstimate, float, Array | None]:
+    """Return the mounting with the side of z and the uncertainty of each direction that it was found with, radians.
+
+    A sensor of two axes may hang upside down (side -1): the side whose residuals are smaller is taken.
+    """
+    candidates = []
+    for side in (1.0,) if len(coefficients.channels) == 3 else (1.0, -1.0):
+        sigma = None if jig is None else _sigma(coefficients, measurements, side, jig)
+        candidates.append((solve_mounting(_directions(coefficients, measurements, side), known, sigma), side, sigma))
+    return min(candidates, key=lambda candidate: float(np.sum(candidate[0].residuals ** 2)))
 
 
-def _sigma(coefficients: Coefficients, measurements: Sequence[Measurement], jig: float) -> Array:
+def _sigma(coefficients: Coefficients, measurements: Sequence[Measurement], side: float, jig: float) -> Array:
     """Return the standard uncertainty of each direction, from the jig and the noise of its reading, radians."""
-    start, square = _unit(_directions(coefficients, measurements)), np.zeros(len(measurements))
+    start, square = _unit(_directions(coefficients, measurements, side)), np.zeros(len(measurements))
     noise = np.array([observation.u for observation in observations_of(measurements, coefficients.channels)])
     for k in range(len(coefficients.channels)):
         shift = noise * (np.arange(noise.shape[1]) == k)
-        moved = _unit(_directions(coefficients, measurements, shift))
+        moved = _unit(_directions(coefficients, measurements, side, shift))
         square += np.sum((moved - start) ** 2, axis=1) / 2.0  # a direction has two angles
     return np.asarray(np.maximum(np.hypot(radians(jig), np.sqrt(square)), 1e-6))
 
@@ -155,18 +157,25 @@ def _uncertainty(
     )
 
 
-def _directions(coefficients: Coefficients, measurements: Sequence[Measurement], shift: Array | float = 0.0) -> Array:
-    """Return up in the sensor's frame in every position, as its calibration reads it, of readings that are shifted."""
+def _directions(
+    coefficients: Coefficients, measurements: Sequence[Measurement], side: float, shift: Array | float = 0.0
+) -> Array:
+    """Return up in the sensor's frame in every position, as its calibration reads it, of readings that are shifted.
+
+    The kernel takes the z that two channels do not see for up. Upside down (``side`` -1) that is -z: the z column is
+    negated, so that the right coupling is taken out of x and y, and z is turned back.
+    """
     if not {"x", "y"} <= set(coefficients.channels):
         raise EstimateError("the mounting is found from the x and y channels at least, and this sensor lacks one")
-    compensation = Compensation(replace(coefficients, mounting=None))
+    seen = coefficients.sensitivity * [side if axis == "z" else 1.0 for axis in coefficients.axes]
+    compensation = Compensation(replace(coefficients, sensitivity=seen, mounting=None))
     readings = np.array([[m.summaries[c].mean for c in coefficients.channels] for m in measurements])
     temperatures = np.array([np.nan if m.temperature is None else m.temperature for m in measurements])
     gravity = compensation(readings + shift, temperatures).gravity
-    if gravity.shape[1] == 3:
-        return gravity
-    rest = np.sqrt(np.maximum(1.0 - np.sum(gravity**2, axis=1), 0.0))
-    return np.column_stack([gravity, rest])
+    if gravity.shape[1] == 2:
+        rest = np.sqrt(np.maximum(1.0 - np.sum(gravity**2, axis=1), 0.0))
+        gravity = np.column_stack([gravity, rest])
+    return gravity * (1.0, 1.0, side)
 
 
 def _rounded(found: MountingEstimate, joint: UncertaintyInputs) -> tuple[Mounting, dict[str, float]]:

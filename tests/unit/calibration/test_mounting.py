@@ -1,0 +1,44 @@
+"""The mounting of a calibrated sensor, against readings that are worked out by hand."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import pytest
+
+from tiltcal.calibration.measurement import Measurement
+from tiltcal.calibration.mounting import mount
+from tiltcal.core.model import Coefficients
+from tiltcal.core.mounting_angles import mounting_matrix
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+
+LEVEL_X_Y = ((0.0, 0.0, 1.0), (0.5, 0.0, sqrt(0.75)), (0.0, 0.5, sqrt(0.75)))
+"""Gravity in the application's frame: level, x up to 30°, y up to 30°."""
+
+
+def base_of(sensitivity: list[list[float]], axes: tuple[str, ...]) -> CalibrationRecord:
+    known = Coefficients(("x", "y"), axes, np.zeros(2), np.array(sensitivity))
+    return CalibrationRecord(SensorIdentity("bench-built", "S-1", "count", ("x", "y")), known)
+
+
+def positions(readings: list[tuple[float, float]]) -> list[Measurement]:
+    """Return the positions of ``LEVEL_X_Y`` with the readings of x and y."""
+    return [
+        Measurement(
+            f"p{k}", gravity, None, None, {c: SampleSummary(u, 0.0, 1, 0.0) for c, u in zip("xy", row, strict=True)}
+        )
+        for k, (gravity, row) in enumerate(zip(LEVEL_X_Y, readings, strict=True))
+    ]
+
+
+@pytest.mark.parametrize("jig", [None, 0.1])
+def test_the_z_column_counts_upside_down(jig: float | None) -> None:
+    """Roll 180°: the sensor sees (x, -y, -z), and x reads 800 x - 8 z; taken for upright, x is wrong by 2 × 8/800."""
+    base = base_of([[800.0, 0.0, 8.0], [0.0, 800.0, 0.0]], ("x", "y", "z"))
+    read = [(800.0 * x - 8.0 * z, -800.0 * y) for x, y, z in LEVEL_X_Y]
+    found = mount(base, positions(read), jig=jig)
+    assert found.coefficients.mounting is not None
+    np.testing.assert_allclose(mounting_matrix(found.coefficients.mounting), np.diag([1.0, -1.0, -1.0]), atol=1e-5)
+    assert max(found.fit.mounting.residuals_degrees.values()) < 1e-3
