@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import cos, degrees, inf, radians
+from math import cos, degrees, radians
 
 import numpy as np
 
@@ -22,7 +22,8 @@ from tiltcal.core.derivatives import central_differences
 from tiltcal.core.instrumental_drift import RandomWalk
 from tiltcal.core.model import Array, Coefficients, Limits, Mounting, overlap, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
-from tiltcal.core.named_coefficients import degrees_of_freedom, referred, values
+from tiltcal.core.named_coefficients import referred, values
+from tiltcal.core.uncertainty_budget import Budget, Part
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, require_same_sensor
@@ -138,12 +139,11 @@ class _Part:
         coefficients = record.coefficients
         moved = coefficients if reference is None else referred(coefficients, reference)
         stated = uncertainty_inputs(record.uncertainty, coefficients)
-        names, covariance = stated.names, stated.covariance
-        dof = {name: degrees_of_freedom(factor) for name, factor in zip(names, stated.factors, strict=True)}
+        names, by = stated.names, np.eye(len(stated.names))
         if reference is not None and moved is not coefficients:
-            names, jacobian = _referring(coefficients, stated, reference)
-            covariance = jacobian @ covariance @ jacobian.T
-        return cls(moved, names, covariance * weight**2, np.array([dof.get(name, inf) for name in names]))
+            names, by = _referring(coefficients, stated, reference)
+        known = Budget.of([Part("", by, stated.covariance, stated.factors)])
+        return cls(moved, names, known.covariance * weight**2, known.dof)
 
 
 def _referring(

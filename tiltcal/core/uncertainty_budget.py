@@ -40,17 +40,19 @@ class Part:
     @property
     def dof(self) -> Array:
         """Degrees of freedom of its part of each quantity's variance, shape (k,), from its 95 % intervals."""
-        from scipy.special import stdtridf
-
-        normal = coverage_factor(np.array([np.inf]))[0]
-        wider = np.maximum(self.factors / normal, 1.0)
+        wider = np.maximum(self.factors / NORMAL_FACTOR, 1.0)
         own, wide = (
             np.einsum("ik,kl,il->i", self.by, matrix, self.by)
             for matrix in (self.covariance, self.covariance * np.outer(wider, wider))
         )
         ratio = np.sqrt(wide / np.where(own > 0.0, own, 1.0))
         told = (own > 0.0) & (ratio > 1.0 + NEGLIGIBLE)
-        return np.where(told, stdtridf(0.5 + COVERAGE / 2.0, np.where(told, normal * ratio, 3.0)), np.inf)
+        dof = np.full(len(own), np.inf)
+        if told.any():
+            from scipy.special import stdtridf
+
+            dof[told] = stdtridf(0.5 + COVERAGE / 2.0, NORMAL_FACTOR * ratio[told])
+        return dof
 
 
 @frozen
