@@ -5,6 +5,7 @@ Source: NetCDF Climate and Forecast conventions 1.11, sections 3.1 (units), 3.5 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -51,8 +52,28 @@ _JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
 _STANDARD, _EXPANDED = "u_", "U95_"
 _SHARES = {"u_random_": "random", "u_common_": "systematic"}
 COUNT = "count"
-_SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0, "days": 86400.0}
-"""Of the units in which a time is counted since some moment; anything else counts as seconds."""
+_SECONDS = {
+    name: seconds
+    for seconds, names in {
+        1e-9: "ns nsec nsecs nanosec nanosecs nanosecond nanoseconds",
+        1e-6: "us µs μs usec usecs microsec microsecs microsecond microseconds",
+        1e-3: "ms msec msecs millisec millisecs millisecond milliseconds",
+        1.0: "s sec secs second seconds",
+        60.0: "min mins minute minutes",
+        3600.0: "h hr hrs hour hours",
+        86400.0: "d day days",
+        604800.0: "week weeks",
+    }.items()
+    for name in names.split()
+}
+"""Of the units of a time, in the spellings of UDUNITS and cftime; what is none of them counts as seconds."""
+
+_UNEVEN = ("month", "months", "year", "years", "yr", "common_year", "common_years")
+_SINCE = re.compile(r"\s+since\s+", re.IGNORECASE)
+_EPOCH = re.compile(
+    r"(\d{1,4})-(\d\d?)-(\d\d?)(?:(?:\s+|T)(\d\d?)(?::(\d\d?)(?::(\d\d?)(\.\d+)?\.?)?)?)?"
+    r"(?:\s*(?:Z|UTC|GMT)|\s*([+-])(\d\d?)(?::?(\d\d))?)?"
+)
 
 _UNITS = {
     "count": ("counts", "lsb", "digit", "digits"),
@@ -65,21 +86,44 @@ _DIMENSIONLESS = ("", "1")
 """Units that fit every count and ratio, and say nothing."""
 
 
-def seconds_since_1970(time: Array, unit: str | None) -> Array:
+def seconds_since_1970(time: Array, unit: str | None, file: str | None = None) -> Array:
     """Return a time as seconds since 1970 where its unit names a moment, such as ``days since 2026-05-01``.
 
     Without one it is in seconds since the moment that it counts from.
+
+    Raises
+    ------
+    InputError
+        Its months or years differ in length, or it counts since a moment in a unit that is not one of time, or since
+        what is no moment.
     """
-    name, _, since = (unit or "").partition(" since ")
-    seconds = time * _SECONDS.get(name.strip(), 1.0)
-    if not since:
-        return np.asarray(seconds)
+    name, *since = _SINCE.split((unit or "").strip(), maxsplit=1)
+    lower = name if len(name) <= 2 else name.casefold()  # symbols such as ms and Ms differ in their letters alone
+    if lower in _UNEVEN or (since and lower not in _SECONDS):
+        why = "a unit that differs in length" if lower in _UNEVEN else "no unit of time that is known"
+        raise InputError(
+            f"the time is in {unit!r}, and {name!r} is {why}: convert it, such as to 'seconds since 1970-01-01'",
+            file=file,
+        )
+    length = _SECONDS.get(lower, 1.0)
+    seconds = time * length if length >= 1.0 else time / round(1.0 / length)
+    return np.asarray(seconds + _epoch(since[0].strip(), unit, file) if since else seconds)
+
+
+def _epoch(text: str, unit: str | None, file: str | None) -> float:
+    """Return the moment from which a time counts, seconds since 1970; CF needs no zeros in front of its numbers."""
     from tiltcal.files.moments import moment
 
+    if found := _EPOCH.fullmatch(text):
+        year, month, day, hour, minute, second, part, sign, zone_hour, zone_minute = (g or "" for g in found.groups())
+        zone = f"{sign}{zone_hour:0>2}:{zone_minute:0>2}" if sign else ""
+        text = f"{year:0>4}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute:0>2}:{second:0>2}{part}{zone}"
     try:
-        return np.asarray(seconds + moment(since.strip().removesuffix(" UTC")).timestamp())
+        return moment(text).timestamp()
     except InputError:
-        return np.asarray(seconds)
+        raise InputError(
+            f"the time is in {unit!r}, and {text!r} is no moment: write it as 2026-05-01 12:00:00", file=file
+        ) from None
 
 
 def same_unit(one: str, other: str) -> bool:

@@ -154,7 +154,7 @@ class NetcdfReader(LogReader):
             with self._refusing_damage():
                 values = {index: self._numbers(self.names[index], {dimension: rows}) for index in columns}
             if time is not None:
-                values[time] = seconds_since_1970(values[time], self.unit(time))
+                values[time] = seconds_since_1970(values[time], self.unit(time), self.name)
             self.bytes_read = (self.source.size or 0) * rows.stop // total
             yield LogBlock(values, frame=self._frame(dimension, rows) if frames else None)
 
