@@ -18,7 +18,9 @@ class TestTemperaturePoint:
 
     SEGMENTS = "position,start,end\nlevel-warm,0,50\nlevel-cold,50,100\n"
 
-    def fitted(self, folder: Path, cooling: float, *options: str) -> subprocess.CompletedProcess[str]:
+    def fitted(
+        self, folder: Path, cooling: float, *options: str, piped: bool = False
+    ) -> subprocess.CompletedProcess[str]:
         """The cold point cools by so many degrees while it is recorded; both thermometers scatter by 0.05 °C."""
         draw = np.random.default_rng(6)
         rows = ["x,y,temperature"]
@@ -27,17 +29,27 @@ class TestTemperaturePoint:
             temperature = 24.0 if number < 50 else 5.0 - cooling * (way - 0.5)
             x, y = 1024.0 + 0.3 * (temperature - 24.0) + draw.normal(0.0, 0.5, 2)
             rows.append(f"{x:.3f},{y:.3f},{temperature + draw.normal(0.0, 0.05):.3f}")
-        (folder / "log.csv").write_text("\n".join(rows) + "\n")
+        log = "\n".join(rows) + "\n"
+        (folder / "log.csv").write_text(log)
         (folder / "segments.csv").write_text(self.SEGMENTS)
         return tiltcal(
-            *("fit", "two-temperature", "log.csv", "--segments", "segments.csv", "--sensor", "sca100t-d02"),
-            *("--serial", "S-1", "-o", "S-1.yaml", *options),
+            *("fit", "two-temperature", "-" if piped else "log.csv", "--segments", "segments.csv"),
+            *("--sensor", "sca100t-d02", "--serial", "S-1", "-o", "S-1.yaml", *options),
             cwd=folder,
+            said=log if piped else "",
         )
 
     def test_one_that_stood_still_is_taken(self, tmp_path: Path) -> None:
         result = self.fitted(tmp_path, cooling=0.2)
         assert result.returncode == 0, result.stderr
+
+    def test_a_log_without_times_on_standard_input_gives_the_same(self, tmp_path: Path) -> None:
+        written = []
+        for piped in (False, True):
+            result = self.fitted(tmp_path, 0.2, piped=piped)
+            assert result.returncode == 0, result.stderr
+            written.append((tmp_path / "S-1.yaml").read_text())
+        assert written[1] == written[0].replace("name: log.csv", 'name: "-"')
 
     def test_the_thermometer_that_was_stated_counts(self, tmp_path: Path) -> None:
         """By hand: 0.3 count/°C over 19 °C, both ends uncertain by 0.4 °C."""

@@ -372,22 +372,17 @@ class FitSource:
         self, sensor: SensorIdentity, segments: Sequence[Segment], soak: float = 0.0
     ) -> tuple[list[IntervalSamples], float, RecordedReadings]:
         """Read the log, with its times where a soak is judged and it has any."""
-        if soak:
-            try:
-                with self._record(sensor, (TIME,)) as record:
-                    return (*sampled(record, segments, self.rails, soak), record)
-            except InputError:
-                if TIME in named_columns(self.columns, sensor.channels):
-                    raise
-        with self._record(sensor) as record:
+        with self._record(sensor, timed=soak > 0.0) as record:
             return (*sampled(record, segments, self.rails, soak), record)
 
     @contextmanager
-    def _record(self, sensor: SensorIdentity, others: Sequence[str] = ()) -> Iterator[RecordedReadings]:
+    def _record(
+        self, sensor: SensorIdentity, others: Sequence[str] = (), *, timed: bool = False
+    ) -> Iterator[RecordedReadings]:
         named = named_columns(self.columns, sensor.channels)
         with (
             ThreadPoolExecutor(1) as thread,
-            recorded_readings(self.data, sensor.channels, named, sensor.unit, self.progress, others) as record,
+            recorded_readings(self.data, sensor.channels, named, sensor.unit, self.progress, others, timed) as record,
         ):
             thread.submit(import_module, "scipy.special")  # which the fit needs, and a long log leaves time for
             yield record

@@ -45,6 +45,10 @@ class FrameReader(LogReader):
         self.names = self._frame.names
         self.notes = {str(key): str(note) for key, note in dict(getattr(frame, "attrs", None) or {}).items()}
 
+    def has_times(self, name: str) -> bool:
+        frame = self._frame
+        return super().has_times(name) and len(frame.dimensions(name)) == 1 and frame.times(name) is not None
+
     def unit(self, column: int) -> str | None:
         return self._frame.unit(self.names[column])
 

@@ -159,6 +159,10 @@ class LogReader(ABC):
     @abstractmethod
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]: ...
 
+    def has_times(self, name: str) -> bool:
+        """Return whether there is a column of this name that may be read as times."""
+        return name in self.names
+
     def unit(self, column: int) -> str | None:
         """Return the unit of a column; None where the log does not state it."""
         return None

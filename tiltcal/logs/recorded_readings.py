@@ -71,6 +71,7 @@ def recorded_readings(
     unit: str,
     progress: Progress | None = None,
     others: Sequence[str] = (),
+    timed: bool = False,
 ) -> Iterator[RecordedReadings]:
     """Open a log for its readings.
 
@@ -84,6 +85,8 @@ def recorded_readings(
         Called with the bytes that have been read, after each block.
     others : sequence of str
         Further roles that are needed: time.
+    timed : bool
+        Read the times too where the user names their column, or the log has one.
 
     Raises
     ------
@@ -92,6 +95,8 @@ def recorded_readings(
     """
     is_file = isinstance(log, str | Path)
     with open_log(log, digest=is_file, progress=progress) as reader:
+        if timed and (TIME in named or reader.has_times(TIME)):
+            others = (*others, TIME)
         where = locate_readings(reader, channels, named, unit, others)
         columns = [where[role] for role in (*channels, TEMPERATURE, TIME) if role in where]
         blocks = (

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from datetime import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 import scipy
 
@@ -120,6 +122,15 @@ def test_the_drift_of_a_users_own_sensor(procedure: str, base: Path) -> None:
     assert thermal is not None
     assert thermal.drift[:, 0] == pytest.approx([0.002, 0.002], abs=1e-4)
     assert found.sensor.model == "recorded"
+
+
+def test_a_column_time_that_holds_none_is_left_alone(base: Path) -> None:
+    """A time of day without a date."""
+    readings = recorded("two-temperature", (2.5, 2.4), drift=0.002)
+    frame = pl.DataFrame(readings["data"]).with_columns(time=pl.lit(time(12)))
+    known = tiltcal.fit("two-temperature", **readings, base=base, **SENSOR)
+    found = tiltcal.fit("two-temperature", frame, segments=readings["segments"], base=base, **SENSOR)
+    assert found.offset == known.offset
 
 
 @pytest.mark.parametrize("procedure", ["reversal", "two-temperature", "temperature-sweep"])
