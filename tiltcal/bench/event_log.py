@@ -195,7 +195,7 @@ class EventLog:
         if self._writer is None and self._journal is not None:
             path = self._journal.path
             raise JournalError(
-                f"the session was interrupted here; continue it with: tiltcal measure --resume {quote(str(path))}",
+                f"the session was interrupted here; `tiltcal check {quote(str(path))}` names the command to continue",
                 file=path,
                 line=len(self._events) + 1,
             )

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from tiltcal.bench.device_setup import DeviceSetup
@@ -228,6 +229,10 @@ def open_sensor(model: str, address: str) -> Iterator[Sensor]:
 def _resumed(journal: Path, output: Path | None, remark: Callable[[str], None]) -> Session:
     """Return the session of a journal, whose one calibration goes to ``output`` where that is named."""
     session = Session.of_journal(journal, remark, output)
+    if not session.outputs:
+        raise UsageError(
+            f"{journal} is of a verification; continue it with: tiltcal verify CAL --resume {quote(str(journal))}"
+        )
     if len(session.outputs) > 1 and output is not None and not output.is_dir():
         raise UsageError(f"the session has {len(session.outputs)} sensors: name a folder instead of {output}")
     return session

@@ -213,6 +213,8 @@ class Session:
             positions = cast(PositionOperator, operator or SimOperator())
             runner = self._position_runner(opened, positions)
             accepted = runner.run()
+            if not self.outputs:  # a verification
+                return SessionResult({}, self._finish(opened))
             found = tilt_calibrations(self.plan, opened.sensors.sensors, accepted, runner.records)
             files = {self._output(device): device for device in self.plan.sensors if device.serial in found}
             opened.log.ask("write", positions.confirm_write, list(files))

@@ -72,7 +72,7 @@ def _of_journal(path: Path) -> list[str]:
     if journal.torn:
         findings.append("its last line is torn off")
     if journal.end is None:
-        findings.append(f"the session was interrupted; continue it with: tiltcal measure --resume {path}")
+        findings.append(f"the session was interrupted; continue it with: {journal.plan().resume_command(path)}")
     return findings
 
 

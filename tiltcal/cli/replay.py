@@ -31,15 +31,20 @@ from tiltcal.files.atomic import check_writable, whole_file, write_whole
     help="Write every sample of the session as a CSV log, including settling and refused ones.",
 )
 def command(journal: Path, output: Path | None, golden: Path | None, samples: Path | None) -> int:
-    """Repeat a recorded session without hardware, and make the same calibration file, byte for byte."""
+    """Repeat a recorded session without hardware, and make the same calibration file, byte for byte.
+
+    A verification makes no file: `tiltcal verify CAL --resume JOURNAL` repeats its verdict.
+    """
     session = Session.of_journal(journal, options.remark)
     before = session.journal
     if before is not None and before.end is None:
         raise JournalError(
-            f"the session was interrupted; continue it with: tiltcal measure --resume {journal}",
+            f"the session was interrupted; continue it with: {before.plan().resume_command(journal)}",
             file=journal,
             line=len(before.events) + 2,
         )
+    if not session.outputs and (output or golden) is not None:
+        raise UsageError(f"{journal} is of a verification, which makes no calibration file: leave -o and --golden out")
     if output is not None:
         for path in _targets(output, session.outputs):
             check_writable(path)
@@ -55,6 +60,8 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
         for path, text in zip(_targets(output, list(texts)), texts.values(), strict=True):
             write_whole(path, text)
             click.echo(f"wrote {path}", err=True)
+    elif not session.outputs:
+        click.echo(f"{journal} is replayed; for its verdict: tiltcal verify CAL --resume {journal}", err=True)
     elif golden is None:
         click.echo("---\n".join(texts.values()), nl=False)
     return 0

@@ -11,11 +11,12 @@ import click
 
 from tiltcal.cli import options
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
-from tiltcal.files.calibration import read_calibration
+from tiltcal.files.calibration import SensorIdentity, read_calibration
 from tiltcal.files.procedure_file import find_procedure
 
 if TYPE_CHECKING:
     from tiltcal.bench.operators.operator import PositionOperator
+    from tiltcal.bench.session import Session
 
 
 @click.command(epilog="Example: tiltcal verify S-0042.yaml --address spi:///dev/spidev0.0 --limit 0.3")
@@ -80,6 +81,7 @@ def command(
     judged = read_calibration(calibration)
     if resume is not None:
         session = Session.of_journal(resume, options.remark)
+        _require_same_sensor(session, judged.sensor, calibration)
         operator = session.plan.operator if options.left_at_default("operator") else operator
     elif address is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
@@ -106,3 +108,17 @@ def command(
     as_json = as_json or operator == "json"
     click.echo(json.dumps(found.as_data(), ensure_ascii=False) if as_json else str(found))
     return 0 if found.verdict == PASSED else NEGATIVE_VERDICT
+
+
+def _require_same_sensor(session: Session, judged: SensorIdentity, calibration: Path) -> None:
+    """Refuse to go on with the journal of a measurement, and with the verification of another sensor."""
+    if session.outputs:
+        raise UsageError(
+            f"{session.path} is of a measurement; continue it with: tiltcal measure --resume {quote(str(session.path))}"
+        )
+    for device in session.plan.sensors:
+        if (device.model_name, device.serial) != (judged.model, judged.serial):
+            raise UsageError(
+                f"{session.path} is of {device.model_name} {device.serial}, and {calibration} of {judged.model} "
+                f"{judged.serial}: name the calibration of that sensor"
+            )

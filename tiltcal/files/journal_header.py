@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from tiltcal.files.base_calibration import BASE, BaseFile
@@ -67,6 +69,15 @@ class Header:
     typical_temperature: bool = entry(
         Flag(), "`true` where the data sheet's mean temperature curves were asked for", default=False
     )
+
+    @property
+    def verifies(self) -> bool:
+        """Whether the session is a verification, which makes no calibration file."""
+        return not any(sensor.output for sensor in self.sensors)
+
+    def resume_command(self, journal: Path) -> str:
+        """Return the command that continues the session; a journal does not name the calibration that is verified."""
+        return f"tiltcal {'verify CAL' if self.verifies else 'measure'} --resume {quote(str(journal))}"
 
     @property
     def known(self) -> dict[str, BaseFile]:

@@ -1,0 +1,77 @@
+"""Journals of ``measure`` and ``verify`` are told apart; a command that cannot go on with one leaves it as it is."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from support import FIXTURES
+from support.command import measure, tiltcal
+
+READY = '{"answer": "ready"}\n'
+
+
+@pytest.fixture(scope="module")
+def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """S-1.yaml, a finished and an interrupted verification of it, and an interrupted measurement."""
+    folder = tmp_path_factory.mktemp("sessions")
+    assert measure("--samples", "3", cwd=folder).returncode == 0
+    verify = ("verify", "S-1.yaml", "--address", "sim:?seed=1", "--samples", "3")
+    assert tiltcal(*verify, "--operator", "sim", "--journal", "v.jsonl", cwd=folder).returncode == 0
+    stopped = tiltcal(*verify, "--operator", "json", "--journal", "v-stopped.jsonl", cwd=folder, said=READY * 2)
+    assert stopped.returncode == 130
+    begun = measure("--operator", "json", "-o", "S-2.yaml", "--journal", "m-stopped.jsonl", cwd=folder, said=READY)
+    assert begun.returncode == 130
+    text = (folder / "S-1.yaml").read_text()
+    (folder / "S-9.yaml").write_text(text.replace("serial: S-1", "serial: S-9"))
+    shutil.copy(FIXTURES / "rotation.journal.jsonl", folder / "rotation.jsonl")
+    return folder
+
+
+def replayed_verdict(folder: Path, journal: str) -> dict:
+    done = tiltcal("verify", "S-1.yaml", "--resume", journal, "--operator", "sim", "--json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_a_finished_verification_is_replayed(sessions: Path) -> None:
+    done = tiltcal("replay", "v.jsonl", "--samples", "v.csv", cwd=sessions)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+    assert "tiltcal verify CAL --resume v.jsonl" in done.stderr
+    assert len((sessions / "v.csv").read_text().splitlines()) > 6 * 3
+    assert replayed_verdict(sessions, "v.jsonl")["passed"] is True
+    refused = tiltcal("replay", "v.jsonl", "-o", "v.yaml", cwd=sessions)
+    assert refused.returncode == 2
+    assert "a verification, which makes no calibration file" in refused.stderr
+
+
+@pytest.mark.parametrize("command", ["check", "replay"])
+def test_an_interrupted_verification_is_named(sessions: Path, command: str) -> None:
+    done = tiltcal(command, "v-stopped.jsonl", cwd=sessions)
+    assert "continue it with: tiltcal verify CAL --resume v-stopped.jsonl" in done.stdout + done.stderr
+    assert done.returncode == (1 if command == "check" else 2)
+
+
+@pytest.mark.parametrize(
+    ("journal", "arguments", "says"),
+    [
+        ("v-stopped.jsonl", ["measure"], "of a verification; continue it with: tiltcal verify CAL --resume"),
+        ("m-stopped.jsonl", ["verify", "S-1.yaml"], "of a measurement; continue it with: tiltcal measure --resume"),
+        ("v-stopped.jsonl", ["verify", "S-9.yaml"], "of sca100t-d02 S-1, and S-9.yaml of sca100t-d02 S-9"),
+        ("rotation.jsonl", ["verify", "S-1.yaml"], "of a measurement"),
+    ],
+)
+def test_another_session_is_refused_and_left_alone(
+    sessions: Path, tmp_path: Path, journal: str, arguments: list[str], says: str
+) -> None:
+    for name in ("S-1.yaml", "S-9.yaml", journal):
+        shutil.copy(sessions / name, tmp_path)
+    before = (tmp_path / journal).read_bytes()
+    done = tiltcal(*arguments, "--resume", journal, "--operator", "sim", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert says in done.stderr
+    assert (tmp_path / journal).read_bytes() == before
+    if arguments == ["measure"]:
+        assert replayed_verdict(tmp_path, journal)["passed"] is True
