@@ -20,7 +20,7 @@ from tiltcal.bench.sensor_set import ConnectedSensor, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.calibration import level
-from tiltcal.calibration.measurement import Measurement
+from tiltcal.calibration.measurement import Measurement, missing_temperature
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.statistics import summarise
@@ -230,9 +230,11 @@ class PositionRunner:
         """
         last = len(accepted) == len(self._procedure.positions) - 1
         require_agreement(result, accepted, asked=result.asked)
-        if self._procedure.determines.level:
+        determines = self._procedure.determines
+        if determines.level or determines.mounting:
+            objection = level.objection if determines.level else missing_temperature
             for serial, measurement in result.measurements.items():
-                why = level.objection(self._plan.bases[serial].calibration, measurement)
+                why = objection(self._plan.bases[serial].calibration, measurement)
                 if why:
                     raise Unsettled(why)
         for sensor in self._sensors.sensors:

@@ -21,7 +21,7 @@ import numpy as np
 
 from tiltcal.calibration.estimate_record import DIGITS, budget_record, intrinsic_record, rounded_covariance
 from tiltcal.calibration.joint_fit import observations_of
-from tiltcal.calibration.measurement import BenchUncertainty, Measurement
+from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
 from tiltcal.calibration.verdict import judge
 from tiltcal.core.coverage_factor import COVERAGE, coverage_factor
 from tiltcal.core.derivatives import central_differences
@@ -355,10 +355,4 @@ def objection(base: CalibrationRecord, measurement: Measurement) -> str:
             f"({', '.join(f'{g:.3g}' for g in measurement.gravity)}); how the sensor sits belongs into the mounting of "
             "its calibration: tiltcal combine CAL --mounting"
         )
-    thermal = base.coefficients.thermal
-    if measurement.temperature is None and thermal is not None and (thermal.drift.any() or thermal.gain.any()):
-        return (
-            f"the offset of {base.sensor.serial} changes with temperature, and {measurement.position} has none: type "
-            "it at the prompt (t), name a thermometer in the bench file, or a column of the log"
-        )
-    return ""
+    return missing_temperature(base, measurement)

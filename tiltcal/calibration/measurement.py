@@ -102,6 +102,17 @@ class Measurement:
         )
 
 
+def missing_temperature(base: CalibrationRecord, measurement: Measurement) -> str:
+    """Return why a position without a temperature cannot be read by a calibration; empty where it can."""
+    thermal = base.coefficients.thermal
+    if measurement.temperature is not None or thermal is None or not (thermal.drift.any() or thermal.gain.any()):
+        return ""
+    return (
+        f"the reading of {base.sensor.serial} changes with temperature, and {measurement.position} has none: type it "
+        "at the prompt (t), name a thermometer in the bench file, or a column of the log"
+    )
+
+
 @frozen
 class Nominal:
     """The facts of a sensor's model that stand in where a procedure does not determine them.

@@ -10,7 +10,7 @@ import numpy as np
 
 from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.joint_fit import observations_of
-from tiltcal.calibration.measurement import Measurement
+from tiltcal.calibration.measurement import Measurement, missing_temperature
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
@@ -53,8 +53,11 @@ def mount(
     Raises
     ------
     EstimateError
-        One direction of gravity alone, or a sensor without x and y.
+        One direction of gravity alone, a sensor without x and y, or a temperature is missing and counts.
     """
+    why = next(filter(None, (missing_temperature(base, measurement) for measurement in measurements)), "")
+    if why:
+        raise EstimateError(why)
     known = np.array([measurement.gravity for measurement in measurements])
     found, side, sigma = _best(base.coefficients, measurements, known, jig)
     if sigma is not None and _noise_unknown(measurements, base) and found.chi_square > found.dof:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import sqrt
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.mounting import mount
-from tiltcal.core.model import Coefficients
+from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.statistics import SampleSummary
+from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 
 LEVEL_X_Y = ((0.0, 0.0, 1.0), (0.5, 0.0, sqrt(0.75)), (0.0, 0.5, sqrt(0.75)))
@@ -23,14 +25,25 @@ def base_of(sensitivity: list[list[float]], axes: tuple[str, ...]) -> Calibratio
     return CalibrationRecord(SensorIdentity("bench-built", "S-1", "count", ("x", "y")), known)
 
 
-def positions(readings: list[tuple[float, float]]) -> list[Measurement]:
+def positions(readings: list[tuple[float, float]], temperature: float | None = None) -> list[Measurement]:
     """Return the positions of ``LEVEL_X_Y`` with the readings of x and y."""
     return [
         Measurement(
-            f"p{k}", gravity, None, None, {c: SampleSummary(u, 0.0, 1, 0.0) for c, u in zip("xy", row, strict=True)}
+            f"p{k}",
+            gravity,
+            None,
+            temperature,
+            {c: SampleSummary(u, 0.0, 1, 0.0) for c, u in zip("xy", row, strict=True)},
         )
         for k, (gravity, row) in enumerate(zip(LEVEL_X_Y, readings, strict=True))
     ]
+
+
+def drifting(drift: float) -> CalibrationRecord:
+    """Return a straight sensor of 819 count/g whose offset drifts from 24 °C on, count/°C."""
+    base = base_of([[819.0, 0.0], [0.0, 819.0]], ("x", "y"))
+    thermal = Thermal(24.0, None, np.full((2, 1), drift), np.zeros((2, 0)))
+    return replace(base, coefficients=replace(base.coefficients, thermal=thermal))
 
 
 @pytest.mark.parametrize("jig", [None, 0.1])
@@ -42,3 +55,19 @@ def test_the_z_column_counts_upside_down(jig: float | None) -> None:
     assert found.coefficients.mounting is not None
     np.testing.assert_allclose(mounting_matrix(found.coefficients.mounting), np.diag([1.0, -1.0, -1.0]), atol=1e-5)
     assert max(found.fit.mounting.residuals_degrees.values()) < 1e-3
+
+
+def test_a_base_that_drifts_needs_the_temperature_of_each_position() -> None:
+    """At 5 °C the readings are 19 counts low: at the reference that is a roll and a pitch of asin(19/819) = 1.33°."""
+    read = [(819.0 * x - 19.0, 819.0 * y - 19.0) for x, y, _ in LEVEL_X_Y]
+    with pytest.raises(EstimateError, match="S-1 changes with temperature, and p0 has none"):
+        mount(drifting(1.0), positions(read))
+    found = mount(drifting(1.0), positions(read, temperature=5.0)).coefficients.mounting
+    assert found is not None
+    np.testing.assert_allclose(mounting_matrix(found), np.eye(3), atol=1e-5)
+
+
+def test_a_base_that_does_not_drift_needs_no_temperature() -> None:
+    found = mount(drifting(0.0), positions([(819.0 * x, 819.0 * y) for x, y, _ in LEVEL_X_Y])).coefficients.mounting
+    assert found is not None
+    np.testing.assert_allclose(mounting_matrix(found), np.eye(3), atol=1e-5)
