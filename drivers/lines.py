@@ -21,6 +21,9 @@ LONGEST = 1024
 PATIENCE = 10.0
 """Seconds in which a line must be complete; a device that sends byte by byte is no excuse to wait for ever."""
 
+SILENCE = 0.1
+"""Seconds without a byte after which a line begins; a line that is being sent has shorter pauses."""
+
 UNUSABLE = 50
 """Unusable lines in a row before a driver raises an error."""
 
@@ -30,22 +33,23 @@ _LINE_END = re.compile(rb"[\r\n]+")
 class LineBuffer:
     """Splits the bytes of a device into lines.
 
-    The first piece after the start, or after :meth:`discard`, may be the tail of a line.
+    The first piece after the start, or after :meth:`discard`, may be the tail of a line; it is a whole one where the
+    device was silent before it.
 
     Parameters
     ----------
     link : Link
         Serial.
-    clock : Clock, optional
-        Says how long a line takes; without one a line may take any time.
+    clock : Clock
+        Times a line, and the silence before it.
     """
 
-    def __init__(self, link: Link, clock: Clock | None = None) -> None:
+    def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
         self._clock = clock
         self._ready: deque[bytes] = deque()
         self._rest = b""
-        self._begun = False
+        self._begun = self._emptied = False
 
     def next(self) -> tuple[bytes, bool]:
         """Return the next line that is not empty, without its end.
@@ -62,10 +66,10 @@ class LineBuffer:
             Silence, or bytes without a line end.
         """
         while True:
-            began_ns = 0 if self._clock is None else self._clock.now_ns()
+            began_ns = self._clock.now_ns()
             while not self._ready:
                 self._listen()
-                if self._clock is not None and not self._ready:
+                if not self._ready:
                     self._require_soon(began_ns, self._clock.now_ns())
             line, whole = self._ready.popleft(), self._begun
             self._begun = True
@@ -76,11 +80,12 @@ class LineBuffer:
         """Discard what has arrived."""
         self._restart()
         self._link.exchange(b"", 0)
+        self._emptied = True
 
     def _restart(self) -> None:
         self._ready.clear()
         self._rest = b""
-        self._begun = False
+        self._begun = self._emptied = False
 
     def _require_soon(self, began_ns: int, now_ns: int) -> None:
         if now_ns - began_ns > PATIENCE * 1e9:
@@ -92,12 +97,17 @@ class LineBuffer:
             )
 
     def _listen(self) -> None:
+        asked_ns = self._clock.now_ns()
         try:
             arrived = self._link.exchange(b"", CHUNK)
         except BusError:
             # Data after a reconnection do not continue the partial line from before.
             self._restart()
             raise
+        if self._emptied:
+            # Nothing was waiting in the port, so a long wait for the first byte was silence on the line.
+            self._begun = self._clock.now_ns() - asked_ns > SILENCE * 1e9
+            self._emptied = False
         pieces = _LINE_END.split(self._rest + arrived)
         self._rest = pieces.pop()
         self._ready.extend(pieces)

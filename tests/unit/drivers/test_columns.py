@@ -65,6 +65,52 @@ def test_after_a_discard_half_a_line_is_no_reading() -> None:
     assert driver.link_statistics() == {"lines": 2, "damaged": 0}
 
 
+class Metronome(ArrivingPieces):
+    """A device that prints a line every ``period`` seconds, byte by byte at about 9600 baud.
+
+    What nobody reads waits in the port, until it is discarded.
+    """
+
+    def __init__(self, clock: VirtualClock, period: float) -> None:
+        super().__init__()
+        self._clock, self._period, self._taken = clock, round(period * 2000), 0
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        now = self._clock.now_ns() // 500_000
+        # In half milliseconds: byte b of line n comes at n * period + 2 (b + 1).
+        sent = [
+            (number * self._period + 2 * (place + 1), bytes([byte]))
+            for number in range(1, now // self._period + 3)
+            for place, byte in enumerate(b"%d.5000\n" % number)
+        ]
+        arrived = sum(time <= now for time, _ in sent)
+        if not count:
+            self._taken = arrived
+            return b""
+        if arrived == self._taken:
+            arrived += 1
+            self._clock.sleep((sent[self._taken][0] - now) * 0.5e-3)
+        taken, self._taken = self._taken, arrived
+        return b"".join(byte for _, byte in sent[taken:arrived])
+
+
+@pytest.mark.parametrize(
+    ("period", "pause", "numbers"),
+    [(0.5, 0.0, [1.5, 2.5, 3.5, 4.5]), (0.5, 0.4955, [2.5, 4.5, 6.5, 8.5]), (0.05, 0.0, [2.5, 4.5, 6.5, 8.5])],
+    ids=["silence", "discarded within a line", "no silence"],
+)
+def test_a_line_after_silence_is_whole_after_a_discard(period: float, pause: float, numbers: list[float]) -> None:
+    clock = VirtualClock()
+    model = SERIAL_COLUMNS.at(parse_address("serial:///dev/ttyUSB0?columns=x"))
+    driver = model.driver(Metronome(clock, period), clock)
+    readings = []
+    for _ in numbers:
+        clock.sleep(pause)
+        driver.discard()
+        readings.append(driver.read().values[0])
+    assert readings == numbers
+
+
 def test_half_a_line_before_a_failure_does_not_join_what_comes_after_it() -> None:
     driver = printing("columns=x", b"1\r\n12", b"", b"34\r\n5678\r\n")
     assert driver.read().values == (1.0,)
