@@ -25,12 +25,13 @@ from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
+from tiltcal.files.declaration import Section
 from tiltcal.files.node import require_name
-from tiltcal.files.positions import read_positions
+from tiltcal.files.positions import TabledRow, read_positions
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.provenance_record import FileRecord, LogRecord, Provenance, SegmentsRecord
-from tiltcal.files.segments import Segment, read_segments
+from tiltcal.files.segments import Segment, SegmentRow, read_segments
 from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Rails, sampled
@@ -272,7 +273,7 @@ class FitSource:
         """
         segment = None
         if self.segments is not None:
-            segment, *more = read_segments(_path_or_rows(self.segments, "the segments"))
+            segment, *more = read_segments(_path_or_rows(self.segments, "the segments", SegmentRow))
             if more:
                 raise InputError(
                     f"{procedure.name} takes one continuous record, and these are {1 + len(more)} segments: name the "
@@ -351,11 +352,11 @@ class FitSource:
         Their names are checked before the log is read, which may be long, if the procedure has to say directions.
         """
         if self.segments is None:
-            table = read_positions(_path_or_rows(self.data, "the table"), sensor.channels)
+            table = read_positions(_path_or_rows(self.data, "the table", TabledRow), sensor.channels)
             if procedure is not None:
                 require_positions(table, procedure, file=self._name)
             return intervals_of_table(table), self._provenance()
-        segments = read_segments(_path_or_rows(self.segments, "the segments"))
+        segments = read_segments(_path_or_rows(self.segments, "the segments", SegmentRow))
         if procedure is not None:
             require_positions(segments, procedure, file=self._name)
         samples, step, record = self._sampled(sensor, segments, soak)
@@ -416,8 +417,8 @@ def _is_table(data: Any, segments: Any) -> bool:
     return "position" in FrameReader(data).names
 
 
-def _path_or_rows(table: Any, name: str) -> str | Path | list[dict[str, Any]]:
-    return table if isinstance(table, str | Path) else rows_of(table, name)
+def _path_or_rows(table: Any, name: str, row: type) -> str | Path | list[dict[str, Any]]:
+    return table if isinstance(table, str | Path) else rows_of(table, name, Section(row).keys())
 
 
 def _origin(source: Any, record: type[R]) -> R | None:

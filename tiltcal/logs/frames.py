@@ -5,7 +5,7 @@ None of these libraries is imported here: a frame brings its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -110,19 +110,23 @@ class FrameReader(LogReader):
         return self._frame.with_columns(table, [self.names[index] for index in channels], units)
 
 
-def rows_of(frame: Any, name: str) -> list[dict[str, Any]]:
+def rows_of(frame: Any, name: str, keys: Collection[str] = ()) -> list[dict[str, Any]]:
     """Return the rows of a frame, or of a sequence of mappings, without the cells that are empty.
 
     Parameters
     ----------
     name : str
         What messages call it.
+    keys : collection of str
+        The coordinates of an xarray Dataset that are columns, as all of its data variables are.
 
     Raises
     ------
     UsageError
         The frame is of no known kind.
     """
+    if hasattr(frame, "data_vars"):
+        frame = {key: frame[key].values for key in frame.variables if key in frame.data_vars or key in keys}
     if isinstance(frame, Mapping):
         arrays = [_array(values) for values in frame.values()]
         if len({values.shape[:1] or None for values in arrays}) > 1 or any(values.ndim == 0 for values in arrays):

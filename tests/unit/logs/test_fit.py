@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 import scipy
+import xarray
 
 import tiltcal
 from tiltcal.files.procedure_file import find_procedure
@@ -158,6 +159,20 @@ def test_a_base_with_a_mounting_is_refused(base: Path) -> None:
 def test_numbers_out_of_range_are_refused(options: dict[str, Any], why: str, base: Path) -> None:
     with pytest.raises(tiltcal.UsageError, match=why):
         tiltcal.fit("reversal", **recorded("reversal", (2.5, 2.4)), base=base, **SENSOR, **options)
+
+
+def test_coordinates_of_a_dataset_are_columns_of_a_table(base: Path) -> None:
+    """All but those that no table has, such as the index of the rows."""
+    columns = {"position": ["level-warm", "level-cold"], "x": [2.5, 2.466], "y": [2.4, 2.366], "n": [80, 80]}
+    columns |= {"ux": [1e-4, 1e-4], "uy": [1e-4, 1e-4], "temperature": [23.0, 6.0]}
+    known = tiltcal.fit("two-temperature", columns, base=base, **SENSOR)
+    rows = xarray.Dataset({key: ("row", cells) for key, cells in columns.items()}, {"row": [7, 9], "site": "shed"})
+    for data in (rows.set_coords(["temperature", "n"]), rows.swap_dims(row="position").drop_vars("row")):
+        found = tiltcal.fit("two-temperature", data, base=base, **SENSOR)
+        assert found.positions == known.positions
+    thermal = known.coefficients.thermal
+    assert thermal is not None
+    assert thermal.drift[:, 0] == pytest.approx([0.002, 0.002], abs=1e-6)
 
 
 @pytest.mark.parametrize("jig", [0.0, None])
