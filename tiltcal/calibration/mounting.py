@@ -151,12 +151,12 @@ def _uncertainty(
     factors = dict(zip(ANGLES, np.sqrt(wider).tolist(), strict=True))
     if locked:
         factors |= dict.fromkeys(("roll", "yaw"), UNKNOWN_FACTOR)
-    return Uncertainty(
-        {**own, **{f"mounting.{angle}": value for angle, value in u.items()}},
-        before.single_reading,
-        {n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)}
+    return replace(
+        before,
+        standard={**own, **{f"mounting.{angle}": value for angle, value in u.items()}},
+        coverage_factor={n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)}
         | {f"mounting.{angle}": round(factors[angle], 3) for angle in u},
-        rounded_covariance(joint.names, with_turns_scaled(joint.names, joint.covariance, degrees(1.0))),
+        covariance=rounded_covariance(joint.names, with_turns_scaled(joint.names, joint.covariance, degrees(1.0))),
     )
 
 

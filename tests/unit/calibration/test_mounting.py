@@ -15,6 +15,7 @@ from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.uncertainty import Uncertainty
 
 LEVEL_X_Y = ((0.0, 0.0, 1.0), (0.5, 0.0, sqrt(0.75)), (0.0, 0.5, sqrt(0.75)))
 """Gravity in the application's frame: level, x up to 30°, y up to 30°."""
@@ -71,3 +72,11 @@ def test_a_base_that_does_not_drift_needs_no_temperature() -> None:
     found = mount(drifting(0.0), positions([(819.0 * x, 819.0 * y) for x, y, _ in LEVEL_X_Y])).coefficients.mounting
     assert found is not None
     np.testing.assert_allclose(mounting_matrix(found), np.eye(3), atol=1e-5)
+
+
+def test_what_the_base_states_beside_its_coefficients_stays() -> None:
+    """How the sensor may have turned since its calibration, and the noise of a reading, are not the mounting's."""
+    before = Uncertainty({"offset.x": 0.1}, {"x": 0.5}, {"offset.x": 2.0}, alignment=0.2)
+    base = replace(base_of([[819.0, 0.0], [0.0, 819.0]], ("x", "y")), uncertainty=before)
+    found = mount(base, positions([(819.0 * x, 819.0 * y) for x, y, _ in LEVEL_X_Y]), jig=0.1).uncertainty
+    assert (found.alignment, found.single_reading) == (0.2, {"x": 0.5})
