@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ from support.json_program import Event, ProgramSession, lead
 
 from tiltcal.bench.operators.operator import Live, OperatorAnswer
 from tiltcal.bench.operators.sim import SimOperator
+from tiltcal.bench.sensor_set import Sample, SensorSet
 from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import plan_session, single
 from tiltcal.files.calibration import read_calibration
@@ -93,9 +96,9 @@ class Watching(SimOperator):
         return super().position(position, number, live)
 
 
-def test_live_readings_are_taken_again_in_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("twin.yaml").write_text(TWIN)
+def ramp_session(twin: str) -> Session:
+    """A ramp in the working folder, led by the simulated operator."""
+    Path("twin.yaml").write_text(twin)
     Path("quick.yaml").write_text(PROCEDURE)
     journal = Path("S-1.journal.jsonl")
     plan = plan_session(
@@ -107,7 +110,34 @@ def test_live_readings_are_taken_again_in_a_replay(tmp_path: Path, monkeypatch: 
     )
     session = Session(plan, journal)
     session.preflight()
+    return session
+
+
+def test_live_readings_are_taken_again_in_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    session = ramp_session(TWIN)
     measured = session.run(Watching())
     measured.write()
-    assert journal.read_text().count('"live"') == 9
-    assert Session.of_journal(journal).replay().texts == measured.texts
+    assert session.path.read_text().count('"live"') == 9
+    assert Session.of_journal(session.path).replay().texts == measured.texts
+
+
+def test_faults_that_pass_cost_their_samples_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six breaks of the bus in an hour, and a reading at the rail of 2047: nobody has to press a key."""
+    monkeypatch.chdir(tmp_path)
+    whole, taken = SensorSet.read, count()
+
+    def read(sensors: SensorSet, *, fresh: bool = False) -> Sample:
+        (reading,) = whole(sensors, fresh=fresh)
+        return (replace(reading, values=(2047.0, reading.values[1])) if next(taken) == 200 else reading,)
+
+    monkeypatch.setattr(SensorSet, "read", read)
+    breaks = [f"{{kind: unplugged, start: {600.0 * k}, end: {600.0 * k + 3.0}}}" for k in range(1, 7)]
+    session = ramp_session(TWIN + f"  faults: [{', '.join(breaks)}]\n")
+    said: list[str] = []
+    session.run(SimOperator(said.append)).write()
+    assert not [line for line in said if "refused" in line]
+    thermal = read_calibration("S-1.yaml").coefficients.thermal
+    assert thermal is not None
+    assert thermal.lag == pytest.approx(60.0, abs=2.0)
+    assert thermal.drift[0].tolist() == pytest.approx([2.1, 0.02], abs=0.01)

@@ -14,14 +14,14 @@ import numpy as np
 from tiltcal.bench.event_log import EventLog, RecordedClock
 from tiltcal.bench.operators.operator import PositionOperator
 from tiltcal.bench.position_result import PositionResult
-from tiltcal.bench.position_runner import PositionRunner, measurement_of
-from tiltcal.bench.sample_checks import require_off_rails
+from tiltcal.bench.position_runner import RECOVERY, PositionRunner, measurement_of
+from tiltcal.bench.sample_checks import at_rail, require_few
 from tiltcal.bench.sensor_set import Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Unsettled
 from tiltcal.core.ramp.record import RampRecord, RecordAverager
 from tiltcal.drivers.twin.fixture import Fixture
-from tiltcal.errors import UsageError
+from tiltcal.errors import SensorError, UsageError
 from tiltcal.files.procedure import Position, Ramp
 
 CHANGE = 0.5
@@ -75,7 +75,6 @@ class RampRunner(PositionRunner):
         if accepted and actual.gravity != accepted[0].position.gravity:
             raise Unsettled("a ramp has one attitude: leave the sensor as it lies")
         samples = self._leg(actual)
-        self._sensors.succeeded()
         result = self._of_leg(actual, samples)
         log.position(result.record())
         log.report(operator.accepted, result)
@@ -86,17 +85,30 @@ class RampRunner(PositionRunner):
             self._fixture.move(position.gravity, position.temperature, self._ramp.pace)
 
     def _leg(self, position: Position) -> list[Sample]:
-        """Sample until the temperature of a position is reached, or changes no more."""
+        """Sample until the temperature of a position is reached, or changes no more.
+
+        Raises
+        ------
+        SensorError
+            A sensor fails several times in a row.
+        """
         samples: list[Sample] = []
         wanted, since, before = position.temperature or 0.0, 0, np.nan
         while True:
-            sample = self._sensors.read(fresh=True)
+            try:
+                sample = self._sensors.read(fresh=True)
+            except SensorError as error:
+                if not self._sensors.count_failure(error, needed=True):
+                    raise
+                self._clock.sleep(RECOVERY)
+                continue
+            self._sensors.succeeded()
             now_ns = self._log.now_ns()
             temperature = sample[0].temperature
             if temperature is None:
                 raise UsageError(NO_THERMOMETER)
             for sensor, reading in zip(self._sensors.sensors, sample, strict=True):
-                seen = np.nan if reading.temperature is None else reading.temperature
+                seen = np.nan if reading.temperature is None or at_rail(reading, sensor.model) else reading.temperature
                 self._rows[sensor.serial].append((now_ns / 1e9, seen, *reading.values))
             samples.append(sample)
             if abs(temperature - wanted) <= self._ramp.within and len(samples) > 1:
@@ -114,12 +126,15 @@ class RampRunner(PositionRunner):
         Raises
         ------
         Unsettled
-            A reading is at a rail.
+            Too many readings are at a rail.
         """
         measurements = {}
         time = self._now()
         for index, sensor in enumerate(self._sensors.sensors):
             readings = [sample[index] for sample in samples]
-            require_off_rails(readings, sensor.model)
+            railed = [why for reading in readings if (why := at_rail(reading, sensor.model))]
+            if railed:
+                require_few(len(railed), len(readings), railed[-1])
+                readings = [reading for reading in readings if not at_rail(reading, sensor.model)]
             measurements[sensor.serial] = measurement_of(sensor, position, readings, None, time)
         return PositionResult(position, measurements, asked=position.temperature)

@@ -58,6 +58,18 @@ def require_few(count: int, wanted: int, why: str) -> None:
         raise Unsettled(f"{count} samples of a position of {wanted} are far off: {why}; look for a loose contact")
 
 
+def at_rail(reading: Reading, model: Model) -> str:
+    """Return which channel of a reading is at a rail, and what to look at; nothing where none is."""
+    low, high = model.rails
+    for channel, value in zip(model.channels, reading.values, strict=True):
+        if not low < value < high:
+            return (
+                f"{channel} reads {value:.6g}, at its rail: is the angle within the sensor's range, and is it wired "
+                "right?"
+            )
+    return ""
+
+
 def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
     """Refuse readings at a rail.
 
@@ -66,14 +78,9 @@ def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
     Unsettled
         With the channel.
     """
-    low, high = model.rails
-    for place, channel in enumerate(model.channels):
-        for reading in readings:
-            if not low < reading.values[place] < high:
-                raise Unsettled(
-                    f"{channel} reads {reading.values[place]:.6g}, at its rail: is the angle within the sensor's "
-                    "range, and is it wired right?"
-                )
+    for reading in readings:
+        if why := at_rail(reading, model):
+            raise Unsettled(why)
 
 
 def require_agreement(result: PositionResult, accepted: Sequence[PositionResult], *, asked: float | None) -> None:
