@@ -283,13 +283,18 @@ class JournalWriter:
         Raises
         ------
         JournalError
-            Another process writes it, or it cannot be opened for writing.
+            Another process writes it, or has written to it since it was read, or it cannot be opened for writing.
         """
         try:
             descriptor = os.open(journal.path, os.O_RDWR | os.O_APPEND | os.O_CLOEXEC)
         except OSError as error:
             raise JournalError(f"cannot be continued: {error.strerror}", file=journal.path) from None
         _lock(descriptor, journal.path)
+        if b"\n" in os.pread(descriptor, LINE_LIMIT, journal.size):
+            os.close(descriptor)
+            raise JournalError(
+                "another process has written to it since it was read: resume it again", file=journal.path
+            )
         os.ftruncate(descriptor, journal.size)
         return cls(journal.path, descriptor, journal.crc, len(journal.events), journal.digest.copy(), journal.size)
 

@@ -127,6 +127,16 @@ def test_two_programs_cannot_write_one_journal(path: Path) -> None:
     JournalWriter.resume(read_journal(path)).close()
 
 
+def test_what_another_process_wrote_since_it_was_read_is_not_cut_off(path: Path) -> None:
+    whole = captured(path, finished=False)
+    path.write_bytes(b"".join(whole.splitlines(keepends=True)[:3]))
+    early = read_journal(path)
+    path.write_bytes(whole)
+    with pytest.raises(JournalError, match="since it was read"):
+        JournalWriter.resume(early)
+    assert path.read_bytes() == whole
+
+
 @pytest.mark.parametrize("content", [b"", b'{"tiltcal-journal"', b"time,x\n1,2\n", b"\x00" * 100 + b"\n", b"{}\n"])
 def test_what_is_no_journal_is_said_so(path: Path, content: bytes) -> None:
     path.write_bytes(content)

@@ -109,13 +109,16 @@ class TerminalKeys:
 
     def _skip_sequence(self) -> None:
         """Read the rest of what an arrow or a function key sends, whose letters are no choices (ECMA-48, 5.4)."""
-        if not select.select([self._descriptor], [], [], _REST)[0]:
-            return
-        kind = self._byte()
+        kind = _ESCAPE
+        while kind == _ESCAPE and select.select([self._descriptor], [], [], _REST)[0]:
+            kind = self._byte()  # with Alt there is an escape before that of the key
         if kind == "O":
             self._byte()
-        while kind == "[" and (byte := self._byte()) and not "@" <= byte <= "~":
-            pass
+        if kind == "[" and (byte := self._byte()) == "[":  # F1 to F5 of the Linux console
+            self._byte()
+        elif kind == "[":
+            while byte and not "@" <= byte <= "~":
+                byte = self._byte()
 
     def pressed(self, choices: str) -> str | None:
         key = self.choice(0.0)

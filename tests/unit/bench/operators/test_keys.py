@@ -30,9 +30,11 @@ def test_a_key_is_a_choice_at_once(typed: tuple[TerminalKeys, int]) -> None:
     assert [keys.choice(1.0), keys.choice(1.0), keys.choice(0.0)] == ["b", ENTER, None]
 
 
-@pytest.mark.parametrize("sequence", [b"\x1b[B", b"\x1bOQ", b"\x1b[15~", b"\x1b[1;5A", b"\x1b"])
+@pytest.mark.parametrize(
+    "sequence", [b"\x1b[B", b"\x1bOQ", b"\x1b[15~", b"\x1b[1;5A", b"\x1b[[B", b"\x1b\x1b[B", b"\x1b"]
+)
 def test_an_arrow_or_a_function_key_is_no_choice(sequence: bytes, typed: tuple[TerminalKeys, int]) -> None:
-    """What xterm sends for down, F2, F5 and Ctrl-up, and the escape key alone."""
+    """xterm's down, F2, F5 and Ctrl-up, F2 of the Linux console, Alt-down of rxvt, and the escape key alone."""
     keys, person = typed
     os.write(person, sequence)
     assert keys.choice(1.0) == "\x1b"
