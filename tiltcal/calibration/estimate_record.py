@@ -12,7 +12,7 @@ from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.intrinsic_parameters import intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients
-from tiltcal.core.named_coefficients import DeterminedCoefficients
+from tiltcal.core.named_coefficients import DeterminedCoefficients, values
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
@@ -41,7 +41,8 @@ TOO_GOOD = 0.02
 
 def rounded(found: DeterminedCoefficients) -> Coefficients:
     """Return the coefficients with the digits that their uncertainties warrant."""
-    coefficients, u = found.coefficients, found.uncertainty()
+    coefficients = found.coefficients
+    u = dict.fromkeys(values(coefficients), 0.0) | found.uncertainty()
     thermal = coefficients.thermal
     if thermal is not None:
         thermal = replace(

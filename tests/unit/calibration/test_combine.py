@@ -21,11 +21,13 @@ from tiltcal.core.combination import Statement, combine_statements
 from tiltcal.core.model import Coefficients, Thermal, vector_of
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.statistics import SampleSummary
+from tiltcal.drivers.device import Population
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.position_record import CompletingRun
 from tiltcal.files.procedure import Determines, Procedure
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.uncertainty import Covariance
 
 SENSOR = SensorIdentity("sca100t-d02", "S-1", "count", ("x", "y"))
 TRUTH = Coefficients(
@@ -244,6 +246,34 @@ def test_a_run_at_level_with_the_nominal_sensitivity_goes_with_a_whole_matrix() 
     found = combine([whole, shifted])
     assert list(found.offset.values()) == pytest.approx(at_24, abs=0.02)
     assert found.coefficients.axes == ("x", "y", "z")
+
+
+def test_a_typical_curve_goes_with_a_session_without_one() -> None:
+    """Its square, and what is stated of it, count as exact: they stay as they are."""
+    curves = Population((0.0, 0.3, 0.02), (0.0,), 0.1, 0.0, "data sheet")
+    sensor = MeasuredSensor(SENSOR, measured(ZERO_45, 1, at=20.0), replace(NOMINAL, population=curves))
+    typical = calibrate([sensor], ZERO_45, BenchUncertainty(JIG), typical_temperature=True)[0]
+    found = combine([Calibration(typical), calibrated(ZERO_45, measured(ZERO_45, 2, at=20.0))])
+    # 0.3 T + 0.02 T² is 1.1 (T - 20) + 0.02 (T - 20)² and a constant.
+    assert found.coefficients.thermal.drift == pytest.approx(np.array([[1.1, 0.02]] * 2))
+
+
+def test_a_coefficient_that_free_positions_hold_at_zero_stays_there() -> None:
+    """The calibration of free positions is a lower triangle, and the level run took its sensitivity from elsewhere."""
+    stated = SCALE.record.uncertainty
+    kept = [k for k, name in enumerate(stated.covariance.parameters) if name != "sensitivity.y.x"]
+    joint = Covariance(
+        parameters=tuple(stated.covariance.parameters[k] for k in kept),
+        matrix=tuple(tuple(stated.covariance.matrix[k][m] for m in kept) for k in kept),
+    )
+    triangle = np.array([[817.0, 11.0], [0.0, 821.0]])
+    free = replace(
+        SCALE.record,
+        coefficients=replace(SCALE.record.coefficients, sensitivity=triangle),
+        uncertainty=replace(stated, covariance=joint),
+    )
+    found = combine([Calibration(free), calibrated(TWO, measured(TWO, 2))])
+    assert found.coefficients.sensitivity[1, 0] == 0.0
 
 
 def test_a_file_of_two_sessions_is_read_again_and_names_its_sources(tmp_path: Path) -> None:
