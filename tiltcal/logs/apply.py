@@ -16,6 +16,7 @@ from tiltcal.logs.columns import (
     HEADING,
     TEMPERATURE,
     TIME,
+    SensorColumns,
     locate_columns,
     named_columns,
     require_celsius,
@@ -329,7 +330,9 @@ class CompensatedLog:
         given = {role: block.values[index] for role, index in self.roles.items()}
         given |= {role: block.readings(indices) for role, indices in self.vectors.items()}
         values = RoleValues(block.readings(self.channels), **given)  # type: ignore[arg-type]
-        return replace(values, count=block.counts) if block.counts is not None else values
+        if block.counts is None:
+            return values
+        return replace(values, count=block.counts if self.prepared.sensors else block.counts[:, 0])
 
     def _means(self) -> Means | None:
         if self.prepared.averaging is None:
@@ -341,8 +344,9 @@ class CompensatedLog:
             for channel, index in zip(self.prepared.channels, self.channels, strict=True)
             if channel in self.prepared.rails
         }
+        sensors = [sensor.of(self.channels) for sensor in self.prepared.sensors] or [SensorColumns("", self.channels)]
         return Means(
-            self.prepared.averaging, self.log.names, self.channels, rails, self.roles.get(TIME), self.roles.get(HEADING)
+            self.prepared.averaging, self.log.names, sensors, rails, self.roles.get(TIME), self.roles.get(HEADING)
         )
 
 

@@ -23,7 +23,7 @@ from tiltcal.core.named_coefficients import referred, values
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import moment
 from tiltcal.files.uncertainty import Uncertainty
-from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
+from tiltcal.logs.columns import TEMPERATURE, TIME, SensorColumns, named_columns
 from tiltcal.logs.compensation_kernel import ElementTemperature, Kernel, RoleValues
 from tiltcal.logs.log import LogReader, Table
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
@@ -377,24 +377,24 @@ class BenchKernel:
 
     Attributes
     ----------
-    parts : sequence of (str, Kernel, sequence of int, int or None)
-        Of each sensor what its columns begin with, its compensation, and where its readings and its own temperature
-        stand among the readings.
+    parts : sequence of (SensorColumns, Kernel)
+        Where the columns of each sensor stand among the readings, and its compensation.
     """
 
-    parts: Sequence[tuple[str, Kernel, Sequence[int], int | None]]
+    parts: Sequence[tuple[SensorColumns, Kernel]]
     columns: tuple[str, ...]
 
     def __call__(self, values: RoleValues) -> Table:
         table = {}
-        for lead, kernel, channels, temperature in self.parts:
-            own = values.readings.T
+        own = values.readings.T
+        for number, (sensor, kernel) in enumerate(self.parts):
             part = replace(
                 values,
-                readings=own[list(channels)].T,
-                temperature=values.temperature if temperature is None else own[temperature],
+                readings=own[list(sensor.readings)].T,
+                temperature=values.temperature if sensor.thermometer is None else own[sensor.thermometer],
+                count=None if values.count is None else values.count[:, number],
             )
-            table.update({f"{lead}{name}": column for name, column in kernel(part).items()})
+            table.update({f"{sensor.lead}{name}": column for name, column in kernel(part).items()})
         return table
 
 
@@ -402,16 +402,17 @@ def _bench(
     sensors: Sequence[_Sensor], parts: Sequence[PreparedCalibration], names: Sequence[str], roles: tuple[str, ...]
 ) -> PreparedCalibration:
     """Return the calibrations of several sensors as one."""
-    kernels: list[tuple[str, Kernel, Sequence[int], int | None]] = []
+    kernels: list[tuple[SensorColumns, Kernel]] = []
     channels: list[str] = []
     for sensor, part in zip(sensors, parts, strict=True):
         first = len(channels)
         channels += [f"{sensor.lead}{channel}" for channel in part.channels]
-        own = range(first, len(channels))
+        own = tuple(range(first, len(channels)))
         thermometer = f"{sensor.lead}{TEMPERATURE}"
         if thermometer in names:
             channels.append(thermometer)
-        kernels.append((sensor.lead, part.kernel, own, len(channels) - 1 if thermometer in names else None))
+        columns = SensorColumns(sensor.lead, own, len(channels) - 1 if thermometer in names else None)
+        kernels.append((columns, part.kernel))
 
     def led(wanted: Callable[[PreparedCalibration], Sequence[str]]) -> tuple[str, ...]:
         return tuple(
@@ -436,6 +437,7 @@ def _bench(
             for sensor, part in zip(sensors, parts, strict=True)
             for name, rail in part.rails.items()
         },
+        sensors=tuple(columns for columns, _ in kernels),
     )
 
 

@@ -1,9 +1,10 @@
 """Rows of a log, put into means before they are compensated: so many rows each, or so much time each.
 
-A mean is over the rows whose readings are all there; they are counted. Columns of numbers and of moments get their
-mean, a heading that of its direction, every other column the value of the first row. Headings that point apart have no
-mean worth the name: the row is flagged. Groups of a time begin at whole multiples of it on the clock of the log; a row
-without a time belongs to the group of the row before it.
+A mean is over the rows in which a sensor's readings are all there; they are counted, for each sensor of a log of
+several. What these share has its mean over the rows that count for at least one. Columns of numbers and of moments get
+their mean, a heading that of its direction, every other column the value of the first row. Headings that point apart
+have no mean worth the name: the row is flagged. Groups of a time begin at whole multiples of it on the clock of the
+log; a row without a time belongs to the group of the row before it.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from tiltcal.core.model import Array
 from tiltcal.errors import UsageError
 from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT
+from tiltcal.logs.columns import SensorColumns
 from tiltcal.logs.log import LogBlock, Table
 from tiltcal.stated_numbers import require_whole
 
@@ -77,15 +79,18 @@ class AveragedBlock(LogBlock):
 
     Attributes
     ----------
-    counts : ndarray of int, shape (n,)
-        Of how many rows each is the mean.
-    railed : ndarray of bool, shape (n,)
-        Whether one of them had a reading at the rail.
+    counts : ndarray of int, shape (n, sensors)
+        Of how many rows the readings of each sensor are the mean.
+    rows : ndarray of int, shape (n,)
+        In how many rows at least one sensor has all its readings.
+    railed : ndarray of bool, shape (n, sensors)
+        Whether a reading of each sensor was at the rail.
     apart : ndarray of bool, shape (n,)
         Whether their headings differ so much that the mean of their directions is 5 % shorter than they are.
     """
 
     counts: NDArray[np.int64]
+    rows: NDArray[np.int64]
     railed: NDArray[np.bool_]
     apart: NDArray[np.bool_]
 
@@ -98,7 +103,7 @@ class Means:
     ----------
     names : sequence of str
         The columns of the log.
-    readings : sequence of int
+    sensors : sequence of SensorColumns
         Where the readings stand.
     rails : mapping of int to (float, float)
         The lowest and the highest reading of some of them.
@@ -108,7 +113,7 @@ class Means:
 
     averaging: Averaging
     names: Sequence[str]
-    readings: Sequence[int]
+    sensors: Sequence[SensorColumns]
     rails: dict[int, tuple[float, float]]
     time: int | None = None
     heading: int | None = None
@@ -140,8 +145,11 @@ class Means:
         """Return the columns of a block of means: the count, and its flags: 4 of a rail, 3 of headings apart."""
         if not isinstance(block, AveragedBlock):
             raise TypeError("a block of means is needed")
-        marked = mark_columns(table, block.railed, FAIL, RAIL)
-        return {COUNT: block.counts, **mark_columns(marked, block.apart, SUSPECT, MAGNETIC)}
+        marked = dict(table)
+        for sensor, railed in zip(self.sensors, block.railed.T, strict=True):
+            own = (f"{sensor.lead}flag", f"{sensor.lead}reason")
+            marked |= mark_columns({name: table[name] for name in own}, railed, FAIL, RAIL)
+        return {COUNT: block.rows, **mark_columns(marked, block.apart, SUSPECT, MAGNETIC)}
 
     def _groups(self, block: LogBlock, done: int) -> NDArray[np.int64]:
         """Return the number of each row's group, ascending; ``done`` rows are before these."""
@@ -160,26 +168,36 @@ class Means:
 
     def _means(self, block: LogBlock, groups: NDArray[np.int64], bad: int) -> AveragedBlock:
         starts = np.flatnonzero(np.diff(groups, prepend=groups[0] - 1))
-        used = np.all([np.isfinite(block.values[index]) for index in self.readings], axis=0)
-        counts = np.add.reduceat(used.astype(np.int64), starts)
-        railed = np.zeros(len(starts), bool)
-        for index, (low, high) in self.rails.items():
-            reading = block.values[index]
-            railed |= np.logical_or.reduceat(used & ((reading <= low) | (reading >= high)), starts)
-        # Of a group without a row that counts, all rows are taken: its readings are missing, and its time is there.
-        lengths = np.diff(starts, append=len(groups))
-        used |= np.repeat(counts == 0, lengths)
+        complete = np.array([np.isfinite(block.readings(sensor.readings)).all(axis=1) for sensor in self.sensors])
+        shared, rows = _counted(np.logical_or.reduce(complete), starts)
+        counts = np.empty((len(starts), len(self.sensors)), np.int64)
+        railed = np.empty(counts.shape, bool)
+        used_for: dict[int, NDArray[np.bool_]] = {}
+        strict: set[int] = set()
+        for number, sensor in enumerate(self.sensors):
+            used, counts[:, number] = _counted(complete[number], starts)
+            railed[:, number] = np.logical_or.reduceat(used & self._at_rail(block, sensor), starts)
+            used_for |= dict.fromkeys(sensor.columns, used)
+            strict |= {*sensor.readings}
         values = {}
         apart = np.zeros(len(starts), bool)
         for index, column in block.values.items():
             if index == self.heading:
-                east, north = (_mean(part(np.radians(column)), used, starts) for part in (np.sin, np.cos))
+                east, north = (_mean(part(np.radians(column)), shared, starts) for part in (np.sin, np.cos))
                 values[index] = full_circle(np.degrees(np.arctan2(east, north)), 360.0)
                 apart = np.hypot(east, north) < 1.0 - FIELD_TOLERANCE
             else:
-                values[index] = _mean(column, used, starts, strict=index in self.readings)
-        frame = None if block.frame is None else self._frame(block.frame, groups, used, values)
-        return AveragedBlock(values, frame=frame, counts=counts, railed=railed, apart=apart, bad_rows=bad)
+                values[index] = _mean(column, used_for.get(index, shared), starts, strict=index in strict)
+        frame = None if block.frame is None else self._frame(block.frame, groups, shared, values)
+        return AveragedBlock(values, frame=frame, counts=counts, rows=rows, railed=railed, apart=apart, bad_rows=bad)
+
+    def _at_rail(self, block: LogBlock, sensor: SensorColumns) -> NDArray[np.bool_]:
+        """Return the rows in which a reading of a sensor is at its rail."""
+        found = np.zeros(len(block), bool)
+        for index in self.rails.keys() & {*sensor.readings}:
+            low, high = self.rails[index]
+            found |= (block.values[index] <= low) | (block.values[index] >= high)
+        return found
 
     def _frame(
         self, frame: pl.DataFrame, groups: NDArray[np.int64], used: NDArray[np.bool_], values: dict[int, Array]
@@ -203,6 +221,15 @@ class Means:
             if index != self.time  # it has a unit and a moment of its own
         }
         return means.with_columns(**exact)
+
+
+def _counted(complete: NDArray[np.bool_], starts: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Return which rows belong into the mean of each group, and how many of them count.
+
+    Of a group without a row that counts, all rows are taken: its readings are missing, and its time is there.
+    """
+    counts = np.add.reduceat(complete.astype(np.int64), starts)
+    return complete | np.repeat(counts == 0, np.diff(starts, append=len(complete))), counts
 
 
 def _mean(column: Array, used: NDArray[np.bool_], starts: NDArray[np.intp], *, strict: bool = False) -> Array:

@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError, UsageError
+from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import same_unit
 
 if TYPE_CHECKING:
@@ -15,6 +16,33 @@ if TYPE_CHECKING:
 TEMPERATURE = "temperature"
 TIME = "time"
 HEADING = "heading"
+
+
+@frozen
+class SensorColumns:
+    """Where the columns of a sensor stand among others.
+
+    Attributes
+    ----------
+    lead : str
+        What the names of its columns begin with.
+    thermometer : int or None
+        Its own; None where it has none.
+    """
+
+    lead: str
+    readings: tuple[int, ...]
+    thermometer: int | None = None
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """The readings and the thermometer."""
+        return self.readings if self.thermometer is None else (*self.readings, self.thermometer)
+
+    def of(self, columns: Sequence[int]) -> SensorColumns:
+        """Return where the columns stand in a log; ``columns`` are the places of those that they stand among."""
+        thermometer = None if self.thermometer is None else columns[self.thermometer]
+        return SensorColumns(self.lead, tuple(columns[index] for index in self.readings), thermometer)
 
 
 def named_columns(

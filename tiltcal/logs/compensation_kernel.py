@@ -41,7 +41,7 @@ class RoleValues:
         In the unit of their columns; None where they are not asked for.
     heading : ndarray, shape (n,), or None
         Degrees; None where it is not asked for.
-    count : ndarray of int, shape (n,), or None
+    count : ndarray of int, shape (n,), of several sensors (n, sensors), or None
         Of how many rows of the log each row is the mean; None where it is none.
     """
 

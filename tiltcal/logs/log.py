@@ -37,8 +37,8 @@ class LogBlock:
         Rows that could not be parsed and were kept.
     frame : polars.DataFrame or None
         All columns with their types, where the format has types or they were asked for.
-    counts : ndarray of int, shape (n,), or None
-        Of how many rows of the log each row is the mean; None where it is none.
+    counts : ndarray of int, shape (n, sensors), or None
+        Of how many rows of the log the readings of each sensor are the mean; None where they are none.
     bad_rows : int
         Rows among those of means that could not be parsed.
     """

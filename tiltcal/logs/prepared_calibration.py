@@ -13,7 +13,7 @@ from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT
-from tiltcal.logs.columns import HEADING, TIME
+from tiltcal.logs.columns import HEADING, TIME, SensorColumns
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
 from tiltcal.logs.streams import sha256_of
 from tiltcal.stated_numbers import is_number, require_from_zero
@@ -150,6 +150,8 @@ class PreparedCalibration:
         How rows are put into means before the kernel sees them.
     rails : mapping of str to (float, float)
         The lowest and the highest reading of channels, at which it is no measurement.
+    sensors : tuple of SensorColumns
+        Where the readings of each sensor stand among the channels; empty for a sensor whose columns have no lead.
     """
 
     kernel: Kernel
@@ -163,6 +165,7 @@ class PreparedCalibration:
     vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     averaging: Averaging | None = None
     rails: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sensors: tuple[SensorColumns, ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:

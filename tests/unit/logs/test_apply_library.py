@@ -178,6 +178,54 @@ def test_all_sensors_of_a_bench_log_are_compensated_in_one_pass(tmp_path: Path) 
     assert "C_flag" not in found
 
 
+class TestMeansOfSeveralSensors:
+    """A and B in one log: rails at 0 and 2000 counts, and readings with a noise of 8 counts."""
+
+    @pytest.fixture
+    def library(self, tmp_path: Path) -> tiltcal.CalibrationLibrary:
+        for serial in ("A", "B"):
+            record = calibrated(0, (1000, 1000), serial=serial)
+            noisy = replace(record.uncertainty, single_reading={"x": 8.0, "y": 8.0})
+            rails = replace(record.limits, reading={"x": (0.0, 2000.0), "y": (0.0, 2000.0)})
+            kept(tmp_path, replace(record, uncertainty=noisy, limits=rails))
+        return tiltcal.open_calibrations(tmp_path)
+
+    def means(self, library: tiltcal.CalibrationLibrary, a: list[float], b: list[float], **others: Any) -> Any:
+        level = np.full(len(a), 1000.0)
+        frame = {"time": seconds(np.zeros(len(a))), "A_y": level, "B_y": level}
+        frame |= {"A_x": np.array(a), "B_x": np.array(b), **others}
+        return library.apply(frame, average=len(a), uncertainty=True)
+
+    def test_a_rail_is_seen_beside_a_dead_sensor(self, library: tiltcal.CalibrationLibrary) -> None:
+        found = self.means(library, [np.nan, np.nan], [2000.0, 1000.0])
+        assert (found["B_flag"].tolist(), found["B_reason"].tolist()) == ([4], [4])
+        assert found["A_flag"].tolist() == [9]
+
+    def test_a_rail_fails_its_own_sensor_alone(self, library: tiltcal.CalibrationLibrary) -> None:
+        found = self.means(library, [2000.0, 1000.0], [1000.0, 1000.0])
+        assert (found["A_flag"].tolist(), found["B_flag"].tolist()) == ([4], [1])
+
+    def test_a_dead_sensor_costs_the_other_no_row(self, library: tiltcal.CalibrationLibrary) -> None:
+        """Of four readings: 8 / 2 counts of 819 are 4 / 819 g."""
+        found = self.means(library, [np.nan] * 4, [1000.0, 1004.0, 996.0, 1008.0])
+        assert found["B_x"] == pytest.approx([1002.0])
+        assert found["B_u_random_tilt_x"] == pytest.approx(np.degrees([4.0 / SCALE]), rel=0.002)
+        assert found["count"].tolist() == [4]
+
+    def test_each_mean_is_over_the_rows_of_its_sensor(self, library: tiltcal.CalibrationLibrary) -> None:
+        """``count`` is of the rows in which one of them has its readings; two rows of A, one of B, none of the last."""
+        found = self.means(library, [1000.0, 1010.0, np.nan, np.nan], [np.nan, np.nan, 1020.0, np.nan])
+        assert (found["A_x"].tolist(), found["B_x"].tolist(), found["count"].tolist()) == ([1005.0], [1020.0], [3])
+        assert found["A_u_random_tilt_x"] == pytest.approx(np.degrees([8.0 / np.sqrt(2.0) / SCALE]), rel=0.002)
+        assert found["B_u_random_tilt_x"] == pytest.approx(np.degrees([8.0 / SCALE]), rel=0.002)
+
+    def test_a_thermometer_that_fails_costs_no_row(self, library: tiltcal.CalibrationLibrary) -> None:
+        warm = np.array([20.0, np.nan, 22.0])
+        found = self.means(library, [1000.0, 1010.0, np.nan], [1000.0, 1000.0, 1030.0], A_temperature=warm)
+        assert (found["A_x"].tolist(), found["B_x"].tolist()) == ([1005.0], [1010.0])
+        assert found["A_temperature"].tolist() == [20.0]
+
+
 def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
     kept(tmp_path, calibrated(0, (1000, 1000), serial="A"), calibrated(0, (1010, 1020), serial="B"))
     library = tiltcal.open_calibrations(tmp_path)
