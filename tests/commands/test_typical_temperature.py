@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.command import measure
 
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+from tiltcal.core.compensation import Compensation
 from tiltcal.files.calibration import read_calibration
+from tiltcal.files.uncertainty import stated_uncertainty
 
 
 def offcorr(t: float) -> float:
@@ -45,6 +49,16 @@ def test_the_file_says_so_and_how_far_a_part_may_differ(calibration) -> None:
     # ±0.008 °/°C and ±0.014 %/°C over the parts.
     assert calibration.uncertainty["temperature.offset.x.1"] == pytest.approx(819 * 0.017453293 * 0.008, rel=1e-3)
     assert calibration.uncertainty["temperature.sensitivity.y.1"] == pytest.approx(1.4e-4)
+
+
+def test_the_spread_of_the_parts_is_in_the_angles(calibration) -> None:
+    """±0.008 °/°C over the parts is ±0.32° at level, 40 °C away from the reference; noise and fit add 1 % to it."""
+    known = calibration.coefficients
+    inputs = stated_uncertainty(calibration.uncertainty, known).inputs
+    temperatures = np.array([known.thermal.reference + 40.0])
+    readings = known.predict(np.array([[0.0, 0.0, 1.0]]), temperatures)
+    found = CompensationWithUncertainty(Compensation(known), known, inputs)(readings, temperatures)
+    assert found.standard[0, :2] == pytest.approx(0.32, rel=0.03)
 
 
 def test_a_units_own_run_wins(tmp_path: Path) -> None:

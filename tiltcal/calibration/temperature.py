@@ -16,6 +16,7 @@ from itertools import combinations
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.joint_fit import observations_of, observed_sensor
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.estimation.estimate import estimate_jointly
@@ -26,6 +27,7 @@ from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.fit_record import CrossValidation, Hysteresis
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.uncertainty import Covariance
 
 ROOM = 25.0
 """Reference temperature where none was measured, °C."""
@@ -186,9 +188,19 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
     return replace(
         calibration,
         coefficients=replace(coefficients, thermal=thermal),
-        uncertainty=replace(u, standard={**u.standard, **typical}),
+        uncertainty=replace(u, standard={**u.standard, **typical}, covariance=_extended(u.covariance, typical)),
         derived=replace(derived, assumed=assumed),
     )
+
+
+def _extended(stated: Covariance | None, typical: Mapping[str, float]) -> Covariance | None:
+    """Add uncorrelated coefficients with their standard uncertainties to a covariance, where there is one."""
+    if stated is None:
+        return None
+    own = len(stated.parameters)
+    matrix = np.diag([*(0.0 for _ in stated.parameters), *(u**2 for u in typical.values())])
+    matrix[:own, :own] = stated.matrix
+    return rounded_covariance((*stated.parameters, *typical), matrix)
 
 
 def _from(curve: Sequence[float], reference: float) -> Array:
