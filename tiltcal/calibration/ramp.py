@@ -162,9 +162,7 @@ def _estimate(
 ) -> Estimate:
     """Return the coefficients with their covariance: that of the record, and what is stated of the bench."""
     coefficients = _coefficients(fit, design, gravity, temperatures)
-    names = tuple(
-        name for model in coefficients.models for name in model.coefficients if not name.startswith("nonlinearity")
-    )
+    names = tuple(name for model in coefficients.models for name in model.coefficients)
     by_model = fit.means.powers(fit.lag, fit.order) @ fit.coefficients.T
     modelled = np.array([by_model[part].mean(axis=0) for _, part in _parts(fit)])
     residuals = np.array([[group.summaries[c].mean for c in design.channels] for group in groups]) - modelled

@@ -130,6 +130,26 @@ def test_the_step_of_a_thermometer_that_is_not_stated_is_in_the_uncertainty_of_a
     assert found.record.uncertainty.single_reading["temperature"] == pytest.approx(0.26, abs=0.02)
 
 
+def test_a_base_with_a_nonlinearity_has_it_in_the_offset_and_its_uncertainty(record, tmp_path):
+    """+Y up: the reading is o + 819 (1 + 0.001), by hand, and 0.002 of 819 are 1.64 counts of the offset."""
+    base = tmp_path / "base.yaml"
+    base.write_text(
+        "tiltcal: 1\nkind: tilt\nsensor: {model: built-here, serial: S-1, unit: count, channels: [x, y]}\n"
+        "calibration:\n  offset: {x: 1024.0, y: 1020.0}\n"
+        "  sensitivity: {x: {x: 819.0, y: 0.0}, y: {x: 0.0, y: 819.0}}\n"
+        "  nonlinearity: {x: [0.001], y: [0.001]}\n"
+        "uncertainty:\n  nonlinearity: {x: [0.002], y: [0.002]}\n"
+    )
+    up = [{"position": "hung", "start": 0, "end": 2400, "gx": 0.0, "gy": 1.0, "gz": 0.0}]
+    log = {**record, "y": record["y"] + 819.0 * 1.001}
+    found = fit("ramp", log, base=base, segments=up, jig=0.0, thermometer=0.0, columns={"time": "seconds"})
+    assert found.coefficients.nonlinearity[1, 0] == 0.001
+    assert found.uncertainty["nonlinearity.y.2"] == 0.002
+    assert found.offset["y"] == pytest.approx(1020.0, abs=0.2)
+    assert found.uncertainty["offset.y"] == pytest.approx(1.638, rel=0.02)
+    assert found.uncertainty["offset.x"] < 0.2
+
+
 @pytest.mark.parametrize("per_degree", [-1.083, 1000.0])
 def test_temperatures_in_counts_are_refused(record, per_degree):
     """The SCA100T's thermometer reads 197 - 1.083 T counts: 148 to 192 of them would be too hot for any sensor."""
