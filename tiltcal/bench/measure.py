@@ -111,8 +111,9 @@ def measure(
     journal : str or Path, optional
         Where the session is captured; by default beside the output.
     resume : str or Path, optional
-        The journal of an interrupted session, to go on with. All but the operator is then as at its start; with
-        ``output`` the calibration goes there, which it must where the journal names a file outside its own folder.
+        The journal of an interrupted session, to go on with. All but the operator is as at its start, and what is
+        stated otherwise is refused; with ``output`` the calibration goes there, which it must where the journal names a
+        file outside its own folder.
     plain : bool
         Whether the terminal prints lines only.
     remark : callable
@@ -135,6 +136,30 @@ def measure(
     if resume is not None and Path(resume).exists():
         session = _resumed(Path(resume), None if output is None else Path(output), remark)
         operator = operator or session.plan.operator
+        begun = session.plan
+        board = None if bench is None else _bench(bench).sensors
+        serials = [device.serial for device in begun.sensors]
+        begun.require_as_begun(
+            {
+                "PROCEDURE": None if procedure is None else find_procedure(str(procedure)).name,
+                "--sensor": sensor,
+                "--address": address,
+                "--serial": serial,
+                "--bench": None if board is None else ", ".join(f"{one.serial} at {one.address}" for one in board),
+                "--base": None if base is None else bases_of(begun.procedure, base, serials),
+                "--journal": None if journal is None else Path(journal).name,
+                "--samples": samples,
+                "--settle": settle,
+                "--jig": jig,
+                "--table-lean": table_lean,
+                "--heading-uncertainty": heading,
+                "--tilt": tilt,
+                "--turns": turns,
+                "--alignment": alignment,
+                "--typical-temperature": typical_temperature,
+                "--closing": closing,
+            }
+        )
     else:
         operator = operator or "terminal"
         if base is not None and bench is None and Path(base).is_file():

@@ -84,6 +84,43 @@ class SessionPlan:
         """Whether every device is a virtual twin; the clock is virtual then too."""
         return all(parse_address(device.address).simulated for device in self.devices)
 
+    def require_as_begun(self, stated: Mapping[str, object]) -> None:
+        """Refuse to continue the session with other settings than it began with.
+
+        Parameters
+        ----------
+        stated : mapping of str to object
+            Values by option; None and False of those that are not stated.
+
+        Raises
+        ------
+        UsageError
+        """
+        procedure = self.procedure
+        begun = {
+            "PROCEDURE": procedure.name,
+            "--procedure": procedure.name,
+            "--sensor": ", ".join(device.model_name for device in self.sensors),
+            "--address": ", ".join(device.address for device in self.sensors),
+            "--serial": ", ".join(device.serial for device in self.sensors),
+            "--bench": ", ".join(f"{device.serial} at {device.address}" for device in self.sensors),
+            "--base": dict(self.bases),
+            "--journal": self.journal,
+            "--samples": self.settings.samples,
+            "--settle": self.settings.settle,
+            "--jig": self.jig,
+            "--table-lean": self.table,
+            "--heading-uncertainty": self.heading,
+            "--tilt": procedure.angle,
+            "--turns": None if procedure.rotation is None else procedure.rotation.turns,
+            "--alignment": procedure.alignment,
+            "--typical-temperature": self.typical,
+            "--closing": procedure.closes,
+        }
+        for option, value in stated.items():
+            if value is not None and value is not False and value != begun[option]:
+                raise UsageError(f"{option} differs from what the session of {self.journal} began with: leave it out")
+
     def header(self) -> dict[str, Any]:
         """As plain data, for the journal."""
         return {

@@ -82,6 +82,17 @@ def command(
     if resume is not None:
         session = Session.of_journal(resume, options.remark)
         _require_same_sensor(session, judged.sensor, calibration)
+        session.plan.require_as_begun(
+            {
+                "--procedure": None if options.left_at_default("procedure") else find_procedure(procedure).name,
+                "--address": address,
+                "--jig": jig,
+                "--tilt": tilt,
+                "--samples": samples,
+                "--settle": settle,
+                "--journal": None if journal is None else journal.name,
+            }
+        )
         operator = session.plan.operator if options.left_at_default("operator") else operator
     elif address is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
@@ -95,9 +106,12 @@ def command(
         session = Session(
             plan_session(steps, bench, [None], path, operator=operator, samples=samples, settle=settle), path
         )
+    again = f"verify {quote(str(calibration))}"
+    again += "" if options.left_at_default("limit") else f" --limit {limit}"
+    again += " --json" if as_json else ""
     session.preflight()
     with (
-        session.resumable(f"verify {quote(str(calibration))}", options.remark),
+        session.resumable(again, options.remark),
         open_operator(operator, turns=False, virtual=session.plan.virtual, say=options.remark, plain=plain) as leader,
     ):
         found = session.verify(cast("PositionOperator", leader), judged, limit)
