@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -76,8 +77,10 @@ def open_serial(address: Address, model: Model) -> SerialLink:
     serial = _pyserial()
     try:
         port = serial.serial_for_url(address.path, do_not_open=True, exclusive=True, **settings)
-    except ValueError as cause:
+    except (ValueError, re.error) as cause:
         address.refuse(f"pyserial cannot use it ({cause})")
+    except OSError as cause:  # hwgrep:// looks for its port here
+        raise BusError(_why(address.path, cause)) from cause
     return SerialLink(address.path, port, timeout)
 
 

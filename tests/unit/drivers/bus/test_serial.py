@@ -140,6 +140,11 @@ def test_no_such_port() -> None:
         opened("serial:///dev/ttyUSB77")
 
 
+def test_no_port_that_a_pattern_matches() -> None:
+    with pytest.raises(BusError, match=r"hwgrep://nobody failed .no ports found .*: check the cable"):
+        opened("serial:hwgrep://nobody")
+
+
 def test_a_port_in_use(pty) -> None:
     first = opened(f"serial://{pty[1]}")
     with pytest.raises(BusError, match="in use by another program"):
@@ -173,6 +178,7 @@ def test_a_file_is_no_serial_port(tmp_path) -> None:
         ("serial:///dev/ttyUSB0?stopbits=3", "none of 1, 1.5, 2"),
         ("serial:///dev/ttyUSB0?timeout=0", "too small"),
         ("serial:nosuch://somewhere", "cannot be used: name a port"),
+        ("serial:hwgrep://(", "pyserial cannot use it .*unterminated subpattern"),
     ],
 )
 def test_wrong_addresses(address: str, why: str) -> None:
