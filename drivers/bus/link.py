@@ -7,6 +7,10 @@ from typing import Protocol, runtime_checkable
 from tiltcal.errors import BusError
 
 
+class CaptureEnded(BusError):
+    """A capture has no further edges; its link stays open, because opened anew it would start at the first edge."""
+
+
 class Link(Protocol):
     """One opened connection to one device.
 

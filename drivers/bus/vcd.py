@@ -10,6 +10,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges
+from tiltcal.drivers.bus.link import CaptureEnded
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
@@ -88,15 +89,17 @@ class VcdLink:
 
         Raises
         ------
+        CaptureEnded
+            At the end of the capture, until the file has changed.
         BusError
-            The capture is at its end, or damaged.
+            The capture is damaged.
         """
         if not count:
             self._renew()
             return b""
         edges = list(islice(self._edges, max(count // RECORD.size, 1)))
         if not edges:
-            raise BusError(
+            raise CaptureEnded(
                 f"{self._path}: the capture is at its end: capture a longer one under the same name, then repeat the "
                 "position"
             )

@@ -15,7 +15,7 @@ from typing import Any, ParamSpec
 
 from tiltcal.bench.operators.operator import OperatorAnswer
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link, Recalling
+from tiltcal.drivers.bus.link import CaptureEnded, Link, Recalling
 from tiltcal.errors import BusError, JournalError
 from tiltcal.files.journal import ANSWER, HARDWARE_ERROR, LIVE_READING, POSITION, RESUMED, Event, Journal, JournalWriter
 
@@ -273,7 +273,8 @@ class RecordedLink:
                 self._remind(self._live)
             answer = self._live.exchange(out, count)
         except BusError as error:
-            self.close()
+            if not isinstance(error, CaptureEnded):
+                self.close()
             self._played.clear()
             log.record(HARDWARE_ERROR, out.hex(), str(error), *device)
             raise

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tiltcal.bench.event_log import EventLog, RecordedLink
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
@@ -131,6 +132,20 @@ def test_a_capture_that_is_written_anew_is_read_from_its_start(hand_written: Pat
     *_, last = unpack_edges(link.exchange(b"", 4096))
     assert last == Edge(2_000_000, 0, True, 5)
     link.close()
+
+
+def test_a_capture_at_its_end_does_not_start_again(hand_written: Path) -> None:
+    link = RecordedLink(EventLog(VirtualClock()), lambda: opened(hand_written), "e", 0)
+    with closing(link):
+        assert len(list(unpack_edges(link.exchange(b"", 4096)))) == 5
+        for _ in range(2):
+            with pytest.raises(BusError, match="at its end"):
+                link.exchange(b"", 4096)
+            link.exchange(b"", 0)
+        hand_written.write_text(HAND_WRITTEN.replace("#100 1!", "#2000 1!"))
+        link.exchange(b"", 0)
+        *_, last = unpack_edges(link.exchange(b"", 4096))
+        assert last == Edge(20_000_000, 0, True, 5)
 
 
 @pytest.mark.parametrize(
