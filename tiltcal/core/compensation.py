@@ -197,7 +197,9 @@ class Compensation:
         self._coefficients = coefficients
         self._thermal = coefficients.thermal
         square = sensitivity[:, [own.index(axis) for axis in self.axes]]
-        self.inverse = _first_order_inverse(square) if first_order else _inverse(square)
+        self.inverse = (
+            _first_order_inverse(square, coefficients.channels, self.axes) if first_order else _inverse(square)
+        )
         self.rotation: Array | None = None
         if coefficients.mounting is not None:
             rotation = mounting_matrix(coefficients.mounting)
@@ -460,14 +462,18 @@ def _inverse(sensitivity: Array) -> Array:
     return np.asarray(np.linalg.inv(sensitivity), dtype=np.float64)
 
 
-def _first_order_inverse(sensitivity: Array) -> Array:
-    """Return the linear map that eq. 6 applies, for X and, with the letters exchanged, for Y."""
-    (xx, xy), (yx, yy) = sensitivity
-    if xx == 0.0 or yy == 0.0:
+def _first_order_inverse(sensitivity: Array, channels: tuple[str, ...], axes: tuple[str, ...]) -> Array:
+    """Return the linear map that eq. 6 applies, for X and, with the letters exchanged, for Y.
+
+    The rows of ``sensitivity`` and the columns of the map are the channels; the others are the axes.
+    """
+    own = [channels.index(axis) for axis in axes if axis in channels]
+    if len(own) < len(axes) or not np.diag(sensitivity[own]).all():
         raise EstimateError(
             "the first-order compensation divides by the sensitivity of each channel's own axis: one is 0"
         )
-    return np.array([[1.0 / xx, -xy / (xx * yy)], [-yx / (xx * yy), 1.0 / yy]])
+    (xx, xy), (yx, yy) = sensitivity[own]
+    return np.array([[1.0 / xx, -xy / (xx * yy)], [-yx / (xx * yy), 1.0 / yy]])[:, np.argsort(own)]
 
 
 def _bounds(named: dict[str, tuple[float, float]], names: tuple[str, ...]) -> dict[int, tuple[float, float]]:

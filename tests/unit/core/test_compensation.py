@@ -165,6 +165,17 @@ class TestAgainstASeparateCalculation:
         np.testing.assert_allclose(result.tilt, expected, rtol=0, atol=1e-6)
         assert (result.flag == 1).all()
 
+    def test_first_order_is_alike_in_any_order_of_the_channels(self) -> None:
+        """Each channel with its own row; the order of x and y is that of eq. 6, which the next test holds."""
+        known = coefficients(TWO)
+        other = Coefficients(("y", "x"), ("x", "y"), known.offset[::-1], known.sensitivity[::-1])
+        readings = known.predict(directions(50, 4))
+        found, turned = (
+            Compensation(one, first_order=True)(rows).gravity
+            for one, rows in ((known, readings), (other, readings[:, ::-1]))
+        )
+        np.testing.assert_allclose(turned, found, rtol=0, atol=1e-15)
+
     def test_first_order_is_eq_6_on_each_channel(self) -> None:
         known = coefficients(TWO)
         (xx, xy), (yx, yy) = TWO
