@@ -193,9 +193,11 @@ def apply_frame(
     reader = FrameReader(frame)
     prepared = prepare_any(calibration, ApplyOptions(**options))(reader, columns)
     log = CompensatedLog.of(reader, prepared, columns)
-    if unit is not None and prepared.unit is not None and not same_unit(unit, prepared.unit):
-        why = f"column {reader.names[log.channels[0]]!r} is in {unit}, and the calibration in {prepared.unit}"
-        raise InputError(f"{why}: convert the readings", file=reader.name)
+    for channel, index in zip(prepared.channels, log.channels, strict=True):
+        own = prepared.units.get(channel)
+        if unit is not None and own is not None and not same_unit(unit, own):
+            why = f"column {reader.names[index]!r} is in {unit}, and the calibration in {own}"
+            raise InputError(f"{why}: convert the readings", file=reader.name)
     blocks = list(log.blocks(count=False))
     if prepared.averaging is not None:
         return reader.of_means(blocks, log.channels, log.units)
@@ -278,9 +280,12 @@ class CompensatedLog:
         vectors = {role: _locate_vector(log, role, names) for role, names in prepared.vectors.items()}
         require_free(log.names, prepared.columns)
         channels = tuple(where[channel] for channel in prepared.channels)
-        if prepared.unit is not None:
-            require_unit(log, channels, prepared.unit)
+        for channel, unit in prepared.units.items():
+            require_unit(log, [where[channel]], unit)
         require_celsius(log, where)
+        for sensor in prepared.sensors:
+            if sensor.thermometer is not None:
+                require_celsius(log, {TEMPERATURE: channels[sensor.thermometer]})
         present = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
         summary = ApplySummary.watching(prepared.watched)
         return cls(log, prepared, channels, present, vectors, summary, _field_length("magnetometer" in vectors))

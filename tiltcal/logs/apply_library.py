@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from tiltcal.calibration.interpolation import Stability
     from tiltcal.calibration.sensor_history import SensorHistory
     from tiltcal.files.calibration import CalibrationRecord
+
+T = TypeVar("T")
 
 STEPS = 64
 """Of the time between two calibrations, where more than offset and drift lies on a line."""
@@ -419,10 +421,17 @@ def _bench(
             f"{sensor.lead}{name}" for sensor, part in zip(sensors, parts, strict=True) for name in wanted(part)
         )
 
+    def led_values(wanted: Callable[[PreparedCalibration], Mapping[str, T]]) -> dict[str, T]:
+        return {
+            f"{sensor.lead}{name}": value
+            for sensor, part in zip(sensors, parts, strict=True)
+            for name, value in wanted(part).items()
+        }
+
     return PreparedCalibration(
         BenchKernel(kernels, led(lambda part: part.kernel.columns)),
         tuple(channels),
-        None,
+        led_values(lambda part: part.units),
         led(lambda part: part.angles),
         led(lambda part: part.watched),
         {
@@ -432,11 +441,7 @@ def _bench(
         roles,
         vectors=parts[0].vectors,
         averaging=parts[0].averaging,
-        rails={
-            f"{sensor.lead}{name}": rail
-            for sensor, part in zip(sensors, parts, strict=True)
-            for name, rail in part.rails.items()
-        },
+        rails=led_values(lambda part: part.rails),
         sensors=tuple(columns for columns, _ in kernels),
     )
 

@@ -131,8 +131,8 @@ class PreparedCalibration:
     ----------
     channels : tuple of str
         The readings that it takes.
-    unit : str or None
-        Of the readings; None for pairs, whose unit does not matter.
+    units : mapping of str to str
+        Of each reading; empty for pairs, whose unit does not matter.
     angles : tuple of str
         The added columns that are angles.
     watched : tuple of str
@@ -156,7 +156,7 @@ class PreparedCalibration:
 
     kernel: Kernel
     channels: tuple[str, ...]
-    unit: str | None
+    units: Mapping[str, str]
     angles: tuple[str, ...]
     watched: tuple[str, ...]
     origin: Mapping[str, str]
@@ -242,7 +242,7 @@ def prepare(
     return PreparedCalibration(
         TiltKernel(compensation, uncertain, earth, lag, averaging is not None),
         coefficients.channels,
-        sensor.unit,
+        dict.fromkeys(coefficients.channels, sensor.unit),
         compensation.angles,
         (*(uncertain.expanded if uncertain else ()), *(earth.expanded if earth else ())),
         stated,
@@ -269,7 +269,7 @@ def _of_pairs(
         if given:
             raise UsageError(f"{name} is for tilt calibrations; {file} is of pairs, which have no tilt")
     matched = calibration.compensation()
-    return PreparedCalibration(PairKernel(matched), matched.channels, None, (), (), origin)
+    return PreparedCalibration(PairKernel(matched), matched.channels, {}, (), (), origin)
 
 
 def _mounted(calibration: Calibration, angles: Mapping[str, float] | str, say: Callable[[str], None]) -> Calibration:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray
 from support import FIXTURES
 
 import tiltcal
@@ -18,6 +19,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.logs.apply import apply_frame
 
 LEVEL = read_calibration(FIXTURES / "zero-45.yaml")
 START = datetime(2026, 1, 1, tzinfo=UTC)
@@ -224,6 +226,34 @@ class TestMeansOfSeveralSensors:
         found = self.means(library, [1000.0, 1010.0, np.nan], [1000.0, 1000.0, 1030.0], A_temperature=warm)
         assert (found["A_x"].tolist(), found["B_x"].tolist()) == ([1005.0], [1010.0])
         assert found["A_temperature"].tolist() == [20.0]
+
+
+@pytest.mark.parametrize(
+    ("units", "why"),
+    [
+        ({"B_x": "V"}, "column 'B_x' is in V, and the calibration in count"),
+        ({"A_temperature": "K"}, "column 'A_temperature' is in K, and temperatures in °C"),
+    ],
+)
+def test_each_column_of_several_sensors_has_its_unit(tmp_path: Path, units: dict[str, str], why: str) -> None:
+    kept(tmp_path, *(calibrated(0, (1000, 1000), serial=serial) for serial in ("A", "B")))
+    library = tiltcal.open_calibrations(tmp_path)
+    columns = dict.fromkeys(("A_x", "A_y", "B_x", "B_y"), 1000.0) | {"A_temperature": 293.0, "time": seconds(0.0)}
+    log = {
+        name: ("row", np.full(2, value), {"units": units[name]} if name in units else {})
+        for name, value in columns.items()
+    }
+    with pytest.raises(InputError, match=why):
+        library.apply(xarray.Dataset(log))
+
+
+def test_the_unit_that_is_stated_for_a_frame_is_that_of_every_sensor(tmp_path: Path) -> None:
+    kept(tmp_path, *(calibrated(0, (1000, 1000), serial=serial) for serial in ("A", "B")))
+    library = tiltcal.open_calibrations(tmp_path)
+    frame = {"time": seconds(np.zeros(1))} | {name: np.array([1000.0]) for name in ("A_x", "A_y", "B_x", "B_y")}
+    with pytest.raises(InputError, match="column 'A_x' is in V, and the calibration in count: convert the readings"):
+        apply_frame(library, frame, unit="V")
+    assert apply_frame(library, frame, unit="count")["A_flag"].tolist() == [1]
 
 
 def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
