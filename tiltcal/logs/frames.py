@@ -230,7 +230,7 @@ class _Table:
             return _floats(micros.cast(nw.Float64)) / 1e6
         if not isinstance(kind, nw.String):
             return self.numbers(name)
-        return _seconds(column.to_list())
+        return _seconds([cell if isinstance(cell, str) else None for cell in column.to_list()])  # pandas has NaN, too
 
     def polars(self, reading: str) -> pl.DataFrame:
         return self._frame.rename({own: name for name, own in self._named.items() if own != name}).to_polars()  # type: ignore[no-any-return]

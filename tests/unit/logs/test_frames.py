@@ -126,6 +126,19 @@ class TestMissingValues:
         assert rows_of(masked, "the table") == [{"position": "level", "temperature": 20.0}, {"position": "x-45"}]
 
 
+class TestMeans:
+    """Of two rows; what a column holds besides numbers is that of the first."""
+
+    @pytest.mark.parametrize("kind", ["str", "string", "object"])
+    def test_a_text_of_a_time_is_missing(self, kind: str, calibration: Calibration) -> None:
+        frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]})
+        frame["time"] = pd.Series(["2026-05-01T12:00:00Z", None], dtype=kind)
+        for how in ({"average": 2}, {"every": "10s"}):
+            found = apply_frame(calibration, frame, **how)
+            assert found["time"].tolist() == ["2026-05-01T12:00:00Z"]
+            assert found["count"].tolist() == [2]
+
+
 class TestRefusals:
     @pytest.mark.parametrize("temperature", [20.0, [[20.0, 21.0]]])
     def test_a_column_without_rows(self, temperature: Any, calibration: Calibration) -> None:
