@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from support.command import measure, tiltcal
 
-from tiltcal.bench.operators.operator import OperatorAnswer
+from tiltcal.bench.operators.operator import Live, OperatorAnswer
 from tiltcal.bench.operators.sim import SimOperator
+from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import plan_session, single
 from tiltcal.errors import HardwareError
@@ -159,6 +160,48 @@ def test_a_thermometer_that_is_far_off_is_believed_once_it_holds(bench: Path) ->
     warm, cold = calibration.positions
     assert _seconds(str(cold.time)) - _seconds(str(warm.time)) > 200.0
     assert cold.temperature == pytest.approx(11.5, abs=0.6)
+
+
+PARTED = """\
+tiltcal: 1
+kind: procedure
+name: parted
+title: Two positions at one temperature, and one at another
+determines: {axes: [], drift: 1}
+reference: 24.0
+soak: {seconds: 20, drift: 0.3}
+positions:
+  - {name: warm-1, tilt: {x: 0, y: 0}, temperature: 24.0, prompt: "Level."}
+  - {name: warm-2, tilt: {x: 0, y: 0}, temperature: 24.0, prompt: "Still level."}
+  - {name: cold, tilt: {x: 0, y: 0}, temperature: 5.5, prompt: "Cool."}
+"""
+
+
+class Returning(SimOperator):
+    """Measures the cold position, and goes back to the warm one before it."""
+
+    looked = False
+
+    def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
+        if position.name == "cold" and self.looked:
+            self.looked = False
+            return OperatorAnswer("back")
+        return super().position(position, number, live)
+
+    def review(self, result: PositionResult) -> OperatorAnswer:
+        if result.position.name == "cold" and not Path("looked").exists():
+            Path("looked").touch()
+            self.looked = True
+            return OperatorAnswer("redo")
+        return super().review(result)
+
+
+def test_a_temperature_is_waited_for_again_after_another_one(bench: Path) -> None:
+    """With a time constant of a minute, what is measured at once is measured at the wrong temperature."""
+    Path("parted.yaml").write_text(PARTED)
+    twin_with("time_constant: 60.0")
+    calibration, _ = run("parted.yaml", Returning())
+    assert calibration.positions[1].temperature == pytest.approx(24.0, abs=2.0 + 0.92)
 
 
 def _seconds(stamp: str) -> float:

@@ -51,6 +51,11 @@ class EventLog:
         What was captured before.
     writer : JournalWriter, optional
         Where live events go. Without one nothing live may happen: that is a replay.
+
+    Attributes
+    ----------
+    interruptions : int
+        How often the session has been resumed so far.
     """
 
     def __init__(self, clock: Clock, journal: Journal | None = None, writer: JournalWriter | None = None) -> None:
@@ -60,6 +65,7 @@ class EventLog:
         self._events: Sequence[Event] = journal.events if journal else ()
         self._next = 0
         self._now_ns = 0
+        self.interruptions = 0
         if journal is not None and writer is not None and clock.real:
             self._events = journal.events.followed_by(self._resumption(writer))
         self.state = SessionState.PLAYING if self._events else SessionState.LIVE
@@ -218,6 +224,7 @@ class EventLog:
     def _play(self) -> Event:
         event = self._events[self._next]
         self._next += 1
+        self.interruptions += event.kind == RESUMED
         self._now_ns += event.dt_ns
         self._clock.seek(self._now_ns)
         if self._next == len(self._events):

@@ -66,6 +66,8 @@ class PositionRunner:
         self._log = log
         self._clock = clock
         self._fixture = fixture
+        self._soaked: tuple[float, int] | None = None
+        """The temperature that the sensors have, and the interruptions before they took it; None on the way."""
 
     @property
     def records(self) -> Mapping[str, RampRecord]:
@@ -113,8 +115,7 @@ class PositionRunner:
         if actual != position:
             self._hold(actual)
         look = partial(self._look, position)
-        window = self._window(position, accepted, answer.temperature)
-        wait_until_still(self._sensors, self._clock, window, look)
+        self._settle(position, answer.temperature, look)
         held, left_out = self._sampled(look, thermometers=answer.temperature is None)
         self._sensors.succeeded()
         result = self._result(actual, held, answer.temperature, accepted)
@@ -129,6 +130,8 @@ class PositionRunner:
 
     def _asked(self, position: Position, number: int) -> OperatorAnswer:
         """Ask for a position; the readings that the operator looks at meanwhile are taken again in a replay."""
+        if self._soaked is not None and position.temperature != self._soaked[0]:
+            self._soaked = None
         self._hold(position)
         while self._log.plays_live_reading():
             with suppress(HardwareError):
@@ -160,14 +163,18 @@ class PositionRunner:
     def _look(self, position: Position, sample: Sample, why: str) -> None:
         self._log.report(self._operator.look, position, self._sensors.by_serial(sample), why)
 
-    def _window(self, position: Position, accepted: Sequence[PositionResult], typed: float | None) -> Window:
-        """Return what must hold still: the readings; the temperature too, where this position changes it."""
-        before = self._procedure.positions[len(accepted) - 1] if accepted else None
-        if position.temperature is None or (before is not None and before.temperature == position.temperature):
-            return Window(self._settings.settle)
-        # A temperature that the operator types is vouched for; the thermometer may be far off.
-        target = position.temperature if typed is None else None
-        return Window(self._settings.soak, self._procedure.soak_drift, target)
+    def _settle(self, position: Position, typed: float | None, look: Callable[[Sample, str], None]) -> None:
+        """Wait until the readings hold still, and the temperature too, where the sensors do not have it already."""
+        reached = None if position.temperature is None else (position.temperature, self._log.interruptions)
+        if reached is None or reached == self._soaked:
+            window = Window(self._settings.settle)
+        else:
+            # A temperature that the operator types is vouched for; the thermometer may be far off.
+            target = position.temperature if typed is None else None
+            window = Window(self._settings.soak, self._procedure.soak_drift, target)
+            self._soaked = None
+        wait_until_still(self._sensors, self._clock, window, look)
+        self._soaked = reached
 
     def _sampled(self, look: Callable[[Sample, str], None], *, thermometers: bool) -> tuple[list[Timed], int]:
         """Return the samples of a position, and how many that were far off have been taken again.
