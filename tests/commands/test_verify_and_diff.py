@@ -67,6 +67,39 @@ def test_an_interrupted_verification_is_resumed(folder: Path) -> None:
     assert "passed" in resumed.stdout
 
 
+@pytest.mark.parametrize("procedure", ["level", "mounting", "ramp", "free", "rotation"])
+def test_a_procedure_that_sets_no_positions_verifies_nothing(folder: Path, procedure: str) -> None:
+    command = ("verify", "S-1.yaml", "--address", "sim:?seed=1", "--operator", "sim", "--procedure", procedure)
+    refused = tiltcal(*command, "--journal", "none.jsonl", cwd=folder)
+    assert refused.returncode == 2
+    assert not (folder / "none.jsonl").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (
+            "columns=x,y&unit=V",
+            "C-1.yaml is of x, y, z in V, and serial:///dev/null?columns=x,y&unit=V gives x, y in V",
+        ),
+        ("columns=x,y,z&unit=mV", "gives x, y, z in mV: name the address as it was calibrated"),
+    ],
+)
+def test_other_readings_than_the_calibration_s_are_refused(tmp_path: Path, given: str, says: str) -> None:
+    """Before the sensor is looked for: /dev/null answers nothing."""
+    text = CALIBRATION.format(offset=2.5).replace(
+        "model: sca100t-d02, serial: S-1, unit: count", "model: serial-columns, serial: C-1, unit: V"
+    )
+    text = text.replace("[x, y]", "[x, y, z]").replace("y: 1021.0}", "y: 2.5, z: 2.5}")
+    text = text.replace("{x: 818.0, y: 9.0}", "{x: 2, y: 0, z: 0}").replace(
+        "{x: -6.0, y: 820.0}", "{x: 0, y: 2, z: 0}, z: {x: 0, y: 0, z: 2}"
+    )
+    (tmp_path / "C-1.yaml").write_text(text[: text.index("uncertainty")])
+    refused = tiltcal("verify", "C-1.yaml", "--address", f"serial:///dev/null?{given}", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert says in refused.stderr
+
+
 def test_the_command_that_resumes_judges_as_the_one_that_was_interrupted(folder: Path) -> None:
     """The twin bends by up to 0.15° within 20°: it passes the default limit, and not 0.001°."""
     options = ("--address", "sim:?seed=1", "--limit", "0.001", "--json", "--operator", "json", "--journal", "l.jsonl")

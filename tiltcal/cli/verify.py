@@ -81,7 +81,21 @@ def command(
     judged = read_calibration(calibration)
     if resume is not None:
         session = Session.of_journal(resume, options.remark)
-        _require_same_sensor(session, judged.sensor, calibration)
+        operator = session.plan.operator if options.left_at_default("operator") else operator
+    elif address is None:
+        raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
+    else:
+        path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), options.remark)
+        bench = single(judged.sensor.model, judged.sensor.serial, address, jig)
+        steps = find_procedure(procedure, tilt)
+        if steps.determines.free or steps.determines.completes or steps.ramp is not None:
+            raise UsageError(f"{steps.name} sets no positions to verify with: name another procedure")
+        steps.require_positions()
+        session = Session(
+            plan_session(steps, bench, [None], path, operator=operator, samples=samples, settle=settle), path
+        )
+    _require_sensor(session, judged.sensor, calibration)
+    if resume is not None:
         session.plan.require_as_begun(
             {
                 "--procedure": None if options.left_at_default("procedure") else find_procedure(procedure).name,
@@ -92,19 +106,6 @@ def command(
                 "--settle": settle,
                 "--journal": None if journal is None else journal.name,
             }
-        )
-        operator = session.plan.operator if options.left_at_default("operator") else operator
-    elif address is None:
-        raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
-    else:
-        path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), options.remark)
-        bench = single(judged.sensor.model, judged.sensor.serial, address, jig)
-        steps = find_procedure(procedure, tilt)
-        if steps.determines.free:
-            raise UsageError(f"{steps.name} sets no positions to verify with: name another procedure")
-        steps.require_positions()
-        session = Session(
-            plan_session(steps, bench, [None], path, operator=operator, samples=samples, settle=settle), path
         )
     again = f"verify {quote(str(calibration))}"
     again += "" if options.left_at_default("limit") else f" --limit {limit}"
@@ -124,8 +125,8 @@ def command(
     return 0 if found.verdict == PASSED else NEGATIVE_VERDICT
 
 
-def _require_same_sensor(session: Session, judged: SensorIdentity, calibration: Path) -> None:
-    """Refuse to go on with the journal of a measurement, and with the verification of another sensor."""
+def _require_sensor(session: Session, judged: SensorIdentity, calibration: Path) -> None:
+    """Refuse the journal of a measurement, and readings that are not those of the calibration's sensor."""
     if session.outputs:
         raise UsageError(
             f"{session.path} is of a measurement; continue it with: tiltcal measure --resume {quote(str(session.path))}"
@@ -135,4 +136,10 @@ def _require_same_sensor(session: Session, judged: SensorIdentity, calibration: 
             raise UsageError(
                 f"{session.path} is of {device.model_name} {device.serial}, and {calibration} of {judged.model} "
                 f"{judged.serial}: name the calibration of that sensor"
+            )
+        channels, unit = device.model.channels, device.model.unit
+        if unit != judged.unit or not set(judged.channels) <= set(channels):
+            raise UsageError(
+                f"{calibration} is of {', '.join(judged.channels)} in {judged.unit}, and {device.address} gives "
+                f"{', '.join(channels)} in {unit}: name the address as it was calibrated"
             )
