@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import inf, sqrt
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,7 +154,7 @@ def combine_statements(statements: Sequence[Statement], start: Coefficients, nam
         budget,
         tuple(statements),
         tuple(parts),
-        tuple(_differences(statements, slopes, weights, inverse, left)),
+        tuple(_differences(statements, slopes, weights, parts, left)),
         chi_square,
         sum(len(statement.names) for statement in statements) - len(names),
     )
@@ -205,38 +205,31 @@ def _differences(
     statements: Sequence[Statement],
     slopes: Sequence[Array],
     weights: Sequence[Array],
-    inverse: Array,
+    parts: Sequence[Array],
     left: Sequence[Array],
 ) -> list[tuple[str, CoefficientChange]]:
     """Return by coefficient what one statement differs by from what all others give."""
     worst: dict[str, tuple[str, CoefficientChange]] = {}
-    dofs = {
-        (statement.label, name): float(dof)
-        for statement in statements
-        for name, dof in zip(
-            statement.names,
-            Part("", np.eye(len(statement.names)), statement.covariance, statement.factors).dof,
-            strict=True,
-        )
-    }
-    for statement, a, w, r in zip(statements, slopes, weights, left, strict=True):
-        checked = w - w @ a @ inverse @ a.T @ w
+    for statement, a, w, part, r in zip(statements, slopes, weights, parts, left, strict=True):
+        checked = w - w @ a @ part
         for k, name in enumerate(statement.names):
-            others = [other.label for other in statements if other is not statement and name in other.names]
+            others = any(other is not statement and name in other.names for other in statements)
             if not others or checked[k, k] <= REDUNDANT * w[k, k]:
                 continue
             difference = float((w @ r)[k] / checked[k, k])
-            u2 = 1.0 / float(checked[k, k])
-            own = float(statement.covariance[k, k])
-            dof = welch_satterthwaite(
-                np.array([u2]),
+            # The weights are widened, so that their inverse is not the variance of the difference.
+            rows = [
+                (w[k] - (w @ a @ by)[k] if other is statement else -(w @ a @ by)[k]) / checked[k, k]
+                for other, by in zip(statements, parts, strict=True)
+            ]
+            budget = Budget.of(
                 [
-                    (np.array([own]), dofs[statement.label, name]),
-                    (np.array([max(u2 - own, 0.0)]), min(dofs[other, name] for other in others)),
-                ],
+                    Part(other.label, row[None], other.covariance, other.factors)
+                    for other, row in zip(statements, rows, strict=True)
+                ]
             )
             value = float(statement.values[k])
-            change = CoefficientChange(name, value - difference, value, sqrt(u2), float(dof[0]))
+            change = CoefficientChange(name, value - difference, value, float(budget.u[0]), float(budget.dof[0]))
             if name not in worst or (change.ratio or 0.0) > (worst[name][1].ratio or 0.0):
                 worst[name] = statement.label, change
     return list(worst.values())

@@ -18,7 +18,7 @@ from tiltcal.calibration.combined_session import CombinedSession
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
 from tiltcal.core.combination import Statement, combine_statements
-from tiltcal.core.model import Coefficients, Thermal, vector_of
+from tiltcal.core.model import Array, Coefficients, Thermal, vector_of
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Population
@@ -143,6 +143,43 @@ def test_intervals_hold_95_percent() -> None:
     assert once - vector_of(TRUTH, names) == pytest.approx(total[0], abs=1e-6)
     held = np.mean(np.abs(total) <= found.budget.u * found.budget.factors, axis=0)
     assert np.all((held > 0.945) & (held < 0.955))
+
+
+@pytest.mark.parametrize(("factor", "threshold"), [(2.571, 3.151), (12.706, 6.085)])
+def test_two_estimates_contradict_beyond_students_threshold_of_their_difference(
+    factor: float, threshold: float
+) -> None:
+    """u = 1 each, with 5 degrees of freedom: √2 times t(10) = 2.228; with 1 each √2 times t(2) = 4.303."""
+    pair = [
+        replace(statement(label, ("offset.x",), [[1.0]], 24.0), factors=np.array([factor])) for label in ("one", "two")
+    ]
+    ((_, change),) = combine_statements(pair, TRUTH, ("offset.x",)).differences
+    assert change.u == pytest.approx(sqrt(2.0))
+    assert change.u * change.threshold(0.95) == pytest.approx(threshold, rel=2e-3)
+
+
+def test_the_difference_from_all_others_is_as_uncertain_as_their_values_make_it() -> None:
+    """Against the same combination with each value changed in turn: u² is the sum over the covariances (GUM 5.2.2)."""
+    names = ("offset.x", "sensitivity.x.x")
+    three = [
+        replace(statement("one", names, [[1.0, 0.6], [0.6, 2.0]], 24.0), factors=np.array([2.571, 12.706])),
+        replace(statement("two", ("offset.x",), [[0.5]], 24.0), factors=np.array([3.182])),
+        statement("three", names, [[2.0, -0.4], [-0.4, 1.0]], 24.0),
+    ]
+    three[0] = replace(three[0], values=three[0].values + 20.0)
+
+    def difference(changed: int, step: Array) -> float:
+        moved = [replace(one, values=one.values + step) if n == changed else one for n, one in enumerate(three)]
+        found = {change.name: (label, change) for label, change in combine_statements(moved, TRUTH, names).differences}
+        assert found["offset.x"][0] == "one"
+        return found["offset.x"][1].difference
+
+    variance = 0.0
+    for n, one in enumerate(three):
+        by = np.array([difference(n, unit) - difference(n, -unit) for unit in np.eye(len(one.names))]) / 2.0
+        variance += by @ one.covariance @ by
+    found = {change.name: change.u for _, change in combine_statements(three, TRUTH, names).differences}
+    assert found["offset.x"] == pytest.approx(sqrt(variance), rel=1e-6)
 
 
 def statement(label: str, names: tuple[str, ...], covariance: list[list[float]], temperature: float) -> Statement:
