@@ -318,7 +318,10 @@ class CompensatedLog:
         wanted = {*self.channels, *self.roles.values(), *chain(*self.vectors.values())}
         means = self._means()
         rows: Iterable[LogBlock] = self.log.rows(
-            sorted(wanted if time is None else wanted | {time}), time, frames=frames or means is not None
+            sorted(wanted if time is None else wanted | {time}),
+            time,
+            frames=frames or means is not None,
+            needs_time=True,
         )
         for block in rows if means is None else means.blocks(rows):
             values = self._values(block)

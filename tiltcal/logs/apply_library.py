@@ -28,6 +28,7 @@ from tiltcal.logs.compensation_kernel import ElementTemperature, Kernel, RoleVal
 from tiltcal.logs.log import LogReader, Table
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
 from tiltcal.logs.streams import sha256_of
+from tiltcal.logs.text_to_numbers import no_time_yet
 
 if TYPE_CHECKING:
     from tiltcal.calibration.calibration_library import CalibrationLibrary
@@ -205,7 +206,7 @@ class LibraryKernel:
         self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in channels}
         self._dates = np.array([calibration.date.timestamp() for calibration in history.calibrations])
         self._kernels: dict[int, tuple[Kernel, float]] = {}
-        self._last = float(self._dates[-1])
+        self._last: float | None = None
         thermal = history.calibrations[-1].record.coefficients.thermal
         self._element = ElementTemperature(0.0 if thermal is None else thermal.lag)
 
@@ -232,21 +233,31 @@ class LibraryKernel:
         return {name: np.concatenate([part[name] for part in parts]) for name in self.columns}
 
     def _times(self, values: RoleValues) -> Array:
-        """Return the time of each row, seconds since 1970; a row without one has that of the row before."""
+        """Return the time of each row, seconds since 1970.
+
+        A row without one has that of the row before, and rows before the first time have that.
+        """
         if values.time is None:
             return np.full(len(values), self._start or 0.0)
         time = np.asarray(values.time, dtype=float) + (self._start or 0.0)
         known = np.isfinite(time)
+        if known.any():
+            first = float(time[known.argmax()])
+            if not _FIRST_MOMENT < first < _LAST_MOMENT:
+                raise InputError(
+                    f"the time {first:g} is not a date and no count of seconds since 1970: state when the log began "
+                    "with --start, such as --start 2026-05-01T12:00:00Z",
+                    file=self._log,
+                )
+        elif self._last is None and np.isfinite(values.readings).any():
+            raise InputError(no_time_yet(len(time), "which calibration they take"), file=self._log)
+        else:
+            first = float(self._dates[-1])  # of rows without readings
         if not known.all():
             place = np.maximum.accumulate(np.where(known, np.arange(len(time)), -1))
-            time = np.where(place < 0, self._last, time[place])
-        if not _FIRST_MOMENT < time[0] < _LAST_MOMENT:
-            raise InputError(
-                f"the time {time[0]:g} is not a date and no count of seconds since 1970: state when the log began with "
-                "--start, such as --start 2026-05-01T12:00:00Z",
-                file=self._log,
-            )
-        self._last = float(time[-1])
+            time = np.where(place < 0, first if self._last is None else self._last, time[place])
+        if known.any() or self._last is not None:
+            self._last = float(time[-1])
         return time
 
     def _steps(self, time: Array) -> NDArray[np.int64]:

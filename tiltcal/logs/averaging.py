@@ -20,11 +20,12 @@ from tiltcal.core.flags import FAIL, MAGNETIC, RAIL, SUSPECT, mark_columns
 from tiltcal.core.heading import full_circle
 from tiltcal.core.magnetic_field_length import FIELD_TOLERANCE
 from tiltcal.core.model import Array
-from tiltcal.errors import UsageError
+from tiltcal.errors import InputError, UsageError
 from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import SensorColumns
 from tiltcal.logs.log import LogBlock, Table
+from tiltcal.logs.text_to_numbers import no_time_yet
 from tiltcal.stated_numbers import require_whole
 
 if TYPE_CHECKING:
@@ -157,6 +158,8 @@ class Means:
             return (done + np.arange(len(block))) // self.averaging.rows
         time = block.values[self.time or 0]
         known = np.isfinite(time)
+        if not known.any() and any(np.isfinite(block.readings(one.readings)).any() for one in self.sensors):
+            raise InputError(no_time_yet(len(time), "to which mean of --every they belong"))
         place = np.maximum.accumulate(np.where(known, np.arange(len(time)), 0))
         step = np.floor(np.where(known, time, time[place]) / float(self.averaging.seconds or 1.0) + 1e-9)
         changed = np.flatnonzero(step[1:] != step[:-1]) + 1

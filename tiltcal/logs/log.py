@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.errors import UsageError
+from tiltcal.errors import InputError, UsageError
 from tiltcal.frozen import frozen
 from tiltcal.logs.streams import read_ahead, sha256_of
 
@@ -41,6 +41,8 @@ class LogBlock:
         Of how many rows of the log the readings of each sensor are the mean; None where they are none.
     bad_rows : int
         Rows among those of means that could not be parsed.
+    wrong_time : InputError or None
+        What is wrong with a time that is no time, where no row up to here has one.
     """
 
     values: Mapping[int, Array]
@@ -48,6 +50,7 @@ class LogBlock:
     frame: pl.DataFrame | None = None
     counts: NDArray[np.int64] | None = None
     bad_rows: int = 0
+    wrong_time: InputError | None = None
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -127,7 +130,9 @@ class LogReader(ABC):
         """Whether Ctrl-C has ended a live stream."""
         return False
 
-    def rows(self, columns: Sequence[int], time: int | None = None, *, frames: bool = False) -> Iterator[LogBlock]:
+    def rows(
+        self, columns: Sequence[int], time: int | None = None, *, frames: bool = False, needs_time: bool = False
+    ) -> Iterator[LogBlock]:
         """Yield the rows, block after block.
 
         Parameters
@@ -138,6 +143,8 @@ class LogReader(ABC):
             The one of them that may hold moments, which become seconds.
         frames : bool
             Give each block all columns with their types.
+        needs_time : bool
+            Refuse a column of times that begins with what is none; without it, these are missing.
 
         Raises
         ------
@@ -147,6 +154,8 @@ class LogReader(ABC):
         """
         blocks = self._blocks(tuple(columns), time, frames)
         for block in read_ahead(blocks) if self._reads_ahead else blocks:
+            if needs_time and block.wrong_time is not None:
+                raise block.wrong_time
             yield block
             if self.source.progress is not None:
                 self.source.progress(self.bytes_read, self.source.size)

@@ -49,7 +49,7 @@ def look_over_compensated(log: LogReader, angles: Sequence[str], time: int | Non
     """Keep what a report shows of a log that was compensated before; see :func:`is_compensated`."""
     overview = ColumnStatistics(angles)
     where = {name: log.names.index(name) for name in (*angles, FLAG, REASON)}
-    for block in log.rows(sorted({*where.values(), *(() if time is None else (time,))}), time):
+    for block in log.rows(sorted({*where.values(), *(() if time is None else (time,))}), time, needs_time=True):
         shown = np.stack([block.values[where[angle]] for angle in angles], axis=1)
         flag, reason = (_small(block.values[where[name]], absent) for name, absent in _ABSENT.items())
         overview.add(_clock(overview, len(flag), None if time is None else block.values[time]), shown, flag, reason)

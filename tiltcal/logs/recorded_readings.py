@@ -101,7 +101,7 @@ def recorded_readings(
         columns = [where[role] for role in (*channels, TEMPERATURE, TIME) if role in where]
         blocks = (
             np.stack([block.values[index] for index in columns])
-            for block in reader.rows(sorted(set(columns)), where.get(TIME))
+            for block in reader.rows(sorted(set(columns)), where.get(TIME), needs_time=True)
         )
         record = RecordedReadings(reader.name, channels, blocks, thermometer=TEMPERATURE in where, timed=TIME in where)
         yield record

@@ -3,7 +3,8 @@
 A number is ``[+-]digits[.digits][e[+-]digits]``; the digits before the point may be left out, those behind it may not
 (``2.`` is what is left of a row that was cut). An empty cell and NaN, NA, N/A, null, None in any case are a missing
 value, and so is an infinity. Blanks around a cell do not count. Everything else is an error. A time is a number of
-seconds, or a moment in ISO 8601 as the recorder writes it.
+seconds, or a moment in ISO 8601: a date, a time of day behind ``T`` or a blank, with or without seconds and zone. A
+cell that is neither is missing where another one of its block, or of those before, is a time; else it is an error too.
 """
 
 from __future__ import annotations
@@ -25,7 +26,11 @@ MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 _CUT_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)[eE][+-]?|\d*\.)?")
 _OPEN_POINT = r"\.([^0-9]|$)"
 _MOMENT = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z"
-_ZONE = r"T.*(?:Z|[+-]\d\d:?\d\d)$"
+_EXAMPLE = "2026-05-01T12:00:00.5Z"
+_PARTS = (
+    r"^(?P<day>\d{4}-\d\d?-\d\d?)"
+    r"(?:[T ](?P<minute>\d\d?:\d\d?)(?P<second>:\d\d?(?:\.\d*)?)? ?(?P<zone>Z|UTC|[+-]\d\d(?::?\d\d)?)?)?$"
+)
 
 
 def numbers(cells: pl.Series) -> tuple[Array, Mask | None]:
@@ -67,7 +72,7 @@ def seconds(cells: pl.Series) -> Array:
     Parameters
     ----------
     cells : polars.Series of String, length n
-        Numbers, or moments such as ``2026-05-01T12:00:00.5Z``; one without a zone is UTC.
+        Numbers, or moments such as ``2026-05-01T12:00:00.5Z`` and ``2026-05-01 12:00``; one without a zone is UTC.
 
     Returns
     -------
@@ -82,16 +87,33 @@ def seconds(cells: pl.Series) -> Array:
     values, wrong = numbers(cells)
     if wrong is None:
         return values
-    texts = cells.filter(pl.Series(wrong)).str.strip_chars().str.replace(" ", "T", literal=True)
-    zoned = texts.to_frame("text").select(
-        pl.when(pl.col("text").str.contains(_ZONE))
-        .then("text")
-        .otherwise(pl.col("text") + "Z")
-        .str.replace("Z$", "+00:00")
-    )
-    moments = zoned["text"].str.to_datetime("%Y-%m-%dT%H:%M:%S%.f%#z", time_unit="us", time_zone="UTC", strict=False)
+    parts = cells.filter(pl.Series(wrong)).str.strip_chars().str.extract_groups(_PARTS).struct
+    zones = parts.field("zone").replace(["Z", "UTC"], "+00:00").fill_null("+00:00")
+    times = parts.field("minute").fill_null("00:00") + parts.field("second").fill_null(":00")
+    texts = parts.field("day") + "T" + times + zones
+    moments = texts.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f%#z", time_unit="us", time_zone="UTC", strict=False)
     values[wrong] = (moments.dt.epoch("us") / 1e6).fill_null(float("nan")).to_numpy()
     return values
+
+
+def unread_time(cells: pl.Series, name: str) -> tuple[int, str] | None:
+    """Return the first cell that is not missing in a column without a time, and what is wrong with it."""
+    import polars as pl
+
+    texts = cells.cast(pl.String, strict=False).fill_null("").str.strip_chars()
+    found = (~texts.str.to_lowercase().is_in([*MISSING])).arg_true()
+    if found.is_empty():
+        return None
+    why = f"column {name!r} holds {texts[found[0]]!r}, neither seconds nor ISO 8601: write it as {_EXAMPLE}"
+    return int(found[0]), why
+
+
+def no_time_yet(rows: int, use: str) -> str:
+    """Return what is wrong with a log that begins with ``rows`` rows without a time; ``use`` is what needs it."""
+    return (
+        f"none of the first rows ({rows}) has a time, which decides {use}: write it in seconds, or in ISO 8601 such as "
+        f"{_EXAMPLE}"
+    )
 
 
 def _moments_of_recorder(cells: pl.Series) -> Array | None:

@@ -274,6 +274,22 @@ def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
     assert library.apply(frame, serial="A", start=stamp(0.0))["reason"].tolist() == [0, 0]
 
 
+def test_rows_before_the_first_time_have_that_time(tmp_path: Path) -> None:
+    """25 days of 100 are 2.5 counts of 10; the last calibration would give 10."""
+    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
+    time = np.array([np.nan, seconds(25.0), np.nan])
+    found = library.apply({"time": time, "x": np.full(3, 1100.0), "y": np.full(3, 1000.0)})
+    assert found["g_x"] == pytest.approx(np.full(3, 97.5 / SCALE), abs=1e-9)
+
+
+def test_rows_without_any_time_are_refused_unless_they_have_no_readings(tmp_path: Path) -> None:
+    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
+    frame = {"time": np.full(2, np.nan), "x": np.full(2, 1100.0), "y": np.full(2, 1000.0)}
+    with pytest.raises(InputError, match=r"none of the first rows \(2\) has a time, which decides which calibration"):
+        library.apply(frame)
+    assert library.apply(frame | {"x": np.full(2, np.nan), "y": np.full(2, np.nan)})["flag"].tolist() == [9, 9]
+
+
 def test_a_damaged_file_is_named_and_left_out(tmp_path: Path) -> None:
     folder = kept(tmp_path, calibrated(0, (1000, 990)))
     (folder / "autumn.yaml").touch()

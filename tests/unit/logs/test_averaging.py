@@ -13,7 +13,7 @@ import xarray
 
 import tiltcal
 from tiltcal.calibration.calibration import Calibration, read
-from tiltcal.errors import UsageError
+from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.apply import apply_log
 from tiltcal.logs.averaging import averaging
 
@@ -63,6 +63,10 @@ class TestGroups:
         found = cal.apply(rows(time=time), every="10s")
         assert found["count"].tolist() == [2, 3, 1]
         assert found["time"] == pytest.approx([8.0, (10.0 + 19.9) / 2, 41.0])
+
+    def test_rows_without_any_time_are_refused(self, cal: Calibration) -> None:
+        with pytest.raises(InputError, match=r"none of the first rows \(2\) has a time, which decides to which mean"):
+            cal.apply(rows(time=[nan, nan]), every="10s")
 
     def test_missing_rows_are_left_out_and_not_counted(self, cal: Calibration) -> None:
         found = cal.apply(rows(x=[2.5, nan, 2.7, nan, nan], n=[1, 2, 4, 6, 8]), average=3)

@@ -10,8 +10,11 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
+
+import numpy as np
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
@@ -19,6 +22,7 @@ from tiltcal.logs.formats.csv_short import SHORT, short_rows, short_text
 from tiltcal.logs.formats.whitespace import WhitespaceSeparated, blank_separated_names, numbered_columns
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import ByteReader, HashingReader, refused_by_system
+from tiltcal.logs.text_to_numbers import unread_time
 
 if TYPE_CHECKING:
     import polars as pl
@@ -109,13 +113,17 @@ class CsvReader(LogReader):
         self, columns: Sequence[int], time: int | None, texts: Sequence[int] = (), *, short: bool = False
     ) -> Iterator[CsvBlock]:
         """Yield the rows, block after block, and with them the text of some other columns."""
-        empty = True
+        empty, timed = True, time is None
         for data, ended, unended in self._lines():
             plain = short_rows(data, len(self.names), columns, unended=unended) if short else None
             rows = plain or parse_rows(data, self.names, columns, time=time, texts=texts, unended=unended)
             if rows.faults and not self.source.skip_bad_rows:
                 row = min(rows.faults)
                 raise self._error(rows.faults[row], self._line + rows.starts[row])
+            if time is not None and not timed and len(rows):
+                timed = bool(np.isfinite(rows.values[time]).any())
+                if not timed:
+                    rows = replace(rows, wrong_time=self._wrong_time(data, columns, time, unended=unended))
             self._line += rows.line_count
             if rows.rest and (ended or len(rows.rest) > _LONGEST_ROW):
                 raise self._error("a quoted field opens here and does not end as it should", self._line)
@@ -125,6 +133,11 @@ class CsvReader(LogReader):
                 yield rows
         if empty:
             raise self._error("the log has a header and no rows", self._line)
+
+    def _wrong_time(self, data: bytes, columns: Sequence[int], time: int, *, unended: bool) -> InputError | None:
+        rows = parse_rows(data, self.names, columns, time=time, texts=[time], unended=unended)
+        found = unread_time(rows.texts[time].scatter([*rows.faults], None), self.names[time])
+        return None if found is None else self._error(found[1], self._line + rows.starts[found[0]])
 
     def _lines(self) -> Iterator[tuple[bytes, bool, bool]]:
         """Whole lines; whether they are the last; whether the very last had no end."""

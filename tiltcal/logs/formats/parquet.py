@@ -13,11 +13,13 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import read_ahead, refused_by_system
-from tiltcal.logs.text_to_numbers import seconds
+from tiltcal.logs.text_to_numbers import seconds, unread_time
 
 if TYPE_CHECKING:
     import polars as pl
@@ -66,13 +68,18 @@ class ParquetReader(LogReader):
         for index in columns:
             if index != time:
                 self._require_numbers(self.names[index])
-        done = 0
+        done, timed = 0, time is None
         with self._refusing_damage():
             for frame in self._scan.collect_batches(chunk_size=_ROWS, maintain_order=True):
+                values = {index: (_times if index == time else _numbers)(frame.to_series(index)) for index in columns}
+                wrong = None
+                if time is not None and not timed:
+                    timed = bool(np.isfinite(values[time]).any())
+                    found = None if timed else unread_time(frame.to_series(time), self.names[time])
+                    wrong = found and InputError(f"row {done + found[0]}: {found[1]}", file=self.name)
                 done += len(frame)
                 self.bytes_read = (self.source.size or 0) * done // self._rows
-                values = {index: (_times if index == time else _numbers)(frame.to_series(index)) for index in columns}
-                yield LogBlock(values, frame=frame)
+                yield LogBlock(values, frame=frame, wrong_time=wrong)
         if done != self._rows:
             # The engine ends in silence where one of its threads fails on a damaged page.
             raise InputError(f"the file is damaged: it gives {done} of {self._rows} rows", file=self.name)
@@ -143,9 +150,11 @@ def _numbers(column: pl.Series) -> Array:
 
 
 def _times(column: pl.Series) -> Array:
-    """Seconds: numbers as they are, moments since 1970, durations, or text that holds one of these."""
+    """Seconds: numbers as they are, moments since 1970, durations, or text of these; a date is its midnight."""
     import polars as pl
 
+    if column.dtype == pl.Date:
+        column = column.cast(pl.Datetime("us"))
     kind = column.dtype
     if isinstance(kind, pl.Datetime | pl.Duration):
         return _numbers(column.to_physical()) / {"ms": 1e3, "us": 1e6, "ns": 1e9}[kind.time_unit]
