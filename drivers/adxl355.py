@@ -147,11 +147,11 @@ class Adxl355(PolledSensor):
         check_data_line(data)
         temperature = self._port.read(TEMPERATURE, 2)
         again = self._port.read(TEMPERATURE, 2)
-        # The two bytes are not taken together; the second pair is whole where the first half is the same in both.
-        if temperature[0] & 0x0F != again[0] & 0x0F:
-            again = self._port.read(TEMPERATURE, 2)
+        # The two bytes are not taken together: the second one of the first pair belongs to its first byte where that
+        # stays the same. Where it does not, a measurement has just begun, and the second pair is of that one.
+        whole = temperature if temperature[0] & 0x0F == again[0] & 0x0F else again
         x, y, z = (float(decode_word(data[at : at + 3])) for at in (0, 3, 6))
-        return Reading((x, y, z), decode_temperature(again))
+        return Reading((x, y, z), decode_temperature(whole))
 
 
 def decode_word(three: bytes) -> int:

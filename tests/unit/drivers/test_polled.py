@@ -105,7 +105,12 @@ def test_the_rails_are_no_readings() -> None:
     assert ICLX.channels == ("x", "y")
 
 
-def test_the_frames_of_the_adxl355_on_spi() -> None:
+@pytest.mark.parametrize(
+    ("first", "second", "celsius"),
+    [("07 5D", "07 5D", 25.0), ("07 00", "07 FF", 35.276), ("07 FF", "06 FF", 35.387)],
+    ids=["at rest", "0x6FF comes within the second pair", "0x6FF comes within the first pair"],
+)
+def test_the_frames_of_the_adxl355_on_spi(first: str, second: str, celsius: float) -> None:
     clock = VirtualClock()
     script = Script(
         *("s", clock),
@@ -113,11 +118,11 @@ def test_the_frames_of_the_adxl355_on_spi() -> None:
         *("A1 00 00 00 00 00 / xx 01 02 03 04 05", "50 05 / xx xx", "58 82 / xx xx", "51 00 / xx 05"),
         *("59 00 / xx 82", "5A 00 / xx xx", "5B 00 / xx 00", "09 00 / xx 00", "09 00 / xx 01"),
         "11 00 00 00 00 00 00 00 00 00 / xx 3E 80 00 C1 80 0F 00 00 10",
-        *("0D 00 00 / xx 07 5D", "0D 00 00 / xx 07 5D"),
+        *(f"0D 00 00 / xx {first}", f"0D 00 00 / xx {second}"),
     )
     reading = at("adxl355", "range=4g").driver(script, clock).read()
     assert reading.values == (256000.0, -256000.0, 1.0)
-    assert reading.temperature == 25.0
+    assert reading.temperature == pytest.approx(celsius, abs=5e-4)
     script.close()
 
 
