@@ -20,6 +20,7 @@ from operator import xor
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers import sca100t
+from tiltcal.drivers.bus.link import Interruption
 from tiltcal.drivers.device import Model, Reading, from_twin, in_words
 from tiltcal.drivers.lines import CHUNK
 from tiltcal.drivers.registers import in_counts
@@ -120,8 +121,13 @@ class DfrobotSca100t:
         for _ in range(ATTEMPTS):
             self._link.exchange(b"", 0)
             received = self._link.exchange(REQUEST, CHUNK)
-            while len(received) < LENGTH:
-                received += self._link.exchange(b"", CHUNK)
+            try:
+                while len(received) < LENGTH:
+                    received += self._link.exchange(b"", CHUNK)
+            except Interruption:
+                raise
+            except BusError:  # a byte was lost: part of an answer is a damaged one
+                pass
             reading = parse_answer(received)
             if reading is not None:
                 self._used += 1

@@ -15,7 +15,7 @@ from typing import Any, ParamSpec
 
 from tiltcal.bench.operators.operator import OperatorAnswer
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import CaptureEnded, Link, Recalling
+from tiltcal.drivers.bus.link import CaptureEnded, Interruption, Link, Recalling
 from tiltcal.errors import BusError, JournalError
 from tiltcal.files.journal import ANSWER, HARDWARE_ERROR, LIVE_READING, POSITION, RESUMED, Event, Journal, JournalWriter
 
@@ -31,13 +31,6 @@ class SessionState(Enum):
     PLAYING = "the next event is in the journal"
     RESUMING = "the journal is played, and nothing has happened since"
     LIVE = "what happens is recorded"
-
-
-class Interruption(BusError):
-    """A bus transaction that never took place, because the session was interrupted there."""
-
-    def __init__(self) -> None:
-        super().__init__("the session was interrupted here")
 
 
 class EventLog:

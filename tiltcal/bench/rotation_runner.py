@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from tiltcal.bench.channel_map import ChannelMap
-from tiltcal.bench.event_log import EventLog, Interruption, RecordedClock, SessionState
+from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import RotationOperator, StageTurn
 from tiltcal.bench.position_runner import RECOVERY
 from tiltcal.bench.rotation_samples import TOO_FEW, RotationSamples, SampleBlock
@@ -20,6 +20,7 @@ from tiltcal.bench.session_calibration import SessionEnd, session_provenance
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.matching import Matching, match
+from tiltcal.drivers.bus.link import Interruption
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.pair import PairRecord

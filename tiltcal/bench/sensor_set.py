@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from tiltcal.bench.device_setup import DeviceSetup
-from tiltcal.bench.event_log import EventLog, Interruption, RecordedLink
+from tiltcal.bench.event_log import EventLog, RecordedLink
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
+from tiltcal.drivers.bus.link import Interruption, Link
 from tiltcal.drivers.device import Model, Reading, Sensor
 from tiltcal.errors import HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity

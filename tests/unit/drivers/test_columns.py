@@ -225,6 +225,15 @@ def test_a_damaged_answer_is_counted_and_asked_for_again() -> None:
     assert driver.link_statistics() == {"answers": 1, "damaged": 1}
 
 
+def test_an_answer_that_lost_a_byte_is_asked_for_again() -> None:
+    driver = DfrobotSca100t(link := ArrivingPieces(FRAME[:3], FRAME[4:], b"", FRAME), VirtualClock())
+    assert driver.read().values == (1026.0, 1033.0)
+    assert driver.link_statistics() == {"answers": 1, "damaged": 1}
+    assert len(link.heard) == 2
+    with pytest.raises(BusError, match="silent"):
+        driver.read()
+
+
 @given(st.binary(max_size=30).filter(lambda garbage: b"\x55" not in garbage))
 def test_an_answer_behind_garbage_is_found(garbage: bytes) -> None:
     assert parse_answer(garbage + FRAME) == parse_answer(FRAME)
