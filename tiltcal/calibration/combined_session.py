@@ -121,8 +121,9 @@ class CombinedSession:
         conditioned, by = conditional(joint.names, joint.covariance, measured[both])
         stated, uncertain = values(self.coefficients), known.chosen(np.flatnonzero(assumed)).names
         value = np.array([stated[name] for name in own.names])
-        given = {name: -by[:, k] for k, name in enumerate(uncertain) if name in values(target)}
-        for name, column in self._along_gravity(target, uncertain, own.names):
+        columns = [(name, -by[:, k]) for k, name in enumerate(uncertain)]
+        given: dict[str, Array] = {}
+        for name, column in (*columns, *self._along_gravity(target, uncertain, own.names)):
             if name in values(target):
                 given[name] = column
             else:  # the target's offset holds what this axis adds

@@ -27,7 +27,7 @@ from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.position_record import CompletingRun
 from tiltcal.files.procedure import Determines, Procedure
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.files.uncertainty import Covariance
+from tiltcal.files.uncertainty import Covariance, Uncertainty
 
 SENSOR = SensorIdentity("sca100t-d02", "S-1", "count", ("x", "y"))
 TRUTH = Coefficients(
@@ -311,6 +311,20 @@ def test_a_coefficient_that_free_positions_hold_at_zero_stays_there() -> None:
     )
     found = combine([Calibration(free), calibrated(TWO, measured(TWO, 2))])
     assert found.coefficients.sensitivity[1, 0] == 0.0
+
+
+def test_what_a_run_took_off_for_a_column_that_nobody_else_has_is_in_the_offset_again() -> None:
+    """Level under 1 g, whatever S_xz is assumed: an offset without that column is the reading."""
+    z = np.array([[9.0], [-4.0]])
+    columns = replace(TRUTH, axes=("x", "y", "z"), sensitivity=np.hstack([TRUTH.sensitivity, z]), thermal=None)
+    spread = {name: 0.5 for name in values(columns) if name.startswith("sensitivity.")}
+    base = replace(SCALE.record, coefficients=columns, uncertainty=Uncertainty(spread))
+    run = calibrated(TWO, measured(TWO, 2), base)
+    assert run.offset == pytest.approx({"x": 1026.0 - 9.0, "y": 1020.0 + 4.0}, abs=1.5)
+    found, expected = combine([SCALE, run]), combine([SCALE, calibrated(TWO, measured(TWO, 2), SCALE.record)])
+    assert found.offset == pytest.approx(expected.offset, abs=2e-3)
+    assert found.offset == pytest.approx({"x": 1026.0, "y": 1020.0}, abs=1.0)
+    assert found.uncertainty["offset.x"] == pytest.approx(expected.uncertainty["offset.x"], rel=0.01)
 
 
 def test_a_file_of_two_sessions_is_read_again_and_names_its_sources(tmp_path: Path) -> None:
