@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.averaged_uncertainty import with_shares
 from tiltcal.core.compensation import Compensated, Compensation
-from tiltcal.core.flags import NO_TEMPERATURE, SUSPECT, Mask, mark
+from tiltcal.core.flags import MISSING, NO_TEMPERATURE, SUSPECT, Mask, mark
 from tiltcal.core.model import Array
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.core.uncertainty_columns import uncertainty_columns
@@ -147,7 +147,7 @@ class TiltKernel:
                         chunk, *(None if values is None else values[rows] for values in given)
                     )
         if lost is not None:
-            mark(out, lost, SUSPECT, NO_TEMPERATURE)
+            mark(out, lost & (out.flag != MISSING), SUSPECT, NO_TEMPERATURE)
         return table | dict(zip(self.columns[len(table) :], added, strict=True))
 
     def _add_uncertainties(self, propagation: Propagation, chunk: KernelChunk, out: Array) -> None:

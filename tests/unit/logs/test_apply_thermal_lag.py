@@ -74,6 +74,11 @@ def test_a_row_without_a_time_is_suspect(ramp):
     assert np.flatnonzero(found["reason"] == 16).tolist() == [7]
 
 
+def test_a_missing_reading_has_no_other_reason():
+    found = lagging(LAG).apply({"x": [1300.0, np.nan], "y": [900.0, 900.0], "temperature": [10.0, 10.0]})
+    assert (found["flag"].tolist(), found["reason"].tolist()) == ([3, 9], [16, 32])
+
+
 def test_the_lag_is_kept_in_the_file(tmp_path):
     lagging(-35.5).save(tmp_path / "cal.yaml")
     assert read(tmp_path / "cal.yaml").coefficients.thermal.lag == -35.5
