@@ -185,6 +185,14 @@ def test_netcdf_states_which_errors_are_random(cal: Calibration) -> None:
             assert attrs["pdf_shape"] == "gaussian"
 
 
+def test_netcdf_keeps_what_is_true_or_false(cal: Calibration) -> None:
+    columns = rows(x=np.full(4, 2.6), wet=np.array([True, True, False, True]))
+    xarray.Dataset({name: ("row", values) for name, values in columns.items()}).to_netcdf("log.nc", engine="h5netcdf")
+    apply_log(cal, "log.nc", "out.nc", average=2)
+    with xarray.open_dataset("out.nc", engine="h5netcdf") as found:
+        assert (found["wet"].dtype, found["wet"].values.tolist()) == (bool, [True, False])
+
+
 def test_every_kind_of_frame_stays_its_kind(cal: Calibration) -> None:
     log = rows(x=np.full(5, 2.6), who=np.array(list("abcde")))
     frame = pl.DataFrame(log)

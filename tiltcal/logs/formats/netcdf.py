@@ -244,10 +244,12 @@ class NetcdfWriter(LogWriter):
             file.dimensions[dimension] = len(frame)
             for name in frame.columns:
                 values = frame[name].to_numpy()
-                text = values.dtype.kind not in "iuf"
-                variable = file.create_variable(name, (dimension,), str if text else "f8")
-                variable[...] = values.astype(object if text else float)
+                kind: type | str = {"i": "f8", "u": "f8", "f": "f8", "b": "i1"}.get(values.dtype.kind, str)
+                variable = file.create_variable(name, (dimension,), kind)
+                variable[...] = values.astype(object if kind is str else kind)
                 variable.attrs.update(log.attributes(name))
+                if values.dtype.kind == "b":
+                    variable.attrs["dtype"] = "bool"  # as xarray marks it
             for name in self._added:
                 values = np.concatenate([np.asarray(table[name]) for _, table in blocks])
                 self._variable(file, name, dimension, like)[...] = values
