@@ -272,12 +272,7 @@ class _Arrays:
         return _timed(self._arrays[name])
 
     def polars(self, reading: str) -> pl.DataFrame:
-        import polars as pl
-
-        columns = {name: values for name, values in self._arrays.items() if values.ndim == 1}
-        return pl.DataFrame(
-            {name: _numeric(column) if np.ma.isMaskedArray(column) else column for name, column in columns.items()}
-        )
+        return _polars({name: values for name, values in self._arrays.items() if values.ndim == 1})
 
     def of_rows(self, rows: pl.DataFrame) -> _Arrays:
         return _Arrays({name: rows[name].to_numpy() for name in rows.columns})
@@ -311,10 +306,8 @@ class _Dataset:
         return None if found is None else seconds_since_1970(found, self.unit(name))
 
     def polars(self, reading: str) -> pl.DataFrame:
-        import polars as pl
-
         dims = self._data[reading].dims
-        return pl.DataFrame({name: self._data[name].values for name in self.names if self._data[name].dims == dims})
+        return _polars({name: self._data[name].values for name in self.names if self._data[name].dims == dims})
 
     def of_rows(self, rows: pl.DataFrame) -> _Dataset:
         (dimension,) = self._data[rows.columns[0]].dims
@@ -344,6 +337,32 @@ def _array(values: Any) -> NDArray[Any]:
     return values if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
 
 
+def _polars(columns: Mapping[str, NDArray[Any]]) -> pl.DataFrame:
+    """Return arrays as a frame."""
+    import polars as pl
+
+    taken = {}
+    for name, values in columns.items():
+        if values.dtype.kind in "mM":
+            values = _moments(values)
+        elif np.ma.isMaskedArray(values):
+            numbers = _numeric(values)
+            values = (
+                np.where(np.ma.getmaskarray(values), np.array(None), np.ma.getdata(values))
+                if numbers is None
+                else numbers
+            )
+        taken[name] = values
+    return pl.DataFrame(taken)
+
+
+def _moments(values: NDArray[Any]) -> NDArray[Any]:
+    """Return moments or durations in a unit that polars has, without a mask."""
+    if np.datetime_data(values.dtype) not in (("ms", 1), ("us", 1), ("ns", 1)):
+        values = values.astype(f"{values.dtype.kind}8[us]")
+    return np.where(np.ma.getmaskarray(values), np.array("NaT", values.dtype), np.ma.getdata(values))
+
+
 def _floats(column: Any) -> Array:
     """Return a narwhals column of doubles as an array; NaN where a value is missing."""
     return np.asarray(column.fill_null(float("nan")).to_numpy(), dtype=float)
@@ -357,6 +376,7 @@ def _numeric(values: NDArray[Any]) -> Array | None:
 
 def _timed(values: NDArray[Any]) -> Array | None:
     if values.dtype.kind in "mM":
+        values = _moments(values)
         seconds = values.astype(f"{values.dtype.kind}8[us]").astype(np.int64) / 1e6
         return np.where(np.isnat(values), np.nan, seconds)
     if values.dtype.kind in "OUT":
