@@ -161,7 +161,9 @@ class Means:
         if not known.any() and any(np.isfinite(block.readings(one.readings)).any() for one in self.sensors):
             raise InputError(no_time_yet(len(time), "to which mean of --every they belong"))
         place = np.maximum.accumulate(np.where(known, np.arange(len(time)), 0))
-        step = np.floor(np.where(known, time, time[place]) / float(self.averaging.seconds or 1.0) + 1e-9)
+        # Whole microseconds are exact where seconds are not; a border within half of one is where the row is.
+        micros = np.rint(np.where(known, time, time[place]) * 1e6) + 0.5
+        step = np.floor(micros / (float(self.averaging.seconds or 1.0) * 1e6))
         changed = np.flatnonzero(step[1:] != step[:-1]) + 1
         # NaN differs from NaN: rows before the first time are one group.
         changed = changed[np.isfinite(step[changed - 1]) | np.isfinite(step[changed])]

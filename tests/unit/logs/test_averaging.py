@@ -64,6 +64,21 @@ class TestGroups:
         assert found["count"].tolist() == [2, 3, 1]
         assert found["time"] == pytest.approx([8.0, (10.0 + 19.9) / 2, 41.0])
 
+    @pytest.mark.parametrize(
+        ("interval", "every", "count"), [(0.02, "100ms", 5), (0.01, "30ms", 3), (1 / 3000, "1ms", 3)]
+    )
+    @pytest.mark.parametrize("begin", [0.0, 1767225600.0])
+    def test_a_row_on_a_border_begins_its_mean(
+        self, cal: Calibration, begin: float, interval: float, every: str, count: int
+    ) -> None:
+        """Dates in seconds have errors of 0.1 µs; all three begin on a border, as 1767225600 is a multiple of 30 ms."""
+        time = begin + np.round(np.arange(900) * interval, 6)
+        assert set(cal.apply(rows(time=time), every=every)["count"].tolist()) == {count}
+
+    def test_a_row_a_microsecond_before_a_border_does_not(self, cal: Calibration) -> None:
+        time = 1767225600.0 + np.array([0.0, 0.099999, 0.1, 0.199999])
+        assert cal.apply(rows(time=time), every="100ms")["count"].tolist() == [2, 2]
+
     def test_rows_without_any_time_are_refused(self, cal: Calibration) -> None:
         with pytest.raises(InputError, match=r"none of the first rows \(2\) has a time, which decides to which mean"):
             cal.apply(rows(time=[nan, nan]), every="10s")
