@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from tiltcal.cli import options
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.document import KINDS, checked_kind, read_document
 from tiltcal.files.journal import read_journal
@@ -35,9 +36,9 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
         kind, findings = _checked(path)
         results.append({"file": str(path), "kind": kind, "findings": findings})
         if not as_json:
-            click.echo(f"{path}: {kind}, " + ("; ".join(findings) if findings else "good"))
+            options.print_judged(f"{path}: {kind}, " + ("; ".join(findings) if findings else "good"))
     if as_json:
-        click.echo(json.dumps(results, indent=2, ensure_ascii=False))
+        options.print_judged(json.dumps(results, indent=2, ensure_ascii=False))
     return NEGATIVE_VERDICT if any(result["findings"] for result in results) else 0
 
 

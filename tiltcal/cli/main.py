@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import sys
+from contextlib import suppress
 from importlib import import_module
 
 import click
@@ -83,17 +84,18 @@ def run(args: list[str] | None = None) -> int:
         if sys.stdout is not None:
             sys.stdout.flush()
     except click.ClickException as error:
-        error.show()
+        with suppress(BrokenPipeError):
+            error.show()
         return error.exit_code
     except TiltcalError as error:
         # The message may quote a file: control characters in it could be escape sequences.
         message = "".join(
             character if character.isprintable() or character == "\n" else "?" for character in str(error)
         )
-        click.echo(f"tiltcal: {message}", err=True)
+        _say(message)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        click.echo("tiltcal: interrupted", err=True)
+        _say("interrupted")
         return INTERRUPTED
     except (BrokenPipeError, SystemExit):
         # The reader of our output has ended, as with `| head`, and click leaves; Python must not flush what remains.
@@ -103,6 +105,11 @@ def run(args: list[str] | None = None) -> int:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
             raise
         sys.stdout = None
-        click.echo(f"tiltcal: the output cannot be written: {error.strerror}", err=True)
+        _say(f"the output cannot be written: {error.strerror}")
         return UsageError.exit_code
     return result if isinstance(result, int) else 0
+
+
+def _say(message: str) -> None:
+    with suppress(BrokenPipeError):
+        click.echo(f"tiltcal: {message}", err=True)

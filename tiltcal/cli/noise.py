@@ -134,7 +134,7 @@ def command(
     if figure is not None:
         draw_noise(figure, found.channels, found.scale)
     for remark in found.remarks:
-        click.echo(f"note: {remark}", err=True)
+        options.remark(f"note: {remark}")
     click.echo(json.dumps(found.as_data()) if as_json else str(found))
     return INTERRUPTED if interrupted else 0
 
@@ -205,5 +205,5 @@ def _recorded(
 
     captured = capture(single(sensor, "", address), rate, samples, seconds, path)
     kept = f" in {output}" if output is not None else ""
-    click.echo(f"{captured.tally.rows} samples{kept}{captured.missing}", err=True)
+    options.remark(f"{captured.tally.rows} samples{kept}{captured.missing}")
     return captured.interrupted

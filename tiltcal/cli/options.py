@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -75,7 +76,16 @@ def left_at_default(option: str) -> bool:
 def remark(text: str) -> None:
     """Print a remark on the session; control characters, which could be escape sequences, become question marks."""
     shown = "".join(character if character.isprintable() or character == "\n" else "?" for character in text)
-    click.echo(wrapped(shown) if sys.stderr.isatty() else shown, err=True)
+    with suppress(BrokenPipeError):  # whoever has read the remarks is gone, and the session goes on
+        click.echo(wrapped(shown) if sys.stderr.isatty() else shown, err=True)
+
+
+def print_judged(text: str) -> None:
+    """Print a result whose verdict is the exit code; a reader that has ended, as with `| head`, changes no verdict."""
+    try:
+        click.echo(text)
+    except BrokenPipeError:
+        sys.stdout = None  # what remains in its buffer is not written later
 
 
 def wrapped(text: str) -> str:

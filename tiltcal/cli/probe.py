@@ -37,11 +37,13 @@ def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
     passed = all(test.passed for test in tests.values())
     if as_json:
         results = {channel: {"passed": test.passed, "said": str(test)} for channel, test in tests.items()}
-        click.echo(json.dumps({"model": model.name, "address": address, "answers": said, "self_test": results}))
+        options.print_judged(
+            json.dumps({"model": model.name, "address": address, "answers": said, "self_test": results})
+        )
     else:
-        click.echo(f"{model.name} answers at {address}")
+        options.print_judged(f"{model.name} answers at {address}")
         for name, value in said.items():
-            click.echo(f"  {name:<12} {value}")
+            options.print_judged(f"  {name:<12} {value}")
         for channel, test in tests.items():
-            click.echo(f"  self-test {channel}  {'passed' if test.passed else 'FAILED'}: {test}")
+            options.print_judged(f"  self-test {channel}  {'passed' if test.passed else 'FAILED'}: {test}")
     return 0 if passed else NEGATIVE_VERDICT

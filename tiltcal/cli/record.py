@@ -44,5 +44,5 @@ def command(
         raise UsageError("record needs either --bench FILE, or --sensor MODEL and --address ADDRESS")
     named = read_bench(bench) if bench is not None else single(str(sensor), "", str(address))
     captured = capture(named, rate, rows, seconds, output)
-    click.echo(f"{captured.tally.rows} rows in {output}{captured.missing}", err=True)
+    options.remark(f"{captured.tally.rows} rows in {output}{captured.missing}")
     return INTERRUPTED if captured.interrupted else 0

@@ -53,15 +53,15 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
     if golden is not None:
         for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
             if not path.is_file() or text.encode() != path.read_bytes():
-                click.echo(f"{journal} does not give {path}", err=True)
+                options.remark(f"{journal} does not give {path}")
                 return NEGATIVE_VERDICT
-            click.echo(f"{journal} gives {path} to the byte", err=True)
+            options.remark(f"{journal} gives {path} to the byte")
     if output is not None:
         for path, text in zip(_targets(output, list(texts)), texts.values(), strict=True):
             write_whole(path, text)
-            click.echo(f"wrote {path}", err=True)
+            options.remark(f"wrote {path}")
     elif not session.outputs:
-        click.echo(f"{journal} is replayed; for its verdict: tiltcal verify CAL --resume {journal}", err=True)
+        options.remark(f"{journal} is replayed; for its verdict: tiltcal verify CAL --resume {journal}")
     elif golden is None:
         click.echo("---\n".join(texts.values()), nl=False)
     return 0

@@ -121,7 +121,7 @@ def command(
         options.remark("no --jig is stated: the positions count as exact")
     # What a program reads is JSON to the last line.
     as_json = as_json or operator == "json"
-    click.echo(json.dumps(found.as_data(), ensure_ascii=False) if as_json else str(found))
+    options.print_judged(json.dumps(found.as_data(), ensure_ascii=False) if as_json else str(found))
     return 0 if found.verdict == PASSED else NEGATIVE_VERDICT
 
 

@@ -65,5 +65,10 @@ def _terminal(stack: ExitStack, *, turns: bool, plain: bool) -> PositionOperator
 
     live = sys.stdin.isatty() and sys.stderr.isatty() and not plain
     keys: Keys = stack.enter_context(TerminalKeys()) if live else LineKeys(sys.stdin)
-    console = Console(stderr=True, highlight=False, no_color=plain or None)
+
+    class Talk(Console):
+        def on_broken_pipe(self) -> None:
+            self.quiet = True  # in place of SystemExit: the session goes on without its talk
+
+    console = Talk(stderr=True, highlight=False, no_color=plain or None)
     return (TerminalRotationOperator if turns else TerminalOperator)(console, keys, live=live)
