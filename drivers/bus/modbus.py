@@ -6,6 +6,7 @@ import logging
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from weakref import WeakValueDictionary
 
 from tiltcal.drivers.bus.device_node_errors import no_permission
 from tiltcal.drivers.bus.serial import PARITIES
@@ -25,6 +26,9 @@ RETRIES = 2
 HOLDING, INPUT, FAILED = 3, 4, 0x80
 """Function codes that read a table, and the bit that an exception answer adds to them."""
 
+_PORTS: WeakValueDictionary[str, Any] = WeakValueDictionary()
+"""The clients in use by serial port: a port is opened once, and the units of an RS-485 line share it."""
+
 
 def open_modbus(address: Address, model: Model) -> ModbusLink:
     """Open a ``modbus:`` address.
@@ -40,7 +44,7 @@ def open_modbus(address: Address, model: Model) -> ModbusLink:
     Raises
     ------
     UsageError
-        An unknown or wrong option.
+        An unknown or wrong option, or one that another unit on the line contradicts.
     HardwareError
         The pymodbus package is not installed.
     BusError
@@ -71,7 +75,28 @@ def open_modbus(address: Address, model: Model) -> ModbusLink:
             timeout=timeout,
             retries=RETRIES,
         )
+        client = _shared(address, client)
     return ModbusLink(place, client, unit)
+
+
+def _shared(address: Address, client: Any) -> Any:
+    """Return the client that has the port of an address already, or else this one.
+
+    Raises
+    ------
+    UsageError
+        The port is open with other settings.
+    """
+    other = _PORTS.get(address.path)
+    if other is not None and other.comm_params == client.comm_params:
+        return other
+    if other is not None and other.connected:
+        address.refuse(
+            f"another unit on {address.path} has another baudrate, parity, stopbits or timeout: those of one line are "
+            "the same"
+        )
+    _PORTS[address.path] = client
+    return client
 
 
 class ModbusLink:
@@ -138,7 +163,7 @@ class ModbusLink:
         return bytes([function, len(data)]) + data
 
     def close(self) -> None:
-        """Close the connection; closing twice is allowed."""
+        """Close the connection; closing twice is allowed, and the next request of another unit opens it again."""
         self._client.close()
 
 

@@ -146,6 +146,22 @@ def test_a_simulated_slave_is_read(rtu: bool) -> None:
         link.close()
 
 
+def test_devices_on_one_line_share_its_port() -> None:
+    with slave(7, BLOCKS, rtu=True) as place:
+        model, written = at("unit=7&columns=x@0*0.001", place)
+        other, written_too = at("unit=7&columns=x@10:float32", place)
+        first, second = open_link(parse_address(written), model), open_link(parse_address(written_too), other)
+        for _ in range(2):
+            first.close()
+            assert model.driver(first, VirtualClock()).read().values == (-0.5,)
+            assert other.driver(second, VirtualClock()).read().values == (0.125,)
+        _, contrary = at("unit=8&baudrate=19200&columns=x@0", place)
+        with pytest.raises(UsageError, match=r"another unit on /dev/.* has another baudrate"):
+            open_link(parse_address(contrary), model)
+        first.close()
+        second.close()
+
+
 def test_a_register_that_the_slave_lacks_and_a_unit_that_is_not_there() -> None:
     with slave(7, BLOCKS, rtu=True) as place:
         for options, error, why in (
