@@ -233,7 +233,21 @@ class _Table:
         return _seconds([cell if isinstance(cell, str) else None for cell in column.to_list()])  # pandas has NaN, too
 
     def polars(self, reading: str) -> pl.DataFrame:
-        return self._frame.rename({own: name for name, own in self._named.items() if own != name}).to_polars()  # type: ignore[no-any-return]
+        import narwhals.stable.v2 as nw
+        import polars as pl
+
+        try:
+            return self._frame.rename({own: name for name, own in self._named.items() if own != name}).to_polars()  # type: ignore[no-any-return]
+        except (TypeError, ValueError):  # a column of pandas with values of several kinds
+            columns = {name: self._column(name) for name in self.names}
+            return pl.DataFrame(
+                {
+                    name: pl.Series(column.to_list(), dtype=pl.Object)
+                    if column.dtype == nw.Object
+                    else column.to_polars()
+                    for name, column in columns.items()
+                }
+            )
 
     def of_rows(self, rows: pl.DataFrame) -> _Table:
         import narwhals.stable.v2 as nw
@@ -338,7 +352,7 @@ def _array(values: Any) -> NDArray[Any]:
 
 
 def _polars(columns: Mapping[str, NDArray[Any]]) -> pl.DataFrame:
-    """Return arrays as a frame."""
+    """Return arrays as a frame; text beside values of another kind, such as NaN, becomes a column of objects."""
     import polars as pl
 
     taken = {}
@@ -352,7 +366,10 @@ def _polars(columns: Mapping[str, NDArray[Any]]) -> pl.DataFrame:
                 if numbers is None
                 else numbers
             )
-        taken[name] = values
+        try:
+            taken[name] = pl.Series(values)
+        except TypeError:
+            taken[name] = pl.Series(values.tolist(), dtype=pl.Object)
     return pl.DataFrame(taken)
 
 

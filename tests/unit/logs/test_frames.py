@@ -155,6 +155,22 @@ class TestMeans:
         assert found["count"].tolist() == [2]
         assert found["time"].tolist() == [times[0].astype(object)]
 
+    @pytest.mark.parametrize(
+        ("cells", "first"),
+        [(["a", np.nan], "a"), ([np.nan, "a"], None), ([None, "a"], None), (["a", 1], "a"), ([1, "a"], 1)],
+    )
+    def test_text_beside_values_of_another_kind(self, cells: list[Any], first: Any, calibration: Calibration) -> None:
+        columns = READINGS | {"temperature": [20.0, 20.0], "note": np.array(cells, object)}
+        data = xarray.Dataset({name: ("row", column) for name, column in columns.items()})
+        for frame in (columns, data, pd.DataFrame(columns)):
+            (found,) = np.asarray(apply_frame(calibration, frame, average=2)["note"]).tolist()
+            assert (None if found != found else found) == first
+
+    def test_a_masked_text_is_missing(self, calibration: Calibration) -> None:
+        note = np.ma.masked_array(["a", "b"], mask=[True, False])
+        found = apply_frame(calibration, READINGS | {"temperature": [20.0, 20.0], "note": note}, average=2)
+        assert found["note"].tolist() == [None]
+
 
 class TestRefusals:
     @pytest.mark.parametrize("temperature", [20.0, [[20.0, 21.0]]])
