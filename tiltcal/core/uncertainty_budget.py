@@ -152,12 +152,15 @@ def propagated(
 
 
 def _standard_uncertainty(function: Callable[[Array], Array], parameters: Array, covariance: Array) -> Array:
-    values, axes = np.linalg.eigh(covariance)
+    # A variance of 1e-12 is lost in the rounding of the axes beside one of 1e5: units of 1e-4, 1, 1e4 bring them close.
+    u = np.sqrt(np.diag(covariance))
+    unit = 1e4 ** np.round(np.log10(np.where(u > 0.0, u, 1.0)) / 4.0)
+    values, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
     middle = function(parameters)
     variance = np.zeros_like(middle)
     for value, axis in zip(values, axes.T, strict=True):
         if value <= 0.0:
             continue
-        step = np.sqrt(value) * axis
+        step = np.sqrt(value) * axis * unit
         variance += ((function(parameters + step) - middle) ** 2 + (function(parameters - step) - middle) ** 2) / 2.0
     return np.asarray(np.sqrt(variance))

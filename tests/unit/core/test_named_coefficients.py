@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiltcal.core.model import Coefficients, Thermal
-from tiltcal.core.named_coefficients import KnownCoefficient, changes, known, referred
+from tiltcal.core.named_coefficients import KnownCoefficient, changes, known, referred, values
 
 small = st.floats(-0.01, 0.01)
 
@@ -69,3 +69,14 @@ def test_a_non_linearity_is_compared_too() -> None:
     by_name = {change.name: change.difference for change in changes(straight, bent, {}, {})}
     assert by_name["nonlinearity.x.3"] == pytest.approx(0.01)
     assert by_name["nonlinearity.x.2"] == 0.0
+
+
+def test_a_small_variance_beside_a_large_one_is_kept() -> None:
+    """Gains of 1e-6 beside sensitivities of 450 counts, correlated by 0.5: u is the root of the diagonal."""
+    thermal = Thermal(24.0, None, np.full((2, 2), 0.5), np.full((2, 1), 1e-4))
+    both = Coefficients(("x", "y"), ("x", "y", "z"), np.full(2, 1e3), np.full((2, 3), 256e3), thermal)
+    names = list(values(both))
+    u = np.array([{"offset": 20.0, "sensitivity": 450.0}.get(name.split(".")[0], 1e-6) for name in names])
+    covariance = np.outer(u, u) * (0.5 + 0.5 * np.eye(14))
+    found = known(both, names, covariance, np.full(14, 1.96))
+    assert [found[name].u for name in names] == pytest.approx(u.tolist(), rel=1e-6)
