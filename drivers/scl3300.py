@@ -35,6 +35,7 @@ from tiltcal.drivers.scl3300_frames import (
     SERIAL1,
     SERIAL2,
     STATUS,
+    WAKE_UP,
     WHOAMI,
     Answer,
     decode,
@@ -212,13 +213,23 @@ class Scl3300:
         mode = MODES[self._range.mode - 1]
         requests = (mode, STATUS, STATUS, STATUS, WHOAMI)
         for attempt in range(ATTEMPTS):
+            if attempt:
+                # Another program may have left the part in bank 1, where nothing resets it, or in power-down.
+                self._exchange(BANK_0)
+                self._exchange(WAKE_UP)
+                self._clock.sleep(RESET_SECONDS)
             self._exchange(RESET)
             self._clock.sleep(RESET_SECONDS)
             # What answers the reset is not defined.
             self._exchange(mode)
             self._clock.sleep(self._range.settling)
             raw = [self._exchange(request) for request in (*requests[1:], WHOAMI)]
-            self._require_a_part(requests, raw)
+            try:
+                self._require_a_part(requests, raw)
+            except BusError:
+                if attempt:
+                    raise
+                continue
             answers = self._judged(requests, raw)
             echo, _, second, third, whoami = answers
             if not all(self._answers(request, answer) for request, answer in zip(requests, answers, strict=True)):
@@ -226,12 +237,12 @@ class Scl3300:
             if whoami.status == NORMAL and whoami.data != self._part.identity:
                 if attempt:
                     raise DeviceFault(self._other_part(whoami.data))
-                self._exchange(BANK_0)  # another program may have left it in bank 1, where nothing resets it
                 continue
             # Reading STATUS clears what the start has set: the second answer has to be free of errors.
             if echo.data == self._range.mode - 1 and second.status == third.status == whoami.status == NORMAL:
                 return
-            standing &= third.data if third.status == ERROR else 0
+            if attempt:
+                standing &= third.data if third.status == ERROR else 0
         if standing not in (0, 0xFFFF):
             raise DeviceFault(
                 f"the {self._part.name} reports a fault that its start does not clear: {flags_in_words(standing)}: "

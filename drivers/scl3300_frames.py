@@ -19,6 +19,8 @@ BANK_0, BANK_1 = bytes.fromhex("FC000073"), bytes.fromhex("FC00016E")
 RESET = bytes.fromhex("B4002098")
 MODES = tuple(bytes.fromhex(frame) for frame in ("B400001F", "B4000102", "B4000225", "B4000338"))
 """Set Murata's mode 1, 2, 3, 4."""
+WAKE_UP = MODES[0]
+"""The only frame that a part in power-down takes."""
 
 SAMPLE = (ACC_X, ACC_Y, ACC_Z, TEMPERATURE)
 

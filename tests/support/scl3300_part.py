@@ -1,9 +1,10 @@
 """A virtual SCL3300-D01 or SCA3300-D01, written from the fact sheet for the tests alone.
 
 Modelled: 32-bit frames answered one frame late; the CRC of both directions; the return status; the flags of STATUS that
-reading clears one frame after the other; banks; the four modes and their settling, before which words are left to
-chance; the undefined answers after a reset; words renewed every 0.5 ms behind a first-order filter; the serial number;
-a line that flips one bit in some frames, of the request or of the answer.
+reading clears one frame after the other; banks, of which bank 1 has neither mode, reset nor WHOAMI; a power-down that
+only the frame of mode 1 ends; the four modes and their settling, before which words are left to chance; the undefined
+answers after a reset; words renewed every 0.5 ms behind a first-order filter; the serial number; a line that flips one
+bit in some frames, of the request or of the answer.
 
 A frame that the data sheet does not list, or that comes too soon after a reset, is counted as ``forbidden``. What the
 part answers to a request with a wrong CRC is not known, so all but its return status is left to chance.
@@ -61,7 +62,7 @@ class Scl3300Part(HeldPart):
     def restart(self) -> None:
         """Lose the supply for a moment, or be reset."""
         self.counts["resets"] += 1
-        self.mode, self.bank = 0, 0
+        self.mode, self.bank, self.asleep = 0, 0, False
         self.error, self.status = 0x10, 0x10
         self.ready_ns = self.now_ns + 1_000_000
         self.settled_ns = self.now_ns + 25_000_000
@@ -75,6 +76,9 @@ class Scl3300Part(HeldPart):
         self.now_ns = start_ns
         if out.hex().upper() not in ALLOWED:
             self.counts["forbidden"] += 1
+        if self.asleep:
+            self.asleep = out.hex() != "b400001f"
+            return bytes(4)
         request = int.from_bytes(out, "big")
         answer = int.from_bytes(self.answer, "big")
         if self.chance.random() < self.damage:
@@ -100,8 +104,10 @@ class Scl3300Part(HeldPart):
         if self.now_ns < self.ready_ns:
             self.counts["forbidden"] += 1
             return self.undefined()
+        if self.bank and (operation == 0b101101 or operation == 0b010000):
+            return sealed(operation << 18 | 0b11 << 16)
         return_status = 0b11 if self.error or self.broken else 0b01
-        if operation == 0b101101 and self.bank == 0:
+        if operation == 0b101101:
             self.mode = data
             self.error |= 2
             self.status |= 2
@@ -126,7 +132,7 @@ class Scl3300Part(HeldPart):
             told = self.status | (8 if self.broken else 0)
             self.status, self.error = self.error, 0
             return told
-        if address == 16 and self.bank == 0:
+        if address == 16:
             return self.identity
         if address in (25, 26) and self.bank == 1:
             return self.serial >> 16 if address == 26 else self.serial % 65536

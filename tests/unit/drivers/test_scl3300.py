@@ -193,11 +193,14 @@ def test_probe_says_which_part_it_is() -> None:
     link.close()
 
 
-def test_a_part_that_was_left_in_bank_1_is_set_up() -> None:
+@pytest.mark.parametrize("model", [SCL, at("scl3300", "range=mode3")], ids=["mode 1", "mode 3"])
+@pytest.mark.parametrize("left", [{"bank": 1}, {"asleep": True}], ids=["bank 1", "power-down"])
+def test_a_part_that_another_program_left_otherwise_is_set_up(model: Model, left: dict[str, object]) -> None:
     """DS-33, table 15: reset, mode and WHOAMI are in bank 0 alone, acceleration in both."""
-    sensor, link = bench(SCL)
-    link.part.bank = 1
-    assert sensor.read().values == expected(link, SCL)
+    sensor, link = bench(model)
+    vars(link.part).update(left)
+    assert sensor.read().values == expected(link, model)
+    link.close()
 
 
 def test_the_wrong_sibling_is_named() -> None:
