@@ -16,6 +16,8 @@ _AGAIN = 1e-3  # seconds after which a Ctrl-C that was dropped comes again
 def main(args: list[str] | None = None) -> None:
     """Run the command line and leave with the documented exit code."""
     args = sys.argv[1:] if args is None else args
+    if sys.stderr is None:  # closed: nobody reads the remarks
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     try:
         _keep_ctrl_c()
         _one_blas_thread()

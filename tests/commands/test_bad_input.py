@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import subprocess
 from pathlib import Path
 
 import pytest
-from support.command import measure, tiltcal
+from support import FIXTURES
+from support.command import TILTCAL, called, measure, tiltcal
 
 CALIBRATION = """\
 tiltcal: 1
@@ -17,6 +20,7 @@ calibration:
     x: {x: 818.2, y: 9.1}
     y: {x: -6.4, y: 820.7}
 """
+MEASURE = ("measure", "plane", "--sensor", "sca100t-d02", "--address", "sim:", "--serial", "S-1", "-o", "S-1.yaml")
 LOG = "time,x,y\n0,1024,1022\n1,1433,1020\n"
 SEGMENTS = "position,start,end\nx-up,0,1\n"
 
@@ -191,3 +195,36 @@ def test_a_serial_number_with_a_control_character(command: str, tmp_path: Path) 
     assert result.returncode == 2
     assert "the serial number: the control character '\\x1b' is not allowed" in result.stderr
     assert not (tmp_path / "new.yaml").exists()
+
+
+@pytest.mark.parametrize("output", [".", "..", "/"])
+def test_a_calibration_file_that_is_a_folder(output: str, tmp_path: Path) -> None:
+    refused = measure("-o", output, cwd=tmp_path)
+    assert (refused.returncode, refused.stderr) == (
+        2,
+        f"tiltcal: cannot write {output}: it is a folder; name a file in it\n",
+    )
+
+
+@pytest.mark.parametrize(
+    ("closed", "arguments"),
+    [
+        ("stdin", (*MEASURE, "--operator", "terminal")),
+        ("stdin", (*MEASURE, "--operator", "json")),
+        ("stdout", (*MEASURE, "--operator", "json")),
+        ("stdin", ("apply", FIXTURES / "plane.yaml", "-")),
+    ],
+)
+def test_a_closed_standard_stream(closed: str, arguments: tuple[str | Path, ...], tmp_path: Path) -> None:
+    """Python has None in its place."""
+    streams = {"stdin": io.StringIO(), "stdout": io.StringIO(), "stderr": io.StringIO()} | {closed: None}
+    assert called(arguments, tmp_path, **streams) == 2
+    assert f"standard {closed.removeprefix('std')}put is closed" in streams["stderr"].getvalue()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_session_without_standard_error(tmp_path: Path) -> None:
+    arguments = [*TILTCAL, *MEASURE, "--operator", "sim", "--samples", "3"]
+    done = subprocess.run(["sh", "-c", 'exec "$@" 2>&-', "sh", *arguments], cwd=tmp_path, check=False)
+    assert done.returncode == 0
+    assert (tmp_path / "S-1.yaml").exists()

@@ -95,3 +95,6 @@ def test_a_change_is_told_with_its_uncertainty_and_the_folder_of_its_file(folder
 def test_a_folder_without_calibrations_and_a_wrong_interval_are_refused(folder: Path, tmp_path: Path) -> None:
     assert "has no calibration files" in tiltcal("history", tmp_path).stderr
     assert "'a year' is no number of days" in tiltcal("history", folder, "--interval", "a year").stderr
+    for days in ("inf", "nan", "3000000d", "-1d"):
+        refused = tiltcal("history", folder, "--interval", days)
+        assert (refused.returncode, refused.stderr.split()[:2]) == (2, ["tiltcal:", "--interval:"])

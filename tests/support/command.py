@@ -38,8 +38,10 @@ def tiltcal(*args: str | Path, cwd: Path | None = None, said: str = "", merged: 
         return Completed(["tiltcal", *map(str, args)], code, _text(stdout), _text(stderr))
 
 
-def called(args: Sequence[str | Path], cwd: Path | None, stdin: TextIO, stdout: TextIO, stderr: TextIO) -> int:
-    """Call the command line with these standard streams in a folder, and return its exit code."""
+def called(
+    args: Sequence[str | Path], cwd: Path | None, stdin: TextIO | None, stdout: TextIO | None, stderr: TextIO | None
+) -> int:
+    """Call the command line with these standard streams in a folder, and return its exit code; None is a closed one."""
     with (
         chdir(cwd or "."),
         patch.object(sys, "stdin", stdin),

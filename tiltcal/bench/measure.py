@@ -25,6 +25,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import Sensor, in_words
 from tiltcal.errors import JournalError, UsageError
+from tiltcal.files.atomic import check_writable
 from tiltcal.files.base_calibration import bases_of, identity_in
 from tiltcal.files.bench import BenchFile, read_bench
 from tiltcal.files.calibration import CalibrationRecord
@@ -367,6 +368,7 @@ def _outputs(
             raise UsageError("the pairs of a stage have one file together: name it with -o PAIR.yaml")
         return [output, *(None for _ in sensors.sensors[1:])], output
     if bench is None and output is not None:
+        check_writable(output)
         return [output], output
     folder = output or Path()
     if not folder.is_dir():

@@ -14,6 +14,9 @@ from tiltcal.errors import UsageError
 if TYPE_CHECKING:
     from tiltcal.calibration.fleet import FleetHistory
 
+LONGEST = 36525
+"""Interval of 100 years, days."""
+
 _EXAMPLE = """\b
 Examples:
   tiltcal history calibrations
@@ -51,10 +54,12 @@ def read_history(folder: Path, interval: str = "365d") -> FleetHistory:
     from tiltcal.calibration.fleet import fleet_history
 
     try:
-        between = timedelta(days=float(interval.removesuffix("d")))
+        days = float(interval.removesuffix("d"))
     except ValueError:
         raise UsageError(f"--interval: {interval!r} is no number of days; write it as 365d") from None
+    if not 0.0 <= days <= LONGEST:
+        raise UsageError(f"--interval: {interval} is not between 0d and {LONGEST}d")
     library = open_calibrations(folder)
     if not library.serials and not library.index.problems:
         raise UsageError(f"{folder} has no calibration files")
-    return fleet_history(library, between, datetime.now(UTC))
+    return fleet_history(library, timedelta(days=days), datetime.now(UTC))

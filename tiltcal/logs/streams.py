@@ -68,6 +68,8 @@ def log_source(log: str, *, live: bool = False) -> Iterator[tuple[BinaryIO, int 
 @contextmanager
 def _opened(log: str) -> Iterator[tuple[BinaryIO, int | None]]:
     if log == STANDARD:
+        if sys.stdin is None:
+            raise UsageError("standard input is closed: name a file instead of -")
         yield sys.stdin.buffer, None
         return
     try:
@@ -93,6 +95,8 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         with whole_file(output) as stream:
             yield stream
         return
+    if sys.stdout is None:
+        raise UsageError("standard output is closed: name a file instead of -")
     import shutil
     from tempfile import SpooledTemporaryFile
 

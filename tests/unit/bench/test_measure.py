@@ -193,6 +193,14 @@ def test_an_answer_is_checked(said: object) -> None:
         understood(said)
 
 
+@pytest.mark.parametrize("axis", ["\ud800", "z", "X", ""])
+def test_an_angle_has_an_axis(axis: str) -> None:
+    """A lone surrogate cannot be written to the journal."""
+    with pytest.raises(InputError, match="an angle is that of x or y") as refused:
+        understood({"answer": "ready", "tilt": {axis: 30.0}})
+    assert str(refused.value).isascii()
+
+
 def test_a_sensor_is_read_by_itself() -> None:
     with open_sensor("sca100t-d02", "sim:?seed=1") as sensor:
         reading = sensor.read()

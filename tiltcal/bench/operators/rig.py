@@ -49,6 +49,7 @@ ROTATION = "rotation"
 TO_POSITION = ("ready", "redo", "back", "quit")
 TO_ROTATION = ("ready", "quit")
 WHILE_TURNING = ("stop", "quit")
+TILT_AXES = ("x", "y")
 KEYS = {"answer", "tilt", "gravity", "temperature"}
 
 WRONG_ANSWERS = 100
@@ -218,13 +219,16 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
     tilt = {} if said.get("tilt") is None else said["tilt"]
     if not isinstance(tilt, Mapping):
         raise InputError('tilt is an object of degrees such as {"y": 30.02}')
+    other = [axis for axis in tilt if axis not in TILT_AXES]
+    if other:
+        raise InputError(f"tilt of {other[0]!r} in the answer: an angle is that of {' or '.join(TILT_AXES)}")
     gravity = said.get("gravity")
     if gravity is not None and not (isinstance(gravity, list | tuple) and len(gravity) == 3):
         raise InputError("gravity is a list of three numbers")
     temperature = said.get("temperature")
     return OperatorAnswer(
         word,
-        {str(axis): _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()},
+        {axis: _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()},
         tuple(_number(component, "gravity") for component in gravity) if gravity is not None else None,
         None if temperature is None else _temperature(temperature),
     )

@@ -37,6 +37,10 @@ def open_operator(
     UsageError
         No such operator, or one that the bench cannot have.
     """
+    needed = {"terminal": {"input": sys.stdin, "error": sys.stderr}, "json": {"input": sys.stdin, "output": sys.stdout}}
+    for name, stream in needed.get(str(chosen), {}).items():
+        if stream is None:
+            raise UsageError(f"standard {name} is closed, and --operator {chosen} needs it")
     if chosen == "terminal":
         with ExitStack() as stack:
             yield _terminal(stack, turns=turns, plain=plain)
