@@ -314,6 +314,7 @@ class CompensatedLog:
             Add the rows to :attr:`summary`.
         """
         keep_freed_memory()
+        needs_time = time is not None or self._needs_time()
         time = self.roles.get(TIME, time)
         wanted = {*self.channels, *self.roles.values(), *chain(*self.vectors.values())}
         means = self._means()
@@ -321,7 +322,7 @@ class CompensatedLog:
             sorted(wanted if time is None else wanted | {time}),
             time,
             frames=frames or means is not None,
-            needs_time=True,
+            needs_time=needs_time,
         )
         for block in rows if means is None else means.blocks(rows):
             values = self._values(block)
@@ -333,6 +334,12 @@ class CompensatedLog:
             if count:
                 self.summary.add(table, len(block.faults) + block.bad_rows)
             yield block, table
+
+    def _needs_time(self) -> bool:
+        """Return whether the time decides something; means of so many rows merely have one."""
+        averaging = self.prepared.averaging
+        every = averaging is not None and averaging.seconds is not None
+        return every or TIME in (*self.prepared.roles, *self.prepared.optional_roles)
 
     def _values(self, block: LogBlock) -> RoleValues:
         given = {role: block.values[index] for role, index in self.roles.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from math import hypot, nan, radians
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.apply import apply_log
 from tiltcal.logs.averaging import averaging
+from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
+from tiltcal.logs.formats.csv_types import ColumnTypes
 
 CAL = """\
 tiltcal: 1
@@ -217,3 +220,59 @@ def test_every_kind_of_frame_stays_its_kind(cal: Calibration) -> None:
         assert type(found) is type(kind)
         assert [int(one) for one in found["count"]] == [2, 2, 1]
         assert [str(one) for one in np.asarray(found["who"])] == ["a", "c", "e"]
+
+
+class TestTimeOfCsv:
+    """The type that the time of a CSV log has in Parquet and in means."""
+
+    @pytest.mark.parametrize(
+        ("cells", "typed"),
+        [
+            (("1767225600000000001", ""), [1767225600000000001, None]),
+            (("0012.5", "13.5"), [12.5, 13.5]),
+            (("1767225600000000", "0.5"), [1767225600000000.0, 0.5]),
+            (("12:00:01", "noon"), ["12:00:01", "noon"]),
+            (("2026-05-01 12:00", "noon"), [datetime(2026, 5, 1, 12, tzinfo=UTC), None]),
+        ],
+    )
+    def test_it_keeps_what_it_holds(self, cells: tuple[str, str], typed: list[Any]) -> None:
+        frame = self.types().typed(self.block(*cells)).frame
+        assert frame is not None
+        assert frame["time"].to_list() == typed
+
+    def test_whole_numbers_that_go_on_with_others_are_refused(self) -> None:
+        types = self.types()
+        types.typed(self.block("1767225600000000001"))
+        with pytest.raises(InputError, match=r"^log\.csv: row 1: column 'time' holds '1.5', and numbers above it"):
+            types.typed(self.block("1.5"))
+
+    @pytest.mark.parametrize(
+        ("cells", "mean"),
+        [
+            (("1767225600000000", "1767225600000002"), 1767225600000001),
+            (("0012.5", "0013.5"), 13),
+            (("12:00:01", "12:00:03"), "12:00:01"),
+            (("2026-05-01 12:00", "2026-05-01 12:01"), "2026-05-01T12:00:30Z"),
+        ],
+    )
+    @pytest.mark.usefixtures("cal")
+    def test_means_of_so_many_rows_have_one(self, cells: tuple[str, str], mean: str | int) -> None:
+        Path("log.csv").write_text("time,x,y\n" + "".join(f"{cell},2.5,2.5\n" for cell in cells))
+        apply_log("cal.yaml", "log.csv", output="means.csv", average=2)
+        (found,) = pl.read_csv("means.csv", infer_schema=False)["time"]
+        assert (found if isinstance(mean, str) else float(found)) == mean
+
+    def test_the_text_of_a_bad_row_stays(self) -> None:
+        rows = parse_rows(b"noon,1\nsoon,1,2\n", ("time", "n"), (0,), time=0, texts=(0, 1))
+        frame = self.types().typed(rows).frame
+        assert frame is not None
+        assert frame["time"].to_list() == ["noon", "soon"]
+
+    @staticmethod
+    def types() -> ColumnTypes:
+        return ColumnTypes(("time", "n"), (0,), 0, file="log.csv")
+
+    @staticmethod
+    def block(*cells: str) -> CsvBlock:
+        data = "".join(f"{cell},1\n" for cell in cells).encode()
+        return parse_rows(data, ("time", "n"), (0,), time=0, texts=(0, 1))
