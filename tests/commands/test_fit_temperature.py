@@ -71,14 +71,19 @@ class TestTemperaturePoint:
 class TestFastRamp:
     """A ramp of 0.5 °C/min, whose thermometer is 1 °C ahead of an element that is 120 s late."""
 
-    @pytest.mark.parametrize(("seconds", "timed"), [(5, True), (20, True), (60, True), (20, False), (60, False)])
-    def test_a_short_segment_is_refused_as_a_long_one_is(self, tmp_path: Path, seconds: int, timed: bool) -> None:
+    @pytest.mark.parametrize(
+        ("seconds", "written"),
+        [(5, "%.4f"), (20, "%.4f"), (60, "%.4f"), (20, ""), (60, ""), (20, "second %.0f"), (60, "second %.0f")],
+    )
+    def test_a_short_segment_is_refused_as_a_long_one_is(self, tmp_path: Path, seconds: int, written: str) -> None:
+        """The times are in seconds, not there, or in a form of the user's own."""
         time = np.arange(2400.0)
         rows = np.column_stack([1024.0 + 0.02 * time, 1024.0 - 0.02 * time, 24.0 - time * 0.5 / 60.0])
         rows += np.random.default_rng(3).normal(0.0, (0.5, 0.5, 0.02), rows.shape)
-        columns = np.column_stack([time, rows]) if timed else rows
-        names = "time,x,y,temperature" if timed else "x,y,temperature"
-        np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header=names, comments="", fmt="%.4f")
+        columns = np.column_stack([time, rows]) if written else rows
+        names = "time,x,y,temperature" if written else "x,y,temperature"
+        form = [written, *["%.4f"] * 3] if written else "%.4f"
+        np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header=names, comments="", fmt=form)
         ends = "".join(f"{name},{end - seconds},{end}\n" for name, end in (("level-warm", 300), ("level-cold", 2300)))
         (tmp_path / "segments.csv").write_text(f"position,start,end\n{ends}")
         result = tiltcal(

@@ -379,7 +379,7 @@ class RecentTemperatures:
         """
         values = np.concatenate(self._blocks, axis=1)[:, : end - self._first]
         begin = max(first, start - (SOAKS - 1) * (end - start))
-        if self._timed:
+        if self._timed and np.isfinite(values[1, -1]):
             early = np.flatnonzero(~(values[1] >= values[1, -1] - SOAKS * self._soak))
             begin = self._first + (int(early[-1]) + 1 if len(early) else 0)
         if begin >= start:

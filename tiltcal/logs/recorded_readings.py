@@ -86,7 +86,7 @@ def recorded_readings(
     others : sequence of str
         Further roles that are needed: time.
     timed : bool
-        Read the times too where the user names their column, or the log has one.
+        Read the times too where the user names their column, or the log has one; in this, what is no time is missing.
 
     Raises
     ------
@@ -95,13 +95,14 @@ def recorded_readings(
     """
     is_file = isinstance(log, str | Path)
     with open_log(log, digest=is_file, progress=progress) as reader:
-        if timed and (TIME in named or reader.has_times(TIME)):
+        needs_time = TIME in named or TIME in others
+        if timed and (needs_time or reader.has_times(TIME)):
             others = (*others, TIME)
         where = locate_readings(reader, channels, named, unit, others)
         columns = [where[role] for role in (*channels, TEMPERATURE, TIME) if role in where]
         blocks = (
             np.stack([block.values[index] for index in columns])
-            for block in reader.rows(sorted(set(columns)), where.get(TIME), needs_time=True)
+            for block in reader.rows(sorted(set(columns)), where.get(TIME), needs_time=needs_time)
         )
         record = RecordedReadings(reader.name, channels, blocks, thermometer=TEMPERATURE in where, timed=TIME in where)
         yield record
