@@ -109,6 +109,7 @@ class Adxl355(PolledSensor):
         port = RegisterPort(link, lambda register: register << 1 | 1, lambda register: register << 1)
         super().__init__(port, clock, settings.rate)
         self._chosen = settings
+        self._trim = b""
 
     def _identity(self) -> Mapping[str, str]:
         (revision,) = self._port.read(WHO + 3, 1)
@@ -127,16 +128,17 @@ class Adxl355(PolledSensor):
         self._clock.sleep(TURN_ON_SECONDS + 4 * self._period)
 
     def _reset(self) -> None:
-        """Reset until the shadow registers have their former content."""
+        """Reset until the shadow registers have the content that they had first; a reset may have lost it since."""
         before = self._port.read(SHADOW, SHADOWS)
+        self._trim = self._trim or before
         for _ in range(RESETS):
             self._port.write(RESET, RESET_CODE)
             self._clock.sleep(RESET_SECONDS)
-            if self._port.read(SHADOW, SHADOWS) == before:
+            if self._port.read(SHADOW, SHADOWS) == self._trim:
                 return
         raise DeviceFault(
             "the ADXL355 does not load its factory trim after a reset (its shadow registers 0x50 to 0x54 differ): "
-            "switch its supply off for a second and on"
+            "switch its supply off for a second and on; if it stays, start the command again"
         )
 
     def _settings(self) -> Settings:
