@@ -178,7 +178,7 @@ def parse_address(text: str) -> Address:
     if not _SCHEME.fullmatch(scheme) or scheme.rpartition("+")[2] not in SCHEMES:
         advice = _near(scheme, SCHEMES) or f"known: {', '.join(SCHEMES)}"
         _refuse(text, f"unknown scheme {scheme!r} ({advice})")
-    if any(not character.isprintable() for character in text):
+    if any(not character.isprintable() for character in unquote(text)):
         _refuse(text, "it contains a control character")
     place, question, query = rest.partition("?")
     if scheme == "sim" and not question and place:

@@ -61,7 +61,9 @@ def open_modbus(address: Address, model: Model) -> ModbusLink:
             host, port = port, str(PORT)
         if not port.isdigit() or not 0 < int(port) < 65536:
             address.refuse(f"{port!r} is no port number (tcp://host:{PORT})")
-        client = library.ModbusTcpClient(host, port=int(port), timeout=timeout, retries=RETRIES)
+        client = library.ModbusTcpClient(
+            host.removeprefix("[").removesuffix("]"), port=int(port), timeout=timeout, retries=RETRIES
+        )
     else:
         address.allow("unit", "timeout", "baudrate", "parity", "stopbits", *model.options)
         parity = address.text("parity", "N").upper()
@@ -123,7 +125,11 @@ class ModbusLink:
         self._place = place
         self._client = client
         self._unit = unit
-        if not client.connect():
+        try:
+            opened = client.connect()
+        except UnicodeError as cause:  # a name that cannot be one of a host
+            raise BusError(_why_not_opened(place)) from cause
+        if not opened:
             raise BusError(_why_not_opened(place))
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:

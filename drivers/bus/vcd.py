@@ -120,6 +120,9 @@ class VcdLink:
         try:
             _skip_preface(self._path, self._file)
             self._edges = _edges(self._path, _tokens(self._path, self._file), self._names)
+        except OSError as cause:
+            self.close()
+            raise BusError(f"{self._path} is no file that can be read from its start ({cause})") from cause
         except BaseException:
             self.close()
             raise
@@ -162,7 +165,7 @@ def _tokens(path: str, file: BufferedReader) -> Iterator[Any]:
             yield from tokenize(file)
         except VCDParseError as cause:
             raise BusError(f"{path}: it is not a value change dump, or is damaged: {cause}") from cause
-        except (ValueError, AssertionError) as cause:
+        except (ValueError, AssertionError, OSError) as cause:
             raise BusError(f"{path}: it is not a value change dump, or is damaged ({cause})") from cause
 
     return checked()

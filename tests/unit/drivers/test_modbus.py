@@ -135,7 +135,8 @@ BLOCKS = [
 @pytest.mark.parametrize("rtu", [False, True], ids=["tcp", "rtu"])
 def test_a_simulated_slave_is_read(rtu: bool) -> None:
     with slave(7, BLOCKS, rtu=rtu) as place:
-        model, written = at("unit=7&columns=x@0*0.001,y@10:float32,z@12:float32,temperature@4*0.1", place)
+        bracketed = place.replace("127.0.0.1", "[127.0.0.1]")  # as an IPv6 address is written
+        model, written = at("unit=7&columns=x@0*0.001,y@10:float32,z@12:float32,temperature@4*0.1", bracketed)
         link = open_link(parse_address(written), model)
         sensor = model.driver(link, VirtualClock())
         assert sensor.probe() == {"x": "-0.5", "y": "0.125", "z": "-0.75", "temperature": "23.5 °C"}
@@ -179,6 +180,10 @@ def test_nobody_at_the_other_end() -> None:
     model, written = at("columns=x@0&timeout=0.1", "tcp://127.0.0.1:1")
     with pytest.raises(BusError, match=r"no Modbus server answers at tcp://127.0.0.1:1"):
         open_link(parse_address(written), model)
+    for place in ("tcp://[::1]:1", "tcp://a..b:1", f"tcp://{'a' * 64}:1"):
+        model, written = at("columns=x@0&timeout=0.1", place)
+        with pytest.raises(BusError, match=r"no Modbus server answers at tcp://"):
+            open_link(parse_address(written), model)
     model, written = at("columns=x@0", "/dev/ttyNONE")
     with pytest.raises(BusError, match=r"/dev/ttyNONE does not exist"):
         open_link(parse_address(written), model)

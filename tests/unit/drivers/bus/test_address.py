@@ -73,6 +73,8 @@ def test_an_address_of_the_specification_is_understood(
         ("sim:truth.yaml", "option 'truth.yaml' is not of the form name=value"),
         ("sim:///dev/spidev0.0?seed=1", "a simulated sensor has no place"),
         ("spi:///dev/spi\ndev0.0", "it contains a control character"),
+        ("spi:///dev/spidev0.0%00", "it contains a control character"),
+        ("serial:///dev/ttyUSB0?columns=x%0A", "it contains a control character"),
     ],
 )
 def test_a_slip_is_named_with_the_address(written: str, why: str) -> None:

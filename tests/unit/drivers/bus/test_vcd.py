@@ -171,6 +171,18 @@ def test_damage_in_the_middle_is_an_error(hand_written: Path, time: str, why: st
         link.exchange(b"", 4096)
 
 
+def test_a_pipe_is_no_capture(tmp_path: Path) -> None:
+    path = tmp_path / "capture.vcd"
+    os.mkfifo(path)
+    writer = os.open(path, os.O_RDWR)
+    try:
+        os.write(writer, HAND_WRITTEN.encode())
+        with pytest.raises(BusError, match="no file that can be read from its start"):
+            opened(path)
+    finally:
+        os.close(writer)
+
+
 def test_no_such_file_and_wrong_options(tmp_path: Path) -> None:
     with pytest.raises(BusError, match=r"gone\.vcd cannot be read \(No such file"):
         opened(tmp_path / "gone.vcd")
