@@ -91,6 +91,23 @@ def test_stopped_in_the_middle_it_keeps_its_rows(number: int, tmp_path: Path) ->
         assert f"{len(rows)} rows in" in said
 
 
+@pytest.mark.parametrize("name", ["log.pq", "log.PARQUET"])
+def test_the_end_of_the_name_selects_parquet(tmp_path: Path, name: str) -> None:
+    """A Parquet file begins with PAR1."""
+    assert tiltcal("record", *ONE, "--rows", "3", "-o", name, cwd=tmp_path).returncode == 0
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_bytes()[:4] == b"PAR1"
+
+
+@pytest.mark.parametrize("command", [("record", "--rows", "3"), ("noise", "--samples", "300")])
+@pytest.mark.parametrize("name", ["log.nc", "log.NC4"])
+def test_nothing_is_recorded_to_netcdf(tmp_path: Path, command: tuple[str, ...], name: str) -> None:
+    refused = tiltcal(*command, *ONE, "-o", name, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "a recording is CSV or Parquet" in refused.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_recording_never_replaces_a_log(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("mine")
     result = tiltcal("record", *ONE, "--rows", "3", "-o", "log.csv", cwd=tmp_path)

@@ -59,18 +59,24 @@ def capture(
     seconds : float or None
         How long. With neither it goes on until Ctrl-C, which then is no interruption.
     output : Path
-        Made anew: CSV; or Parquet by its suffix, which is recorded as CSV beside it and converted at the end.
+        Made anew, in the format that its name selects: CSV, or Parquet, which is recorded as CSV beside it and
+        converted at the end.
 
     Raises
     ------
     UsageError
-        ``output`` exists, or there is no end on the virtual bench.
+        ``output`` exists or would be NetCDF, or there is no end on the virtual bench.
     HardwareError
         A sensor does not answer.
     """
+    from tiltcal.logs.formats import log_format
+
     if output.exists():
         raise UsageError(f"{output} exists; a recording never replaces one: name another file")
-    log = output.with_name(output.name + ".csv") if output.suffix == ".parquet" else output
+    written = log_format(output)
+    if written.kept:
+        raise UsageError(f"{output} would be NetCDF, and a recording is CSV or Parquet: name a .csv or .parquet")
+    log = output if written.name == "Csv" else output.with_name(output.name + ".csv")
     sensors, thermometer = devices_of(named)
     devices = sensors if thermometer is None else (*sensors, thermometer)
     virtual = all(parse_address(device.address).simulated for device in devices)
