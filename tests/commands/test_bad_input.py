@@ -220,6 +220,7 @@ def test_a_closed_standard_stream(closed: str, arguments: tuple[str | Path, ...]
     streams = {"stdin": io.StringIO(), "stdout": io.StringIO(), "stderr": io.StringIO()} | {closed: None}
     assert called(arguments, tmp_path, **streams) == 2
     assert f"standard {closed.removeprefix('std')}put is closed" in streams["stderr"].getvalue()
+    assert "continue with" not in streams["stderr"].getvalue(), "nothing was captured"
     assert not list(tmp_path.iterdir())
 
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from support import FIXTURES
 from support.command import measure, tiltcal
+
+from tiltcal.errors import BusError
 
 READY = '{"answer": "ready"}\n'
 
@@ -75,3 +78,19 @@ def test_another_session_is_refused_and_left_alone(
     assert (tmp_path / journal).read_bytes() == before
     if arguments == ["measure"]:
         assert replayed_verdict(tmp_path, journal)["passed"] is True
+
+
+def test_a_journal_with_its_end_needs_no_sensor(
+    sessions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file is made again at a desk: no device is asked, and the journal may be write-protected."""
+
+    def unplugged(*_: object) -> NoReturn:
+        raise BusError("no device")
+
+    shutil.copy(sessions / "S-1.journal.jsonl", tmp_path)
+    monkeypatch.setattr("tiltcal.bench.session.open_device", unplugged)
+    done = tiltcal("measure", "--resume", "S-1.journal.jsonl", "--operator", "sim", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "S-1.yaml").read_bytes() == (sessions / "S-1.yaml").read_bytes()
+    assert replayed_verdict(sessions, "v.jsonl")["passed"] is True

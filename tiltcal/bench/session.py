@@ -104,6 +104,7 @@ class Session:
         self._named = output
         self.path = path
         self.finished = False
+        self._captured = journal is not None
         self.journal = journal
         self._clock: Clock = VirtualClock() if plan.virtual else SystemClock(int(plan.started.timestamp() * 1e9))
         self._virtual = VirtualBench(self._clock, plan.devices)
@@ -126,7 +127,7 @@ class Session:
 
     @contextmanager
     def resumable(self, command: str, remark: Callable[[str], None]) -> Iterator[None]:
-        """Say how to go on, where an error ends the block before the session is at its end.
+        """Say how to go on, where an error ends the block between the journal's begin and the session's end.
 
         Parameters
         ----------
@@ -142,16 +143,17 @@ class Session:
         go_on = f"everything measured is kept; continue with: tiltcal {command} --resume {quote(str(self.path))}{where}"
         try:
             yield
-        except KeyboardInterrupt:
-            raise Stopped(f"interrupted; {go_on}") from None
-        except Stopped as error:
-            raise Stopped(f"{error}; {go_on}") from None
-        except HardwareError as error:
-            if self.finished:
+        except (KeyboardInterrupt, TiltcalError) as error:
+            if not self._captured:
                 raise
-            raise HardwareError(f"{error}; {go_on}") from None
-        except TiltcalError:
-            remark(go_on)
+            if isinstance(error, KeyboardInterrupt):
+                raise Stopped(f"interrupted; {go_on}") from None
+            if isinstance(error, Stopped):
+                raise Stopped(f"{error}; {go_on}") from None
+            if not isinstance(error, HardwareError):
+                remark(go_on)
+            elif not self.finished:
+                raise HardwareError(f"{error}; {go_on}") from None
             raise
 
     @property
@@ -168,6 +170,8 @@ class Session:
     def preflight(self) -> None:
         """Check before the operator starts that the files can be written, and that every device answers.
 
+        A journal that has its end needs no device, and is not written.
+
         Raises
         ------
         UsageError
@@ -180,9 +184,10 @@ class Session:
             raise UsageError(
                 f"the journal names {self._outside[0]}, outside its own folder: say with -o where the calibration goes"
             )
-        for path in (*self.outputs, self.path):
+        ended = self.journal is not None and self.journal.end is not None
+        for path in self.outputs if ended else (*self.outputs, self.path):
             check_writable(path)
-        for device in self.plan.devices:
+        for device in () if ended else self.plan.devices:
             with closing(open_device(device, self._virtual)) as link:
                 device.model.driver(link, self._clock).probe()
         self._clock.seek(0)
@@ -289,6 +294,7 @@ class Session:
             return
         if self.journal is None:
             writer = JournalWriter.create(self.path, self.plan.header())
+            self._captured = True
         else:
             writer = JournalWriter.resume(self.journal)
         try:

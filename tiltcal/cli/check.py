@@ -37,7 +37,7 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
         results.append({"file": str(path), "kind": kind, "findings": findings})
         if not as_json:
             options.print_judged(f"{path}: {kind}, " + ("; ".join(findings) if findings else "good"))
-    if as_json:
+    if as_json and paths:
         options.print_judged(json.dumps(results, indent=2, ensure_ascii=False))
     return NEGATIVE_VERDICT if any(result["findings"] for result in results) else 0
 
