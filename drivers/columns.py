@@ -37,7 +37,13 @@ TIME = "time"
 """The clock of the device; sessions and logs use their own."""
 SKIPPED = ("", "-")
 
-SEPARATORS = {"comma": rb",", "semicolon": rb";", "tab": rb"\t", "space": rb"[ \t]+", "any": rb"[,;][ \t]*|[ \t]+"}
+SEPARATORS = {
+    "comma": rb",",
+    "semicolon": rb";",
+    "tab": rb"\t",
+    "space": rb"[ \t]+",
+    "any": rb"[ \t]*[,;][ \t]*|[ \t]+",
+}
 """By name, because some of the characters have a meaning in an address."""
 
 ONE_G = {"g": 1.0, "m/s2": 9.80665}

@@ -32,6 +32,7 @@ def printing(options: str, *pieces: bytes) -> Sensor:
         ("columns=x,y,temperature", b"0.5,-0.25,23.5\r\n", (0.5, -0.25), 23.5),
         ("columns=x,y", b"0.5 -0.25\n", (0.5, -0.25), None),
         ("columns=x,y", b"0.5;\t-2.5e-1\r", (0.5, -0.25), None),
+        ("columns=x,y", b"0.5 , -0.25\n", (0.5, -0.25), None),
         ("columns=-,z,y,x&separator=semicolon", b"12:30:01; 3 ;2;1\r\n", (1.0, 2.0, 3.0), None),
         ("columns=,x,&separator=tab", b"a\t.5\tb\n", (0.5,), None),
         ("columns=temperature,x&separator=space", b"  -4   +7.  \n", (7.0,), -4.0),
