@@ -19,7 +19,7 @@ LONGEST = 1024
 """Longest line; a longer one means a wrong baud rate, or a device that sends no text."""
 
 PATIENCE = 10.0
-"""Seconds in which a line must be complete; a device that sends byte by byte is no excuse to wait for ever."""
+"""Seconds from its first byte in which a line must be complete; one that drips is not waited for."""
 
 SILENCE = 0.1
 """Seconds without a byte after which a line begins; a line that is being sent has shorter pauses."""
@@ -66,11 +66,13 @@ class LineBuffer:
             Silence, or bytes without a line end.
         """
         while True:
-            began_ns = self._clock.now_ns()
+            began_ns: int | None = None
             while not self._ready:
                 self._listen()
+                now_ns = self._clock.now_ns()
+                began_ns = now_ns if began_ns is None else began_ns
                 if not self._ready:
-                    self._require_soon(began_ns, self._clock.now_ns())
+                    self._require_soon(began_ns, now_ns)
             line, whole = self._ready.popleft(), self._begun
             self._begun = True
             if line:
