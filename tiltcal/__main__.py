@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 import sys
 
+from tiltcal.cli.talk import talk
+
 INTERRUPTED = 130
 _WRONG = 2
 _AGAIN = 1e-3  # seconds after which a Ctrl-C that was dropped comes again
@@ -78,7 +80,7 @@ def _comes_from_ctrl_c(failure: BaseException | None) -> bool:
 
 def _interrupted() -> int:
     _deaf()
-    print("tiltcal: interrupted", file=sys.stderr)
+    talk("tiltcal: interrupted")
     return INTERRUPTED
 
 
@@ -92,13 +94,12 @@ def _deaf() -> None:
 def _flushed(code: int) -> int:
     """Have all output written; where it cannot be, the command has failed."""
     try:
-        for stream in (sys.stdout, sys.stderr):
-            if stream is not None:
-                stream.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except BrokenPipeError:
         return code
     except OSError as failure:
-        print(f"tiltcal: the output cannot be written: {failure.strerror}", file=sys.stderr)
+        talk(f"tiltcal: the output cannot be written: {failure.strerror}")
         return code or _WRONG
     return code
 

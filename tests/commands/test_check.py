@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -30,3 +31,11 @@ def test_wrong_records_are_named(tmp_path: Path, old: str, new: str, says: str) 
     assert "Traceback" not in result.stderr
     assert says in result.stderr
     assert result.returncode == (2 if says else 0), result.stdout
+
+
+def test_a_schema_is_printed_without_files_alone() -> None:
+    """With a file and --json there were two JSON documents."""
+    assert json.loads(tiltcal("check", "--schema", "bench", "--json").stdout)["type"] == "object"
+    result = tiltcal("check", "--schema", "bench", FIXTURES / "plane.yaml", "--json")
+    assert (result.returncode, result.stdout) == (2, "")
+    assert "--schema prints the JSON Schema of a kind and checks no file" in result.stderr

@@ -12,7 +12,8 @@ import pytest
 from tiltcal.bench.measure import measure
 from tiltcal.bench.plan import plan
 from tiltcal.cli.main import group
-from tiltcal.cli.options import FiniteRange, wrapped
+from tiltcal.cli.options import FiniteRange
+from tiltcal.cli.talk import wrapped
 from tiltcal.logs.fit import fit
 from tiltcal.logs.prepared_calibration import ApplyOptions
 

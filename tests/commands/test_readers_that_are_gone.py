@@ -29,15 +29,17 @@ VERIFY = ("verify", FIXTURES / "plane.yaml", "--address", "sim:?seed=2", "--jour
 
 
 @contextmanager
-def abandoned() -> Iterator[TextIO]:
-    """Yield a pipe that nobody reads."""
+def abandoned(disk: str | None = None) -> Iterator[TextIO]:
+    """Yield a pipe that nobody reads, or a disk that is full."""
     reading, writing = os.pipe()
     os.close(reading)
-    stream = open(writing, "w", encoding="utf-8")  # noqa: SIM115
+    if disk is not None:
+        os.close(writing)
+    stream = open(disk or writing, "w", encoding="utf-8")  # noqa: SIM115
     try:
         yield stream
     finally:
-        with suppress(BrokenPipeError):  # what it could not write
+        with suppress(OSError):  # what it could not write
             stream.close()
 
 
@@ -69,3 +71,38 @@ def test_a_verdict_that_nobody_reads_is_the_exit_code(tmp_path: Path) -> None:
     assert code_of("check", FIXTURES / "plane.yaml", "j.jsonl", folder=tmp_path, out=True) == 1
     assert code_of("check", FIXTURES / "plane.yaml", folder=tmp_path, out=True) == 0
     assert code_of("procedures", folder=tmp_path, out=True) == 0
+
+
+def logs_of(folder: Path) -> list[str]:
+    """Write one sound log, and one that is damaged."""
+    (folder / "good.csv").write_text("x,y\n1024,1024\n")
+    (folder / "bad.csv").write_text("x,y\n1024\n")
+    (folder / "tilt").mkdir()
+    return ["bad.csv", "good.csv"]
+
+
+@pytest.mark.parametrize("disk", [None, "/dev/full"])
+def test_talk_that_cannot_be_written_changes_no_exit_code_of_apply(disk: str | None, tmp_path: Path) -> None:
+    command = ("apply", FIXTURES / "plane.yaml", *logs_of(tmp_path), "-o", "tilt")
+    with abandoned(disk) as gone, open(os.devnull) as nothing:
+        assert called(command, tmp_path, nothing, io.StringIO(), gone) == 2
+    assert (tmp_path / "tilt" / "good.csv").exists()
+
+
+def test_results_that_nobody_reads_change_no_exit_code_of_apply(tmp_path: Path) -> None:
+    command = ("apply", FIXTURES / "plane.yaml", *logs_of(tmp_path), "-o", "tilt", "--json")
+    assert code_of(*command, folder=tmp_path, out=True) == 2
+
+
+def test_talk_about_a_fit_that_nobody_reads_stops_no_fit(tmp_path: Path) -> None:
+    """2000 counts among 1650 are said to be left out before the file is written."""
+    lines = ["x,y"]
+    for x, y in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+        lines += [f"{1024 + 819 * x + k % 3},{1024 + 819 * y + k % 3 - 1}" for k in range(40)]
+    (tmp_path / "log.csv").write_text("\n".join(lines).replace("1024,1023", "1500,1023", 1) + "\n")
+    gravity = ((0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
+    rows = [f"p{k},{40 * k},{40 * k + 40},{x},{y},{z}" for k, (x, y, z) in enumerate(gravity)]
+    (tmp_path / "segments.csv").write_text("\n".join(["position,start,end,gx,gy,gz", *rows]) + "\n")
+    command = ("fit", "plane", "log.csv", "--segments", "segments.csv", "--sensor", "sca100t-d02", "--serial", "S-1")
+    assert code_of(*command, "-o", "S-1.yaml", folder=tmp_path, err=True) == 0
+    assert (tmp_path / "S-1.yaml").exists()

@@ -11,6 +11,7 @@ import click
 
 from tiltcal.cli import options
 from tiltcal.cli.progress import progress_bar
+from tiltcal.cli.talk import remark, talk
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
 if TYPE_CHECKING:
@@ -213,14 +214,14 @@ def command(
             raise UsageError(f"{option} needs --uncertainty")
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
         tasks = tasks_of(calibration, given, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
-        prepare_any(calibration, given, _say)  # an error of the calibration is raised once
+        prepare_any(calibration, given, remark)  # an error of the calibration is raised once
         return _each(tasks, jobs, force, scheduler, as_json)
     with progress_bar("apply") as progress:
-        summary = ApplyTask(calibration, given, logs[0], output, columns, skip_bad_rows).run(_say, progress)
+        summary = ApplyTask(calibration, given, logs[0], output, columns, skip_bad_rows).run(remark, progress)
     if as_json:
-        click.echo(json.dumps(summary.as_data()), err=output == "-")
+        (talk if output == "-" else click.echo)(json.dumps(summary.as_data()))
     else:
-        _say(summary.as_text())
+        remark(summary.as_text())
     return 0
 
 
@@ -231,17 +232,13 @@ def _each(tasks: Sequence[ApplyTask], jobs: int | None, force: bool, scheduler: 
     told = {}
     for task, outcome in done_here(tasks, jobs, force) if scheduler is None else done_on(scheduler, tasks, force):
         if isinstance(outcome, TiltcalError):
-            _say(f"{task.log} failed and is left out: {outcome}")
+            remark(f"{task.log} failed and is left out: {outcome}")
             continue
         told[task.log] = {"output": task.output, **outcome.as_data()}
         if not as_json:
-            _say(f"{task.output}: {outcome.as_text()}")
+            remark(f"{task.output}: {outcome.as_text()}")
     if as_json:
-        click.echo(json.dumps({"logs": {task.log: told[task.log] for task in tasks if task.log in told}}))
+        options.print_judged(json.dumps({"logs": {task.log: told[task.log] for task in tasks if task.log in told}}))
     if len(told) < len(tasks):
         raise InputError(f"{len(tasks) - len(told)} of {len(tasks)} logs failed; the others are written")
     return 0
-
-
-def _say(line: str) -> None:
-    click.echo(line, err=True)

@@ -26,10 +26,13 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     chi-square is not credible.
     """
     if schema is not None:
+        if paths:
+            raise UsageError("--schema prints the JSON Schema of a kind and checks no file: leave FILE or --schema out")
         from tiltcal.files.json_schema import json_schema
 
         click.echo(json.dumps(json_schema(schema), indent=2, ensure_ascii=False))
-    elif not paths:
+        return 0
+    if not paths:
         raise UsageError("check needs a FILE, or --schema KIND; see tiltcal check --help")
     results = []
     for path in paths:
@@ -37,7 +40,7 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
         results.append({"file": str(path), "kind": kind, "findings": findings})
         if not as_json:
             options.print_judged(f"{path}: {kind}, " + ("; ".join(findings) if findings else "good"))
-    if as_json and paths:
+    if as_json:
         options.print_judged(json.dumps(results, indent=2, ensure_ascii=False))
     return NEGATIVE_VERDICT if any(result["findings"] for result in results) else 0
 

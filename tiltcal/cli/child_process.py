@@ -17,6 +17,7 @@ from contextlib import suppress
 from pathlib import PurePath
 from select import select
 
+from tiltcal.cli.talk import talk
 from tiltcal.errors import INTERRUPTED, InputError
 
 GUARDED = (".parquet", ".pq", ".nc", ".nc4")
@@ -66,9 +67,9 @@ def run_guarded(run: Callable[[], int], args: Sequence[str]) -> int:
     if code >= 0:
         return code
     if interruption.since is not None:
-        print("tiltcal: interrupted", file=sys.stderr)
+        talk("tiltcal: interrupted")
         return INTERRUPTED
-    print(f"tiltcal: {' or '.join(files)} cannot be read: {_ending(-code)}; the file is damaged", file=sys.stderr)
+    talk(f"tiltcal: {' or '.join(files)} cannot be read: {_ending(-code)}; the file is damaged")
     return InputError.exit_code
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from tiltcal.cli import options
+from tiltcal.cli.talk import remark
 from tiltcal.files.atomic import check_writable
 
 
@@ -35,4 +36,4 @@ def command(calibrations: tuple[Path, ...], mounting: str, output: Path) -> None
     found = combine(calibrations, mounting=mounting)
     found.save(output)
     click.echo(summary(found.record))
-    click.echo(f"wrote {output}", err=True)
+    remark(f"wrote {output}")

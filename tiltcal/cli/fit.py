@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tiltcal.cli import options
+from tiltcal.cli.talk import remark
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import check_writable
 
@@ -92,17 +93,17 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
         check_writable(path)
     keep_freed_memory()
     with progress_bar("fit") as progress:
-        calibration = fit(procedure, log, say=lambda line: click.echo(line, err=True), progress=progress, **settings)
+        calibration = fit(procedure, log, say=remark, progress=progress, **settings)
     calibration.save(output)
     if segments_out is not None:
         _write_segments(segments_out, calibration)
-        click.echo(f"wrote {segments_out}", err=True)
+        remark(f"wrote {segments_out}")
     record = calibration.record
     told = mounting_summary if determines.mounting else level_summary if determines.level else summary
     click.echo(told(record))
     if determines.free:
         _tell_free(record)
-    click.echo(f"wrote {output}", err=True)
+    remark(f"wrote {output}")
 
 
 def _tell_free(calibration: CalibrationRecord) -> None:
@@ -112,9 +113,9 @@ def _tell_free(calibration: CalibrationRecord) -> None:
         f"  misfit of the length of gravity {fit.misfit_rms_mg:g} mg rms over {len(calibration.positions)} positions, "
         f"{fit.distinct_attitudes} different attitudes"
     )
-    click.echo(f"mounting {calibration.derived.mounting}", err=True)
+    remark(f"mounting {calibration.derived.mounting}")
     if fit.warning:
-        click.echo(f"warning: {fit.warning}", err=True)
+        remark(f"warning: {fit.warning}")
 
 
 def _write_segments(path: Path, calibration: Calibration) -> None:

@@ -10,6 +10,7 @@ from importlib import import_module
 import click
 
 from tiltcal import __version__
+from tiltcal.cli.talk import printable, talk
 from tiltcal.errors import INTERRUPTED, TiltcalError, UsageError
 
 COMMANDS = {
@@ -84,18 +85,15 @@ def run(args: list[str] | None = None) -> int:
         if sys.stdout is not None:
             sys.stdout.flush()
     except click.ClickException as error:
-        with suppress(BrokenPipeError):
+        with suppress(OSError):
             error.show()
         return error.exit_code
     except TiltcalError as error:
         # The message may quote a file: control characters in it could be escape sequences.
-        message = "".join(
-            character if character.isprintable() or character == "\n" else "?" for character in str(error)
-        )
-        _say(message)
+        talk(f"tiltcal: {printable(str(error))}")
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        _say("interrupted")
+        talk("tiltcal: interrupted")
         return INTERRUPTED
     except (BrokenPipeError, SystemExit):
         # The reader of our output has ended, as with `| head`, and click leaves; Python must not flush what remains.
@@ -105,11 +103,6 @@ def run(args: list[str] | None = None) -> int:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
             raise
         sys.stdout = None
-        _say(f"the output cannot be written: {error.strerror}")
+        talk(f"tiltcal: the output cannot be written: {error.strerror}")
         return UsageError.exit_code
     return result if isinstance(result, int) else 0
-
-
-def _say(message: str) -> None:
-    with suppress(BrokenPipeError):
-        click.echo(f"tiltcal: {message}", err=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from tiltcal.cli import options
+from tiltcal.cli.talk import remark
 from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def command(
             loops=loops,
             spectra=figure is not None,
             skip_bad_rows=skip_bad_rows,
-            say=partial(click.echo, err=True),
+            say=remark,
             progress=progress,
         )
     drawing = _drawing(found)

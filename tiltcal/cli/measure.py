@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from tiltcal.cli import options
+from tiltcal.cli.talk import remark
 
 
 @click.command(
@@ -60,4 +61,4 @@ def command(procedure: str | None, operator: str, **settings: Any) -> None:
     from tiltcal.bench.measure import measure
 
     chosen = None if options.left_at_default("operator") else operator
-    measure(procedure, operator=chosen, remark=options.remark, **settings)
+    measure(procedure, operator=chosen, remark=remark, **settings)

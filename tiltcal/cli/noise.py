@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from tiltcal.cli import options
+from tiltcal.cli.talk import remark
 from tiltcal.errors import INTERRUPTED, UsageError
 
 _EXAMPLES = """\b
@@ -133,8 +134,8 @@ def command(
         )
     if figure is not None:
         draw_noise(figure, found.channels, found.scale)
-    for remark in found.remarks:
-        options.remark(f"note: {remark}")
+    for note in found.remarks:
+        remark(f"note: {note}")
     click.echo(json.dumps(found.as_data()) if as_json else str(found))
     return INTERRUPTED if interrupted else 0
 
@@ -205,5 +206,5 @@ def _recorded(
 
     captured = capture(single(sensor, "", address), rate, samples, seconds, path)
     kept = f" in {output}" if output is not None else ""
-    options.remark(f"{captured.tally.rows} samples{kept}{captured.missing}")
+    remark(f"{captured.tally.rows} samples{kept}{captured.missing}")
     return captured.interrupted

@@ -1,10 +1,9 @@
-"""The options that several commands have, and the remarks of a session."""
+"""The options that several commands have, and the output of a verdict."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -73,30 +72,9 @@ def left_at_default(option: str) -> bool:
     return context.get_parameter_source(option) is click.core.ParameterSource.DEFAULT
 
 
-def remark(text: str) -> None:
-    """Print a remark on the session; control characters, which could be escape sequences, become question marks."""
-    shown = "".join(character if character.isprintable() or character == "\n" else "?" for character in text)
-    with suppress(BrokenPipeError):  # whoever has read the remarks is gone, and the session goes on
-        click.echo(wrapped(shown) if sys.stderr.isatty() else shown, err=True)
-
-
 def print_judged(text: str) -> None:
     """Print a result whose verdict is the exit code; a reader that has ended, as with `| head`, changes no verdict."""
     try:
         click.echo(text)
     except BrokenPipeError:
         sys.stdout = None  # what remains in its buffer is not written later
-
-
-def wrapped(text: str) -> str:
-    """Return text whose lines break between words at the width of the terminal; a broken line goes on indented."""
-    from shutil import get_terminal_size
-    from textwrap import fill
-
-    width = get_terminal_size().columns
-    return "\n".join(
-        fill(line, width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
-        if len(line) > width
-        else line
-        for line in text.split("\n")
-    )

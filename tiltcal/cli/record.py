@@ -9,6 +9,7 @@ import click
 from tiltcal.bench.session_plan import single
 from tiltcal.cli import options
 from tiltcal.cli.recording import capture
+from tiltcal.cli.talk import remark
 from tiltcal.errors import INTERRUPTED, UsageError
 from tiltcal.files.bench import read_bench
 
@@ -44,5 +45,5 @@ def command(
         raise UsageError("record needs either --bench FILE, or --sensor MODEL and --address ADDRESS")
     named = read_bench(bench) if bench is not None else single(str(sensor), "", str(address))
     captured = capture(named, rate, rows, seconds, output)
-    options.remark(f"{captured.tally.rows} rows in {output}{captured.missing}")
+    remark(f"{captured.tally.rows} rows in {output}{captured.missing}")
     return INTERRUPTED if captured.interrupted else 0

@@ -9,6 +9,7 @@ import click
 
 from tiltcal.bench.session import Session
 from tiltcal.cli import options
+from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, JournalError, UsageError
 from tiltcal.files.atomic import check_writable, whole_file, write_whole
 
@@ -35,7 +36,7 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
 
     A verification makes no file: `tiltcal verify CAL --resume JOURNAL` repeats its verdict.
     """
-    session = Session.of_journal(journal, options.remark)
+    session = Session.of_journal(journal, remark)
     before = session.journal
     if before is not None and before.end is None:
         raise JournalError(
@@ -53,15 +54,15 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
     if golden is not None:
         for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
             if not path.is_file() or text.encode() != path.read_bytes():
-                options.remark(f"{journal} does not give {path}")
+                remark(f"{journal} does not give {path}")
                 return NEGATIVE_VERDICT
-            options.remark(f"{journal} gives {path} to the byte")
+            remark(f"{journal} gives {path} to the byte")
     if output is not None:
         for path, text in zip(_targets(output, list(texts)), texts.values(), strict=True):
             write_whole(path, text)
-            options.remark(f"wrote {path}")
+            remark(f"wrote {path}")
     elif not session.outputs:
-        options.remark(f"{journal} is replayed; for its verdict: tiltcal verify CAL --resume {journal}")
+        remark(f"{journal} is replayed; for its verdict: tiltcal verify CAL --resume {journal}")
     elif golden is None:
         click.echo("---\n".join(texts.values()), nl=False)
     return 0

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tiltcal.cli import options
+from tiltcal.cli.talk import remark
 from tiltcal.errors import EstimateError, UsageError
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def command(files: tuple[str, ...], output: Path, columns: str, skip_bad_rows: b
     prints, with figures of the distributions.
     """
     write_report(files, output, columns=columns, skip_bad_rows=skip_bad_rows)
-    click.echo(f"wrote {output}", err=True)
+    remark(f"wrote {output}")
 
 
 def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_bad_rows: bool = False) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from tiltcal.cli import options
+from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.calibration import SensorIdentity, read_calibration
 from tiltcal.files.procedure_file import find_procedure
@@ -80,12 +81,12 @@ def command(
 
     judged = read_calibration(calibration)
     if resume is not None:
-        session = Session.of_journal(resume, options.remark)
+        session = Session.of_journal(resume, remark)
         operator = session.plan.operator if options.left_at_default("operator") else operator
     elif address is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
     else:
-        path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), options.remark)
+        path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), remark)
         bench = single(judged.sensor.model, judged.sensor.serial, address, jig)
         steps = find_procedure(procedure, tilt)
         if steps.determines.free or steps.determines.completes or steps.ramp is not None:
@@ -112,13 +113,13 @@ def command(
     again += " --json" if as_json else ""
     session.preflight()
     with (
-        session.resumable(again, options.remark),
-        open_operator(operator, turns=False, virtual=session.plan.virtual, say=options.remark, plain=plain) as leader,
+        session.resumable(again, remark),
+        open_operator(operator, turns=False, virtual=session.plan.virtual, say=remark, plain=plain) as leader,
     ):
         found = session.verify(cast("PositionOperator", leader), judged, limit)
         leader.done([], session.path)
     if found.jig is None:
-        options.remark("no --jig is stated: the positions count as exact")
+        remark("no --jig is stated: the positions count as exact")
     # What a program reads is JSON to the last line.
     as_json = as_json or operator == "json"
     options.print_judged(json.dumps(found.as_data(), ensure_ascii=False) if as_json else str(found))
