@@ -138,15 +138,14 @@ def measure(
         session = _resumed(Path(resume), None if output is None else Path(output), remark)
         operator = operator or session.plan.operator
         begun = session.plan
-        board = None if bench is None else _bench(bench).sensors
         serials = [device.serial for device in begun.sensors]
         begun.require_as_begun(
             {
-                "PROCEDURE": None if procedure is None else find_procedure(str(procedure)).name,
+                "PROCEDURE": procedure,
                 "--sensor": sensor,
                 "--address": address,
                 "--serial": serial,
-                "--bench": None if board is None else ", ".join(f"{one.serial} at {one.address}" for one in board),
+                "--bench": None if bench is None else _bench(bench),
                 "--base": None if base is None else bases_of(begun.procedure, base, serials),
                 "--journal": None if journal is None else Path(journal).name,
                 "--samples": samples,

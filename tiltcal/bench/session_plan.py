@@ -26,7 +26,7 @@ from tiltcal.files.journal import Journal
 from tiltcal.files.moments import stamp
 from tiltcal.files.node import require_printable
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.procedure_file import procedure_from_record
+from tiltcal.files.procedure_file import find_procedure, procedure_from_record, shipped_procedures
 
 VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
 """When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""
@@ -90,7 +90,8 @@ class SessionPlan:
         Parameters
         ----------
         stated : mapping of str to object
-            Values by option; None and False of those that are not stated.
+            Values by option; None and False of those that are not stated. `--bench` is a BenchFile; a procedure is a
+            shipped one's name or the path of your own.
 
         Raises
         ------
@@ -98,12 +99,9 @@ class SessionPlan:
         """
         procedure = self.procedure
         begun = {
-            "PROCEDURE": procedure.name,
-            "--procedure": procedure.name,
             "--sensor": ", ".join(device.model_name for device in self.sensors),
             "--address": ", ".join(device.address for device in self.sensors),
             "--serial": ", ".join(device.serial for device in self.sensors),
-            "--bench": ", ".join(f"{device.serial} at {device.address}" for device in self.sensors),
             "--base": dict(self.bases),
             "--journal": self.journal,
             "--samples": self.settings.samples,
@@ -118,8 +116,42 @@ class SessionPlan:
             "--closing": procedure.closes,
         }
         for option, value in stated.items():
-            if value is not None and value is not False and value != begun[option]:
-                raise UsageError(f"{option} differs from what the session of {self.journal} began with: leave it out")
+            if value is None or value is False:
+                continue
+            differs, where = option in begun and value != begun[option], ""
+            if isinstance(value, BenchFile):
+                where = "".join(f" in its {key}" for key in self._differences(value, stated)[:1])
+            elif option in ("PROCEDURE", "--procedure"):
+                differs = not self._begins_as(str(value))
+            if differs or where:
+                raise UsageError(
+                    f"{option} differs{where} from what the session of {self.journal} began with: leave it out"
+                )
+
+    def _differences(self, bench: BenchFile, stated: Mapping[str, object]) -> list[str]:
+        """Return the keys of a bench file that this session did not begin with, but for what an option replaces."""
+        sensors, thermometer = devices_of(bench)
+        uncertainty = None if bench.thermometer is None else bench.thermometer.uncertainty
+        keys = {
+            "sensors": sensors == tuple(replace(device, output="") for device in self.sensors),
+            "thermometer": (thermometer, uncertainty) == (self.thermometer, self.thermometer_uncertainty),
+            "jig": stated["--jig"] is not None or bench.jig == self.jig,
+            "table": stated["--table-lean"] is not None or bench.table == self.table,
+            "heading": stated["--heading-uncertainty"] is not None or bench.heading == self.heading,
+        }
+        return [key for key, same in keys.items() if not same]
+
+    def _begins_as(self, named: str) -> bool:
+        """Return whether a procedure of this name, with the settings of this one, is this one."""
+        begun = self.procedure
+        if named in shipped_procedures():
+            return named == begun.name
+        found = find_procedure(named, begun.angle)
+        if (found.name, found.determines) != (begun.name, begun.determines):
+            return False
+        found = found.with_turns(None if begun.rotation is None else begun.rotation.turns)
+        found = found.with_alignment(begun.alignment if begun.determines.level else None)
+        return begun == (found.with_closing() if begun.closes else found)
 
     def header(self) -> dict[str, Any]:
         """As plain data, for the journal."""

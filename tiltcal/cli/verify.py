@@ -99,7 +99,7 @@ def command(
     if resume is not None:
         session.plan.require_as_begun(
             {
-                "--procedure": None if options.left_at_default("procedure") else find_procedure(procedure).name,
+                "--procedure": None if options.left_at_default("procedure") else procedure,
                 "--address": address,
                 "--jig": jig,
                 "--tilt": tilt,
