@@ -161,6 +161,18 @@ def test_there_is_no_way_between_netcdf_and_the_others(log: str, output: str) ->
     assert not Path("out.nc").exists()
 
 
+def test_means_keep_variables_of_text(bench: Path) -> None:
+    """Means of a log with any text were refused: nothing could be added."""
+    data = {"x": 1024.0, "y": 1024.0, "temperature": 20.0, "note": "öre", "time": "2026-05-01T12:00:00"}
+    rows = {name: ("row", [value] * 4) for name, value in data.items()}
+    rows["time"] = ("row", [f"2026-05-01T12:00:{second:02}" for second in (0, 5, 10, 15)])
+    xarray.Dataset(rows, {}, {}).to_netcdf("text.nc", engine="h5netcdf")
+    assert apply(CAL, "text.nc", "--every", "10s", "-o", "means.nc").exit_code == 0
+    with xarray.open_dataset("means.nc", engine="h5netcdf") as means:
+        assert means["count"].values.tolist() == [2, 2]
+        assert means["note"].values.tolist() == ["öre", "öre"]
+
+
 class TestRefusals:
     @pytest.mark.parametrize("content", [b"", b"x,y\n1,2\n", b"\x89HDF\r\n\x1a\n" + b"\0" * 100])
     def test_what_is_no_netcdf(self, content: bytes) -> None:

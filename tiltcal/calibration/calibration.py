@@ -190,7 +190,7 @@ class Calibration:
         -------
         frame
             The same kind, with ``g_x`` and ``tilt_x`` (degrees) of each axis, ``flag`` and ``reason`` behind its own
-            columns.
+            columns. Its own arrays are not copied where a dict or Dataset holds them: to change one, copy it first.
 
         Raises
         ------

@@ -57,7 +57,7 @@ class FrameReader(LogReader):
         raise UsageError("a frame has no checksum: name the file that it came from")
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
-        values, along = {}, {}
+        values, along, wrong = {}, {}, None
         for index in columns:
             name = self.names[index]
             along[self._dimension(name)] = name
@@ -68,10 +68,13 @@ class FrameReader(LogReader):
                     file=self.name,
                 )
             values[index] = found
+            if index == time and not np.isfinite(found).any():
+                wrong = self._wrong_time(self._frame.polars(name)[name], index, 0)
         if len(along) > 1:
             told = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
             raise InputError(f"the variables have rows of different kinds: {told}", file=self.name)
-        block = LogBlock(values, frame=self._frame.polars(self.names[columns[0]]) if frames else None)
+        frame = self._frame.polars(self.names[columns[0]]) if frames else None
+        block = LogBlock(values, frame=frame, wrong_time=wrong)
         if values and not len(block):
             raise InputError("the log has columns and no rows", file=self.name)
         if len({len(found) for found in values.values()}) > 1:
@@ -223,6 +226,8 @@ class _Table:
         import narwhals.stable.v2 as nw
 
         column = self._column(name)
+        if column.dtype == nw.Date:  # its midnight
+            column = column.cast(nw.Datetime("us"))
         kind = column.dtype
         if isinstance(kind, nw.Datetime | nw.Duration):
             moment = isinstance(kind, nw.Datetime)

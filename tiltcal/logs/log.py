@@ -168,6 +168,13 @@ class LogReader(ABC):
     @abstractmethod
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]: ...
 
+    def _wrong_time(self, cells: pl.Series, column: int, first: int) -> InputError | None:
+        """Return what is wrong with a column of times none of which can be read; ``first`` is the row of its first."""
+        from tiltcal.logs.text_to_numbers import unread_time
+
+        found = unread_time(cells, self.names[column])
+        return None if found is None else InputError(f"row {first + found[0]}: {found[1]}", file=self.name)
+
     def has_times(self, name: str) -> bool:
         """Return whether there is a column of this name that may be read as times."""
         return name in self.names

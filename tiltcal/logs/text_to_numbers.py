@@ -100,6 +100,8 @@ def unread_time(cells: pl.Series, name: str) -> tuple[int, str] | None:
     """Return the first cell that is not missing in a column without a time, and what is wrong with it."""
     import polars as pl
 
+    if cells.dtype == pl.Object:
+        cells = pl.Series([str(cell) for cell in cells.to_list()], dtype=pl.String)
     texts = cells.cast(pl.String, strict=False).fill_null("").str.strip_chars()
     found = (~texts.str.to_lowercase().is_in([*MISSING])).arg_true()
     if found.is_empty():

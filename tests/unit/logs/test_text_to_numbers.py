@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from datetime import UTC, date, datetime, time
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import polars as pl
+import pyarrow as pa
 import pytest
+import xarray
 
 from tiltcal.errors import InputError
 from tiltcal.logs.formats.csv import CsvReader
+from tiltcal.logs.formats.netcdf import NetcdfReader
 from tiltcal.logs.formats.parquet import ParquetReader
+from tiltcal.logs.frames import FrameReader
 from tiltcal.logs.log import LogSource
 from tiltcal.logs.text_to_numbers import seconds
 
@@ -83,3 +89,67 @@ def test_a_date_in_parquet_is_its_midnight(tmp_path: Path) -> None:
 def test_a_time_of_day_in_parquet_is_refused_with_its_row(tmp_path: Path, times: list[object], found: str) -> None:
     with pytest.raises(InputError, match=f"^log.parquet: row 1: column 'time' holds '{found}', neither"):
         parquet(tmp_path, times)
+
+
+def netcdf(folder: Path, times: Sequence[object]) -> list[float]:
+    path = folder / "log.nc"
+    data = {"time": ("row", np.array(times)), "x": ("row", np.zeros(len(times)))}
+    xarray.Dataset(data).to_netcdf(path, engine="h5netcdf")
+    with path.open("rb") as stream:
+        reader = NetcdfReader(LogSource(stream, str(path), "log.nc"))
+        with closing(reader):
+            where = [reader.names.index(name) for name in data]
+            rows = reader.rows(where, where[0], needs_time=True)
+            return [time for block in rows for time in block.values[where[0]]]
+
+
+@pytest.mark.parametrize(
+    "times",
+    [["2026-05-01T12:00:00Z", "2026-05-01 12:00:01", "noon"], [b"2026-05-01T12:00:00Z", b"2026-05-01 12:00:01", b""]],
+)
+def test_netcdf_may_have_its_times_as_text(times: list[object], tmp_path: Path) -> None:
+    assert netcdf(tmp_path, times) == pytest.approx([NOON, NOON + 1.0, np.nan], nan_ok=True)
+
+
+@pytest.mark.parametrize("times", [["", "noon"], [b"", b"noon"]])
+def test_text_in_netcdf_that_is_no_time_is_refused_with_its_row(times: list[object], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^log\.nc: row 1: column 'time' holds 'noon', neither"):
+        netcdf(tmp_path, times)
+
+
+def frame_times(frame: object) -> list[float]:
+    return [
+        time
+        for rows in FrameReader(frame).rows([0, 1], 0, needs_time=True)
+        for time in np.asarray(rows.values[0]).tolist()
+    ]
+
+
+FRAMES: dict[str, Callable[[Sequence[object]], object]] = {
+    "polars": lambda times: pl.DataFrame({"time": times, "x": [0.0] * len(times)}),
+    "pandas": lambda times: pd.DataFrame({"time": times, "x": [0.0] * len(times)}),
+    "pyarrow": lambda times: pa.table({"time": times, "x": [0.0] * len(times)}),
+    "xarray": lambda times: xarray.Dataset({"time": ("row", [*times]), "x": ("row", np.zeros(len(times)))}),
+    "dict": lambda times: {"time": [*times], "x": [0.0] * len(times)},
+    "dict of objects": lambda times: {"time": np.array(times, object), "x": [0.0] * len(times)},
+}
+
+
+@pytest.mark.parametrize("made", FRAMES.values(), ids=FRAMES)
+def test_text_in_a_frame_that_is_no_time_is_refused_with_its_row(made: Callable[..., object]) -> None:
+    with pytest.raises(InputError, match=r"^the frame: row 1: column 'time' holds 'noon', neither"):
+        frame_times(made(["", "noon", "noon"]))
+    assert frame_times(made(["", "noon", "7"])) == pytest.approx([np.nan, np.nan, 7.0], nan_ok=True)
+    assert np.isnan(frame_times(made(["", "NaN"]))).all()
+
+
+@pytest.mark.parametrize("missing", [np.nan, None])
+def test_text_beside_missing_objects_is_refused_with_its_row(missing: object) -> None:
+    with pytest.raises(InputError, match="row 1: column 'time' holds 'noon', neither"):
+        frame_times({"time": np.array([missing, "noon"], object), "x": [0.0, 0.0]})
+
+
+@pytest.mark.parametrize("kind", ["polars", "pyarrow"])
+def test_a_date_in_a_frame_is_its_midnight(kind: str) -> None:
+    made = FRAMES[kind]([date(2026, 5, 1), None])
+    assert frame_times(made) == pytest.approx([NOON - 43200.0, np.nan], nan_ok=True)

@@ -123,7 +123,7 @@ class CsvReader(LogReader):
             if time is not None and not timed and len(rows):
                 timed = bool(np.isfinite(rows.values[time]).any())
                 if not timed:
-                    rows = replace(rows, wrong_time=self._wrong_time(data, columns, time, unended=unended))
+                    rows = replace(rows, wrong_time=self._unread_time(data, columns, time, unended=unended))
             self._line += rows.line_count
             if rows.rest and (ended or len(rows.rest) > _LONGEST_ROW):
                 raise self._error("a quoted field opens here and does not end as it should", self._line)
@@ -134,7 +134,7 @@ class CsvReader(LogReader):
         if empty:
             raise self._error("the log has a header and no rows", self._line)
 
-    def _wrong_time(self, data: bytes, columns: Sequence[int], time: int, *, unended: bool) -> InputError | None:
+    def _unread_time(self, data: bytes, columns: Sequence[int], time: int, *, unended: bool) -> InputError | None:
         rows = parse_rows(data, self.names, columns, time=time, texts=[time], unended=unended)
         found = unread_time(rows.texts[time].scatter([*rows.faults], None), self.names[time])
         return None if found is None else self._error(found[1], self._line + rows.starts[found[0]])

@@ -32,6 +32,7 @@ from tiltcal.files.moments import to_the_second
 from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement, seconds_since_1970
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import interrupts_held
+from tiltcal.logs.text_to_numbers import seconds
 
 if TYPE_CHECKING:
     import polars as pl
@@ -51,6 +52,9 @@ _LEVEL = 1
 
 _WAITING = 4
 """Chunks that are packed at once or wait to be written."""
+
+_TEXT = "OSUT"
+"""The kinds of a column of text."""
 
 _OF_THE_SYSTEM = re.compile(r"errno = (\d+)")
 """What the library's message holds on a full disk, and on all else that the system refuses."""
@@ -146,17 +150,24 @@ class NetcdfReader(LogReader):
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         dimension = self.dimension(columns)
-        for index in columns:
+        text = time if time is not None and self._data[self.names[time]].dtype.kind in _TEXT else None
+        numbers = [index for index in columns if index != text]
+        for index in numbers:
             self._require_numbers(self.names[index])
-        total, step = self._data.sizes[dimension], self._step(columns)
+        total, step, timed = self._data.sizes[dimension], self._step(columns), False
         for start in range(0, total, step):
-            rows = slice(start, min(start + step, total))
+            rows, wrong = slice(start, min(start + step, total)), None
             with self._refusing_damage():
-                values = {index: self._numbers(self.names[index], {dimension: rows}) for index in columns}
+                values = {index: self._numbers(self.names[index], {dimension: rows}) for index in numbers}
+                cells = None if text is None else self._cells(self.names[text], {dimension: rows})
+            if text is not None and cells is not None:
+                values[text] = seconds(cells)
+                timed = timed or bool(np.isfinite(values[text]).any())
+                wrong = None if timed else self._wrong_time(cells, text, start)
             if time is not None:
                 values[time] = seconds_since_1970(values[time], self.unit(time), self.name)
             self.bytes_read = (self.source.size or 0) * rows.stop // total
-            yield LogBlock(values, frame=self._frame(dimension, rows) if frames else None)
+            yield LogBlock(values, frame=self._frame(dimension, rows) if frames else None, wrong_time=wrong)
 
     def _frame(self, dimension: str, rows: slice) -> pl.DataFrame:
         """Return some rows of every variable that has this dimension alone."""
@@ -168,6 +179,12 @@ class NetcdfReader(LogReader):
 
     def _numbers(self, name: str, rows: Mapping[str, slice]) -> Array:
         return np.asarray(self._data[name].isel(rows).values, dtype=float)
+
+    def _cells(self, name: str, rows: Mapping[str, slice]) -> pl.Series:
+        import polars as pl
+
+        cells = self._data[name].isel(rows).values.tolist()
+        return pl.Series([cell.decode(errors="replace") if isinstance(cell, bytes) else str(cell) for cell in cells])
 
     def _step(self, columns: Sequence[int]) -> int:
         """Rows of a block: whole chunks, or each would be unpacked for every block that has a part of it."""
@@ -235,6 +252,7 @@ class NetcdfWriter(LogWriter):
     def _write_means(self, log: NetcdfReader, blocks: Sequence[tuple[LogBlock, Table]]) -> None:
         """Write a file of its own: the means, and the attributes of the log and of its variables."""
         import h5netcdf
+        import h5py
         import polars as pl
 
         frame = pl.concat([block.frame for block, _ in blocks if block.frame is not None])
@@ -244,9 +262,9 @@ class NetcdfWriter(LogWriter):
             file.dimensions[dimension] = len(frame)
             for name in frame.columns:
                 values = frame[name].to_numpy()
-                kind: type | str = {"i": "f8", "u": "f8", "f": "f8", "b": "i1"}.get(values.dtype.kind, str)
-                variable = file.create_variable(name, (dimension,), kind)
-                variable[...] = values.astype(object if kind is str else kind)
+                kind = {"i": "f8", "u": "f8", "f": "f8", "b": "i1"}.get(values.dtype.kind)
+                variable = file.create_variable(name, (dimension,), kind or h5py.string_dtype())
+                variable[...] = values.astype(kind or object)
                 variable.attrs.update(log.attributes(name))
                 if values.dtype.kind == "b":
                     variable.attrs["dtype"] = "bool"  # as xarray marks it

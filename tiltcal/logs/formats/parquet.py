@@ -19,7 +19,7 @@ from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import read_ahead, refused_by_system
-from tiltcal.logs.text_to_numbers import seconds, unread_time
+from tiltcal.logs.text_to_numbers import seconds
 
 if TYPE_CHECKING:
     import polars as pl
@@ -75,8 +75,7 @@ class ParquetReader(LogReader):
                 wrong = None
                 if time is not None and not timed:
                     timed = bool(np.isfinite(values[time]).any())
-                    found = None if timed else unread_time(frame.to_series(time), self.names[time])
-                    wrong = found and InputError(f"row {done + found[0]}: {found[1]}", file=self.name)
+                    wrong = None if timed else self._wrong_time(frame.to_series(time), time, done)
                 done += len(frame)
                 self.bytes_read = (self.source.size or 0) * done // self._rows
                 yield LogBlock(values, frame=frame, wrong_time=wrong)
