@@ -72,6 +72,8 @@ class FittedMeans:
         bounds = np.searchsorted(of_legs, np.arange(len(legs) + 1))
         self._groups = np.concatenate([np.arange(start, end, group) for start, end in pairwise(bounds.tolist())])
         self._elements: dict[float, Array] = {}
+        self._pairs: dict[tuple[float, float], tuple[Array, Array]] = {}
+        self._powers: dict[float, Array] = {}
         self.group = group
         self.noisy = noisy
         self.legs = legs
@@ -96,7 +98,7 @@ class FittedMeans:
     def element(self, lag: float) -> Array:
         """Return the temperature of the element from the reference, °C, shape (parts,)."""
         if lag not in self._elements:
-            self._elements[lag] = self._parts(self._filtered(lag, self._record.temperature)) - self._reference
+            self._elements[lag] = self._parts(self._filtered(lag)) - self._reference
         return self._elements[lag]
 
     def elements_of(self, lags: tuple[float, float]) -> tuple[Array, Array]:
@@ -106,23 +108,34 @@ class FittedMeans:
         """
         if lags[1] > 0.0:
             return self.element(lags[0]), self.element(lags[1])
-        own = self._filtered(lags[0], self._record.temperature)
-        return self._parts(own) - self._reference, self._parts(self._filtered(lags[1], own)) - self._reference
+        if lags not in self._pairs:
+            own = self._filtered(lags[0])
+            both = own - lags[1] * self._slope_of(own)
+            self._pairs[lags] = self._parts(own) - self._reference, self._parts(both) - self._reference
+        return self._pairs[lags]
 
-    def _filtered(self, lag: float, temperature: Array) -> Array:
-        """Filter the temperatures of the rows: the inverse filter takes the slope from rows before and behind."""
+    def _filtered(self, lag: float) -> Array:
+        """Return the temperature of the element in the rows, °C; the inverse filter takes the slope from both sides."""
+        time, temperature = self._record.time, self._record.temperature
+        if lag < 0.0:
+            return np.asarray(temperature - lag * self._slope)
+        filtered = ThermalLag(lag)(time, temperature)
+        if self._running and lag > 0.0:
+            start = slice(max(int(np.searchsorted(time, time[0] + 0.5 * lag)), 2))
+            pace = float(np.polyfit(time[start] - time[0], temperature[start], 1)[0])
+            filtered -= lag * pace * np.exp((time[0] - time) / lag)
+        return filtered
+
+    @cached_property
+    def _slope(self) -> Array:
+        return self._slope_of(self._record.temperature)
+
+    def _slope_of(self, temperature: Array) -> Array:
+        """Return the slope of temperatures of the rows, from rows before and behind, °C/s."""
         from scipy.interpolate import CubicSpline
 
         time = self._record.time
-        if lag >= 0.0:
-            filtered = ThermalLag(lag)(time, temperature)
-            if self._running and lag > 0.0:
-                start = slice(max(int(np.searchsorted(time, time[0] + 0.5 * lag)), 2))
-                pace = float(np.polyfit(time[start] - time[0], temperature[start], 1)[0])
-                filtered -= lag * pace * np.exp((time[0] - time) / lag)
-            return filtered
-        slope = CubicSpline(_means(time, self._knots), _means(temperature, self._knots))(time, 1)
-        return np.asarray(temperature - lag * slope)
+        return np.asarray(CubicSpline(_means(time, self._knots), _means(temperature, self._knots))(time, 1))
 
     @cached_property
     def _knots(self) -> NDArray[np.intp]:
@@ -162,7 +175,10 @@ class FittedMeans:
 
     def powers(self, lag: float, order: int) -> Array:
         """Return the powers 0 to ``order`` of that temperature, shape (means, order + 1)."""
-        return self.powers_of(self.element(lag), order)
+        known = self._powers.get(lag)
+        if known is None or known.shape[1] <= order:
+            known = self._powers[lag] = self.powers_of(self.element(lag), order)
+        return known[:, : order + 1]
 
     def powers_of(self, element: Array, order: int) -> Array:
         """Return the means of the powers of a temperature that changes steadily in a part, shape (means, order + 1)."""
@@ -189,12 +205,16 @@ class FittedMeans:
 
     def played(self, width: float, order: int) -> Array:
         """Return the powers of a temperature with a play of some °C: hysteresis that takes no time."""
-        place, half = float(self._record.temperature[0]), width / 2.0
-        follows = np.empty(len(self._record.time))
-        for k, value in enumerate(self._record.temperature.tolist()):
-            place = min(max(place, value - half), value + half)
-            follows[k] = place
-        return self.powers_of(self._parts(follows) - self._reference, order)
+        temperature, behind = self._record.temperature, 1
+        low, high = temperature - width / 2.0, temperature + width / 2.0
+        low[0] = high[0] = temperature[0]
+        # A row limits the place of the row before; here it limits those of 1, 2, 4, ... rows before, until all agree.
+        while behind < len(temperature):
+            low[behind:], high[behind:] = (
+                np.clip(limit[:-behind], low[behind:], high[behind:]) for limit in (low, high)
+            )
+            behind *= 2
+        return self.powers_of(self._parts(low) - self._reference, order)
 
     @property
     def between_turns(self) -> Array:
