@@ -187,6 +187,12 @@ class Sca100t(Inclinometer):
     SETTLING = 150e-3
     """Seconds after the self-test: typically stable after 55 ms; nearly three times that allows for slow parts."""
 
+    def probe(self) -> Mapping[str, str]:
+        """End a self-test that another program may have left running, then as :meth:`Inclinometer.probe`."""
+        self._command(MEAS)
+        self._clock.sleep(self.SETTLING)
+        return super().probe()
+
     def self_test(self, channel: str) -> SelfTest:
         """Push one axis with its electrode, and test whether it moves and returns.
 

@@ -1,8 +1,8 @@
 """A virtual SCA103T or SCA61T, written from the fact sheet for the tests alone.
 
-Modelled: the 8-bit commands RDAX, RDAY (SCA103T) and RWTR; 11-bit words with chance below and before them; registers
-that are not fresh sooner than 150 µs after a frame; two elements on one axis that look opposite ways; the parity fault.
-Any other command is counted as ``forbidden``.
+Modelled: the 8-bit commands RDAX, RWTR and, of an SCA103T, RDAY and MEAS; 11-bit words with chance below and before
+them; registers that are not fresh sooner than 150 µs after a frame; two elements on one axis that look opposite ways;
+the parity fault. Any other command is counted as ``forbidden``.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ class Sca103tPart(HeldPart):
         if len(out) == 3 and out[0] in (0x10, 0x11)[: self.elements]:
             bits = self.words[out[0] - 0x10] * 32 + chance[2] % 32
             return chance[:1] + bits.to_bytes(2, "big")
+        if out == b"\x00" and self.elements == 2:
+            return chance[:1]
         self.counts["forbidden"] += 1
         return b"\xff" * len(out)
 

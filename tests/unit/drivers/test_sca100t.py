@@ -15,6 +15,8 @@ from support.scripted_link import Script
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.sca100t import Sca100t, decode_temperature, decode_word
+from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.drivers.twin.truth import Truth
 from tiltcal.errors import BusError, DeviceFault, UsageError
 
 D01, D02 = find_model("sca100t-d01"), find_model("sca100t-d02")
@@ -116,14 +118,27 @@ def test_a_short_answer_is_a_bus_error() -> None:
 
 
 def test_probe_tells_what_the_part_said() -> None:
-    sensor, _ = driver(*sample("xx 80 40", "xx 81 20", "xx A4"))
+    sensor, script = driver("00 / xx", *sample("xx 80 40", "xx 81 20", "xx A4"))
     assert sensor.probe() == {"x": "1026 count", "y": "1033 count", "temperature": "30.5 °C (not trimmed)"}
+    script.close()
 
 
 def test_probe_doubts_a_temperature_at_which_no_part_works() -> None:
-    sensor, _ = driver(*sample("xx 80 00", "xx 80 00", "xx 00"))
+    sensor, _ = driver("00 / xx", *sample("xx 80 00", "xx 80 00", "xx 00"))
     with pytest.raises(DeviceFault, match=r"reports 182 °C.*is another device on this chip select"):
         sensor.probe()
+
+
+def test_a_self_test_that_was_left_running_is_ended_before_the_first_sample() -> None:
+    """The data sheet: the output goes to at least 95 % of the supply, MEAS ends it, stable again after 55 ms."""
+    clock = VirtualClock()
+    truth = Truth(("x", "y"), {"x": 1024.0, "y": 1030.0}, {"x": {"x": 819.0}, "y": {"y": 819.0}})
+    twin = D02.twin(truth, Fixture(clock), clock)
+    twin.exchange(bytes.fromhex("0E"))
+    clock.sleep(1.0)
+    assert D02.driver(twin, clock).read().values[0] >= 0.95 * 2047
+    assert D02.driver(twin, clock).probe()["x"] == "1024 count"
+    assert D02.driver(twin, clock).read().values == (1024.0, 1030.0)
 
 
 def self_test_frames(before: int, deflected: int, after: int) -> tuple[str, ...]:

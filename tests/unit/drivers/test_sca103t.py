@@ -23,11 +23,11 @@ FAHH1G, FA1H1G = find_model("sca61t-fahh1g"), find_model("sca61t-fa1h1g")
 EVERY = (D04, D05, FAHH1G, FA1H1G)
 
 
-def scripted(model: Model, *words: str) -> tuple[Sensor, Script]:
+def scripted(model: Model, *words: str, first: tuple[str, ...] = ()) -> tuple[Sensor, Script]:
     clock = VirtualClock()
     commands = ("10", "11")[: len(words)]
     lines = [f"{command} 00 00 / xx {word}" for command, word in zip(commands, words, strict=True)]
-    script = Script("s", clock, *lines, "08 00 / xx AA")
+    script = Script("s", clock, *first, *lines, "08 00 / xx AA")
     return model.driver(script, clock), script
 
 
@@ -82,7 +82,7 @@ def test_a_fault_of_either_element_is_no_reading(model: Model, words: tuple[str,
 
 
 def test_probe_shows_the_common_mode() -> None:
-    sensor, _ = scripted(D04, "87 20", "78 E0")
+    sensor, _ = scripted(D04, "87 20", "78 E0", first=("00 / xx",))
     said = sensor.probe()
     assert said["x"] == "114 count"
     assert str(said["elements"]).startswith("1081 and 967 count, together 2048")
