@@ -81,6 +81,8 @@ class Sca3000:
     def __init__(self, link: Link, part: Sca3000Part) -> None:
         self._link = link
         self._part = part
+        self._setting: tuple[int, int] | None = None
+        """The lock in STATUS and the content of MODE, as the first sample found them."""
         shift = part.pointer_shift
         self._port = RegisterPort(
             link,
@@ -100,21 +102,15 @@ class Sca3000:
 
         Raises
         ------
-        BusError
-            No answer, a data line that never moves, or an SPI frame that the part reports as damaged.
-        DeviceFault
-            The checksum of the part's own memory is wrong.
+        BusError, DeviceFault
+            As :meth:`read`.
         """
+        self._setting = None
         (revision,) = self._port.read(REVID, 1)
-        (status,) = self._port.read(STATUS, 1)
-        (mode,) = self._port.read(MODE, 1)
-        sample = self._sample()
-        check_data_line(bytes([revision, status, mode]) + sample)
-        self._check_status(status)
-        reading = self._reading(sample)
+        reading, (lock, mode) = self._sample()
         said = {
             "revision": f"{revision >> 4}.{revision & 0b1111}",
-            "registers": "unlocked" if status & UNLOCKED else "locked",
+            "registers": _lock_in_words(lock),
             "mode": _mode_in_words(mode),
         }
         said |= in_counts(reading.values)
@@ -128,23 +124,41 @@ class Sca3000:
         Raises
         ------
         BusError
-            The transaction failed, or every bit of the sample is the same.
+            The transaction failed, every bit of the sample is the same, or the part reports the SPI frame of the data
+            as damaged.
+        DeviceFault
+            The checksum of the part's own memory is wrong, or its mode or lock is not that of the first sample.
         """
-        sample = self._sample()
-        check_data_line(sample)
-        return self._reading(sample)
+        return self._sample()[0]
 
     def discard(self) -> None:
         """Do nothing: every read returns the latest conversion."""
 
-    def _sample(self) -> bytes:
-        """Return the six data registers from Z_MSB down, then TEMP_MSB and TEMP_LSB where the part has them."""
-        sample = self._port.read(Z_MSB, 6)
-        return sample + self._port.read(TEMP_MSB, 2) if self._part.thermometer else sample
+    def _sample(self) -> tuple[Reading, tuple[int, int]]:
+        """Return a reading, and the lock and the mode in which it was taken."""
+        temperature = self._port.read(TEMP_MSB, 2) if self._part.thermometer else b""
+        data = self._port.read(Z_MSB, 6)
+        # STATUS speaks of the SPI frame before it, which is that of the data.
+        (status,) = self._port.read(STATUS, 1)
+        (mode,) = self._port.read(MODE, 1)
+        check_data_line(data + temperature)
+        self._check_status(status)
+        setting = (status & UNLOCKED, mode)
+        self._require_unchanged(setting)
+        z, y, x = (float(decode_word(data[at : at + 2])) for at in (0, 2, 4))
+        return Reading((x, y, z), decode_temperature(temperature) if temperature else None), setting
 
-    def _reading(self, sample: bytes) -> Reading:
-        z, y, x = (float(decode_word(sample[at : at + 2])) for at in (0, 2, 4))
-        return Reading((x, y, z), decode_temperature(sample[6:]) if self._part.thermometer else None)
+    def _require_unchanged(self, setting: tuple[int, int]) -> None:
+        """Raise an error where a reset, which the part does not report, shows in its lock or mode."""
+        before = self._setting = self._setting or setting
+        if setting != before:
+            was, now = (
+                f"{MODES[mode & 0b11]} (MODE 0x{mode:02X}), {_lock_in_words(lock)}" for lock, mode in (before, setting)
+            )
+            raise DeviceFault(
+                "the part was reset, its supply failed, or another program has set it since the session began: its "
+                f"mode was {was}, and is {now}: check the supply; if it stays, begin the session anew"
+            )
 
     def _check_status(self, status: int) -> None:
         if status & CHECKSUM_ERROR:
@@ -179,6 +193,10 @@ def decode_temperature(pair: bytes) -> float:
     """Return the temperature in TEMP_MSB and TEMP_LSB, °C; the two highest and the five lowest bits have no meaning."""
     raw = (pair[0] & 0x3F) << 3 | pair[1] >> 5
     return 23.0 + (raw - 256) / 1.8
+
+
+def _lock_in_words(lock: int) -> str:
+    return "unlocked" if lock else "locked"
 
 
 def _mode_in_words(mode: int) -> str:

@@ -51,11 +51,13 @@ def _on_i2c(program: list[str], part: PartFacts) -> AbstractContextManager[Bench
     return run_on_i2c(program, part, CHIP)
 
 
-SPI = Wiring([*READ, "sca3000-d01", f"spi://{DEVICE}"], run_on_spi, ["24000000000000", "4c0000"], 1, DEVICE)
+SPI = Wiring(
+    [*READ, "sca3000-d01", f"spi://{DEVICE}"], run_on_spi, ["4c0000", "24000000000000", "0800", "5000"], 1, DEVICE
+)
 I2C = Wiring(
     [*READ, "sca3000-i2c", f"i2c://{I2C_BUS}?address=0x1d&counts_per_g=1333&thermometer=yes"],
     _on_i2c,
-    ["09", "13"],
+    ["13", "09", "02", "14"],
     0,
     I2C_BUS,
 )
@@ -82,7 +84,7 @@ def test_the_driver_reads_the_words_that_the_part_sent(wiring: Wiring) -> None:
         messages = bench.messages()
 
     assert [message.out.hex() for message in messages] == wiring.sample * 5
-    assert read["values"] == [words(wiring, message) for message in messages[::2]]
+    assert read["values"] == [words(wiring, message) for message in messages[1::4]]
     # 1.8 * (30 - 23) + 256 rounds to 269, which is 30.22 °C.
     assert read["temperatures"] == pytest.approx([30.2222] * 5, abs=1e-3)
     assert bench.exit_code == 0
@@ -127,7 +129,7 @@ def test_the_pointer_and_the_data_are_one_transaction() -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
     with run_on_i2c(I2C.program, QUIET, CHIP) as bench:
         bench.ask("read 1")
-        data, temperature = bench.messages()
+        temperature, data, *_ = bench.messages()
         assert bench.settings() == {"address": CHIP}
     assert (len(data.out), len(data.answer)) == (1, 6)
     assert (len(temperature.out), len(temperature.answer)) == (1, 2)

@@ -36,15 +36,20 @@ def scripted(model: Model, letter: str, *transactions: str) -> tuple[Sensor, Scr
     return model.driver(script, VirtualClock()), script
 
 
+def spi_sample(data: str = "06 90 05 48 29 F0", status: str = "00", mode: str = "00") -> list[str]:
+    return [f"24 00 00 00 00 00 00 / xx {data}", f"08 00 / xx {status}", f"50 00 / xx {mode}"]
+
+
+def i2c_sample(data: str = "06 90 05 48 29 F0", status: str = "00", mode: str = "00") -> list[str]:
+    return [f"09 +6 / {data}", f"02 +1 / {status}", f"14 +1 / {mode}"]
+
+
 def spi_probe(revid: str = "21", status: str = "00", mode: str = "00", data: str = "06 90 05 48 29 F0") -> list[str]:
-    return [
-        *(f"00 00 / xx {revid}", f"08 00 / xx {status}", f"50 00 / xx {mode}"),
-        f"24 00 00 00 00 00 00 / xx {data}",
-    ]
+    return [f"00 00 / xx {revid}", *spi_sample(data, status, mode)]
 
 
 def i2c_probe(revid: str = "21", status: str = "00", mode: str = "00", data: str = "06 90 05 48 29 F0") -> list[str]:
-    return [f"00 +1 / {revid}", f"02 +1 / {status}", f"14 +1 / {mode}", f"09 +6 / {data}"]
+    return [f"00 +1 / {revid}", *i2c_sample(data, status, mode)]
 
 
 def at(name: str, address: str) -> Model:
@@ -103,7 +108,7 @@ def test_only_the_nine_bits_of_the_thermometer_count(raw: int, above: int, below
 
 
 def test_one_burst_counts_down_from_z_on_spi() -> None:
-    sensor, script = scripted(E02, "s", "24 00 00 00 00 00 00 / xx 06 90 05 48 29 F0")
+    sensor, script = scripted(E02, "s", *spi_sample())
     reading = sensor.read()
     assert reading.values == (1342.0, 169.0, 210.0)
     assert reading.temperature is None
@@ -111,13 +116,13 @@ def test_one_burst_counts_down_from_z_on_spi() -> None:
 
 
 def test_one_burst_counts_down_from_z_on_i2c() -> None:
-    sensor, script = scripted(I2C, "i", "09 +6 / 06 90 05 48 29 F0")
+    sensor, script = scripted(I2C, "i", *i2c_sample())
     assert sensor.read().values == (1342.0, 169.0, 210.0)
     script.close()
 
 
 def test_the_d01_has_a_thermometer() -> None:
-    sensor, script = scripted(D01, "s", "24 00 00 00 00 00 00 / xx 06 90 05 48 29 F0", "4C 00 00 / xx 25 80")
+    sensor, script = scripted(D01, "s", "4C 00 00 / xx 25 80", *spi_sample())
     reading = sensor.read()
     assert hypot(*reading.values) / D01.sensitivity == pytest.approx(1.0269, abs=5e-5)
     assert reading.temperature == pytest.approx(47.44, abs=5e-3)
@@ -126,14 +131,14 @@ def test_the_d01_has_a_thermometer() -> None:
 
 
 def test_the_d01_is_read_over_i2c_as_well() -> None:
-    sensor, script = scripted(D01, "i", "09 +6 / 06 90 05 48 29 F0", "13 +2 / 20 00")
+    sensor, script = scripted(D01, "i", "13 +2 / 20 00", *i2c_sample())
     assert sensor.read().temperature == 23.0
     script.close()
 
 
 def test_the_pointer_may_be_the_spi_command() -> None:
     model = at("sca3000-i2c", "i2c:///dev/i2c-1?address=0x1d&counts_per_g=1000&pointer=command")
-    sensor, _ = scripted(model, "i", "24 +6 / 06 90 05 48 29 F0")
+    sensor, _ = scripted(model, "i", "24 +6 / 06 90 05 48 29 F0", "08 +1 / 00", "50 +1 / 00")
     assert sensor.read().values == (1342.0, 169.0, 210.0)
 
 
@@ -184,11 +189,36 @@ def test_ring_buffer_and_free_fall_bits_leave_the_mode_normal() -> None:
     assert sensor.probe()["mode"] == "normal"
 
 
+@pytest.mark.parametrize(
+    ("first", "then"),
+    [(("00", "00"), ("00", "01")), (("00", "03"), ("00", "00")), (("20", "00"), ("00", "00"))],
+    ids=["another mode", "a mode that was set before", "locked again"],
+)
+@pytest.mark.parametrize(("letter", "sample"), [("s", spi_sample), ("i", i2c_sample)])
+def test_a_reset_in_mid_session_shows_in_mode_or_lock(letter: str, sample, first, then) -> None:
+    """After a reset both registers are as the part's memory has them (fact sheet: check MODE before trusting data)."""
+    data = "06 90 05 48 29 F0"
+    sensor, _ = scripted(E02, letter, *sample(data, *first), *sample(data, *then), *sample(data, *first))
+    before = sensor.read()
+    with pytest.raises(DeviceFault, match=r"was reset, its supply failed, or another program has set it since .*: its"):
+        sensor.read()
+    assert sensor.read() == before, "it is as it was"
+
+
+def test_a_damaged_frame_and_a_lost_memory_are_found_in_mid_session() -> None:
+    sensor, _ = scripted(E02, "s", *spi_sample(), *spi_sample(status="01"), *spi_sample(status="02"))
+    sensor.read()
+    with pytest.raises(BusError, match="previous SPI frame was damaged"):
+        sensor.read()
+    with pytest.raises(DeviceFault, match="checksum error"):
+        sensor.read()
+
+
 @pytest.mark.parametrize(("byte", "level"), [("FF", "high"), ("00", "low")])
 def test_a_sample_of_equal_bits_is_a_dead_wire(byte: str, level: str) -> None:
     same = " ".join([byte] * 6)
-    for letter, transaction in (("s", f"24 00 00 00 00 00 00 / {byte} {same}"), ("i", f"09 +6 / {same}")):
-        sensor, _ = scripted(E02, letter, transaction)
+    for letter, sample in (("s", spi_sample), ("i", i2c_sample)):
+        sensor, _ = scripted(E02, letter, *sample(same, byte, byte))
         with pytest.raises(BusError, match=f"stuck {level} .* check the data line"):
             sensor.read()
 
@@ -210,7 +240,7 @@ def test_a_short_answer_is_a_bus_error() -> None:
 
 @pytest.mark.parametrize(("pair", "value"), [("6B FF", 3455.0), ("94 00", -3456.0)])
 def test_the_overflow_codes_are_the_rails(pair: str, value: float) -> None:
-    sensor, _ = scripted(E02, "s", f"24 00 00 00 00 00 00 / xx {pair} 00 08 00 08")
+    sensor, _ = scripted(E02, "s", *spi_sample(f"{pair} 00 08 00 08"))
     z = sensor.read().values[2]
     assert z == value
     assert all(z in model.rails for model in EVERY)
