@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
 from tiltcal.frozen import frozen
-from tiltcal.logs.streams import read_ahead, sha256_of
+from tiltcal.logs.streams import ByteReader, HashingReader, read_ahead, sha256_of
 
 if TYPE_CHECKING:
     import polars as pl
@@ -114,6 +114,8 @@ class LogReader(ABC):
         self.source = source
         self.notes: Mapping[str, str] = {}
         self.bytes_read = 0
+        self._hashing = HashingReader(source.stream) if source.digest else None
+        self._stream: ByteReader = self._hashing or source.stream
 
     @property
     def name(self) -> str:
@@ -122,8 +124,8 @@ class LogReader(ABC):
 
     @property
     def sha256(self) -> str:
-        """The checksum of the log, hexadecimal; of a stream, of what was read of it."""
-        return sha256_of(self.source.path)
+        """The checksum of the log, hexadecimal; with ``digest``, of what was read of it."""
+        return sha256_of(self.source.path) if self._hashing is None else self._hashing.sha256
 
     @property
     def interrupted(self) -> bool:
@@ -174,6 +176,12 @@ class LogReader(ABC):
 
         found = unread_time(cells, self.names[column])
         return None if found is None else InputError(f"row {first + found[0]}: {found[1]}", file=self.name)
+
+    def _library_has_read(self, rows: int, total: int) -> None:
+        """Note how far the format's library has read the file, which is read as far for its checksum."""
+        self.bytes_read = (self.source.size or 0) * rows // total
+        if self._hashing is not None:
+            self._hashing.read(self.bytes_read - self._hashing.bytes_read)
 
     def has_times(self, name: str) -> bool:
         """Return whether there is a column of this name that may be read as times."""

@@ -201,10 +201,16 @@ def read_ahead(items: Iterator[T], count: int = 2) -> Iterator[T]:
 
 
 class HashingReader:
-    """A stream that keeps the SHA-256 of the bytes that were read from it, computed while the next ones are read."""
+    """A stream that keeps the SHA-256 of the bytes that were read from it, computed while the next ones are read.
+
+    Attributes
+    ----------
+    bytes_read : int
+    """
 
     def __init__(self, stream: ByteReader) -> None:
         self._stream = stream
+        self.bytes_read = 0
         self._digest = sha256()
         self._update = threading.Thread()
 
@@ -216,6 +222,7 @@ class HashingReader:
 
     def read(self, size: int = -1) -> bytes:
         data = self._stream.read(size)
+        self.bytes_read += len(data)
         self._wait()
         self._update = threading.Thread(target=self._digest.update, args=(data,))
         self._update.start()

@@ -21,7 +21,7 @@ from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
 from tiltcal.logs.formats.csv_short import SHORT, short_rows, short_text
 from tiltcal.logs.formats.whitespace import WhitespaceSeparated, blank_separated_names, numbered_columns
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
-from tiltcal.logs.streams import ByteReader, HashingReader, refused_by_system
+from tiltcal.logs.streams import ByteReader, refused_by_system
 from tiltcal.logs.text_to_numbers import unread_time
 
 if TYPE_CHECKING:
@@ -65,8 +65,7 @@ class CsvReader(LogReader):
 
     def __init__(self, source: LogSource, *, block: int = _BLOCK) -> None:
         super().__init__(source)
-        stream: ByteReader = HashingReader(source.stream) if source.digest else source.stream
-        self._stream = self._source_stream = stream
+        stream = self._stream
         self._block = block
         self._line = 1
         first, self._pending = self._first_line()
@@ -84,11 +83,6 @@ class CsvReader(LogReader):
         self.names = self._distinct(self._comma_separated_names(text) if names is None else names)
         if names is not None:
             self._begin_behind_blanks(stream)
-
-    @property
-    def sha256(self) -> str:
-        stream = self._source_stream
-        return stream.sha256 if isinstance(stream, HashingReader) else super().sha256
 
     @property
     def interrupted(self) -> bool:

@@ -76,7 +76,7 @@ class NetcdfReader(LogReader):
     def __init__(self, source: LogSource) -> None:
         super().__init__(source)
         xarray = _library()
-        if source.stream.read(3) == _CLASSIC:
+        if self._stream.read(3) == _CLASSIC:
             self._refuse("this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW")
         with self._refusing_damage():
             self._require_own_data()
@@ -166,7 +166,7 @@ class NetcdfReader(LogReader):
                 wrong = None if timed else self._wrong_time(cells, text, start)
             if time is not None:
                 values[time] = seconds_since_1970(values[time], self.unit(time), self.name)
-            self.bytes_read = (self.source.size or 0) * rows.stop // total
+            self._library_has_read(rows.stop, total)
             yield LogBlock(values, frame=self._frame(dimension, rows) if frames else None, wrong_time=wrong)
 
     def _frame(self, dimension: str, rows: slice) -> pl.DataFrame:

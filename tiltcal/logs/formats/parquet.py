@@ -77,7 +77,7 @@ class ParquetReader(LogReader):
                     timed = bool(np.isfinite(values[time]).any())
                     wrong = None if timed else self._wrong_time(frame.to_series(time), time, done)
                 done += len(frame)
-                self.bytes_read = (self.source.size or 0) * done // self._rows
+                self._library_has_read(done, self._rows)
                 yield LogBlock(values, frame=frame, wrong_time=wrong)
         if done != self._rows:
             # The engine ends in silence where one of its threads fails on a damaged page.
