@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
@@ -134,7 +135,7 @@ def measure(
     Stopped
         The operator stopped; the message says how to go on.
     """
-    if resume is not None and Path(resume).exists():
+    if resume is not None and os.path.exists(resume):
         session = _resumed(Path(resume), None if output is None else Path(output), remark)
         operator = operator or session.plan.operator
         begun = session.plan
@@ -162,7 +163,7 @@ def measure(
         )
     else:
         operator = operator or "terminal"
-        if base is not None and bench is None and Path(base).is_file():
+        if base is not None and bench is None and os.path.isfile(base):
             identity = identity_in(base)
             sensor, serial = sensor or identity.model, serial or identity.serial
         _require_named(
@@ -258,7 +259,7 @@ def _resumed(journal: Path, output: Path | None, remark: Callable[[str], None]) 
         raise UsageError(
             f"{journal} is of a verification; continue it with: tiltcal verify CAL --resume {quote(str(journal))}"
         )
-    if len(session.outputs) > 1 and output is not None and not output.is_dir():
+    if len(session.outputs) > 1 and output is not None and not os.path.isdir(output):
         raise UsageError(f"the session has {len(session.outputs)} sensors: name a folder instead of {output}")
     return session
 
@@ -288,7 +289,7 @@ def free_journal(output: Path, remark: Callable[[str], None]) -> Path:
     """Return a journal's name beside the calibration file; an earlier session's journal is never touched."""
     path = output.with_name(f"{output.stem}.journal.jsonl")
     number = 2
-    while path.exists():
+    while os.path.exists(path):
         path = output.with_name(f"{output.stem}.{number}.journal.jsonl")
         number += 1
     if number > 2:
@@ -363,14 +364,14 @@ def _outputs(
     of a stage that turns have one together, which -o names.
     """
     if procedure.rotation is not None:
-        if output is None or output.is_dir():
+        if output is None or os.path.isdir(output):
             raise UsageError("the pairs of a stage have one file together: name it with -o PAIR.yaml")
         return [output, *(None for _ in sensors.sensors[1:])], output
     if bench is None and output is not None:
         check_writable(output)
         return [output], output
     folder = output or Path()
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise UsageError(f"with --bench, -o names the folder for the calibration files; {folder} is no folder")
     name = "bench" if isinstance(bench, BenchFile) else Path(str(bench)).name
     return [folder / f"{sensor.serial}.yaml" for sensor in sensors.sensors], folder / name

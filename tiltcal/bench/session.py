@@ -25,7 +25,7 @@ from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError
-from tiltcal.files.atomic import check_writable, write_whole
+from tiltcal.files.atomic import check_writable, require_apart, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
 
@@ -187,6 +187,8 @@ class Session:
         ended = self.journal is not None and self.journal.end is not None
         for path in self.outputs if ended else (*self.outputs, self.path):
             check_writable(path)
+        for path in self.outputs:
+            require_apart(path, self.path)
         for device in () if ended else self.plan.devices:
             with closing(open_device(device, self._virtual)) as link:
                 device.model.driver(link, self._clock).probe()
@@ -318,7 +320,7 @@ class Session:
         planned = Path(os.path.normpath(self.path.parent / device.output))
         if self._named is None:
             return planned
-        return self._named / planned.name if self._named.is_dir() else self._named
+        return self._named / planned.name if os.path.isdir(self._named) else self._named
 
 
 def _text(record: CalibrationRecord | PairRecord) -> str:

@@ -23,6 +23,7 @@ from tiltcal.files.calibration import (
 from tiltcal.files.derived_record import DerivedRecord
 from tiltcal.files.document import checked_kind, read_document
 from tiltcal.files.fit_record import FitRecord
+from tiltcal.files.node import Node
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
@@ -278,7 +279,17 @@ def read(path: str | Path) -> Calibration | PairCalibration:
     InputError
         Anything in it is wrong; the message names file, line and key.
     """
-    document = read_document(path)
+    return calibration_in(read_document(path))
+
+
+def calibration_in(document: Node) -> Calibration | PairCalibration:
+    """Return the calibration of a document, of either kind.
+
+    Raises
+    ------
+    InputError
+        Anything in it is wrong.
+    """
     kind = document.entries().get("kind")
     if kind is not None and kind.names("pair"):
         from tiltcal.calibration.pair_calibration import PairCalibration
@@ -289,5 +300,5 @@ def read(path: str | Path) -> Calibration | PairCalibration:
     try:
         calibration.compensation()
     except EstimateError as failure:
-        raise InputError(str(failure), file=path) from failure
+        raise InputError(str(failure), file=document.file) from failure
     return calibration

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tiltcal.cli.freed_memory import keep_freed_memory
 from tiltcal.cli.progress import progress_bar
 from tiltcal.errors import InputError, TiltcalError, UsageError
+from tiltcal.files.atomic import require_apart
 from tiltcal.frozen import frozen
 from tiltcal.logs.apply import apply_log
 from tiltcal.logs.apply_summary import ApplySummary
@@ -122,8 +123,7 @@ def tasks_of(
             raise UsageError("standard input is one log: leave the others out")
         if name in tasks:
             raise UsageError(f"{tasks[name].log} and {log} would both be {output}: apply to them one by one")
-        if os.path.realpath(output) == os.path.realpath(log):
-            raise UsageError(f"{output} is the log itself: name another folder with -o")
+        require_apart(output, log, calibration)
         tasks[name] = ApplyTask(calibration, options, log, output, **more)
     return list(tasks.values())
 

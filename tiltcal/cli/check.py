@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import click
@@ -11,6 +12,7 @@ from tiltcal.cli import options
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.document import KINDS, checked_kind, read_document
 from tiltcal.files.journal import read_journal
+from tiltcal.files.node import Node
 from tiltcal.files.provenance_record import FileRecord
 
 
@@ -55,7 +57,7 @@ def _checked(path: Path) -> tuple[str, list[str]]:
         raise document.error("the key 'kind' is missing: this is not a tiltcal file")
     kind = named.choice(list(KINDS))
     if kind in ("tilt", "pair"):
-        return _of_calibration(path)
+        return _of_calibration(path, document)
     from tiltcal.files.json_schema import FORMATS
 
     FORMATS[kind].read(checked_kind(document, kind))
@@ -63,6 +65,8 @@ def _checked(path: Path) -> tuple[str, list[str]]:
 
 
 def _is_journal(path: Path) -> bool:
+    if not os.path.isfile(path):
+        return False
     try:
         with open(path, "rb") as stream:
             return stream.read(18) == b'{"tiltcal-journal"'
@@ -80,11 +84,11 @@ def _of_journal(path: Path) -> list[str]:
     return findings
 
 
-def _of_calibration(path: Path) -> tuple[str, list[str]]:
-    from tiltcal.calibration.calibration import Calibration, read
+def _of_calibration(path: Path, document: Node) -> tuple[str, list[str]]:
+    from tiltcal.calibration.calibration import Calibration, calibration_in
     from tiltcal.calibration.summary import objections
 
-    found = read(path)
+    found = calibration_in(document)
     beside = _of_journal_beside(path, found.provenance.journal)
     if isinstance(found, Calibration):
         return "calibration", objections(found.fit) + beside
@@ -95,11 +99,7 @@ def _of_journal_beside(path: Path, captured: FileRecord | None) -> list[str]:
     if captured is None:
         return []
     journal = path.parent / captured.name
-    try:
-        beside = journal.is_file()
-    except OSError:  # a name that no file can have
-        beside = False
-    return _against_journal(path, journal) if beside else []
+    return _against_journal(path, journal) if os.path.isfile(path) and os.path.isfile(journal) else []
 
 
 def _against_journal(path: Path, journal: Path) -> list[str]:

@@ -10,7 +10,7 @@ import click
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import UsageError
-from tiltcal.files.atomic import check_writable
+from tiltcal.files.atomic import check_writable, require_apart
 
 if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration
@@ -91,6 +91,7 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
         raise UsageError(FOUND_ONLY)
     for path in filter(None, (output, segments_out)):
         check_writable(path)
+        require_apart(path, log, *filter(None, [settings["segments"]]))
     keep_freed_memory()
     with progress_bar("fit") as progress:
         calibration = fit(procedure, log, say=remark, progress=progress, **settings)

@@ -97,7 +97,7 @@ def command(
     """
     from tiltcal.cli.freed_memory import keep_freed_memory
     from tiltcal.cli.progress import progress_bar
-    from tiltcal.files.atomic import check_writable
+    from tiltcal.files.atomic import check_writable, require_apart
     from tiltcal.logs.noise import NoiseFacts, characterise_readings
     from tiltcal.logs.noise_summary import NoiseTarget
     from tiltcal.report.noise_figure import draw_noise
@@ -112,6 +112,7 @@ def command(
     facts.require_scale(wanted)
     if figure is not None:
         check_writable(figure)
+        require_apart(figure, *(path for path in (log, calibration) if path is not None))
     interrupted = False
     with ExitStack() as stack:
         called = None

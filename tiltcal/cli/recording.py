@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -71,7 +72,7 @@ def capture(
     """
     from tiltcal.logs.formats import log_format
 
-    if output.exists():
+    if os.path.lexists(output):
         raise UsageError(f"{output} exists; a recording never replaces one: name another file")
     written = log_format(output)
     if written.kept:

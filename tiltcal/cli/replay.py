@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from tiltcal.bench.session import Session
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, JournalError, UsageError
-from tiltcal.files.atomic import check_writable, whole_file, write_whole
+from tiltcal.files.atomic import check_writable, require_apart, whole_file, write_whole
 
 
 @click.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")
@@ -49,11 +50,14 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
     if output is not None:
         for path in _targets(output, session.outputs):
             check_writable(path)
+            require_apart(path, journal)
+    if samples is not None:
+        require_apart(samples, journal)
     with nullcontext() if samples is None else whole_file(samples) as stream:
         texts = session.replay(stream).texts
     if golden is not None:
         for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
-            if not path.is_file() or text.encode() != path.read_bytes():
+            if not os.path.isfile(path) or text.encode() != path.read_bytes():
                 remark(f"{journal} does not give {path}")
                 return NEGATIVE_VERDICT
             remark(f"{journal} gives {path} to the byte")
@@ -70,7 +74,7 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
 
 def _targets(named: Path, outputs: list[Path]) -> list[Path]:
     """Return the files of one name: itself, or one per sensor in that folder."""
-    if named.is_dir():
+    if os.path.isdir(named):
         return [named / path.name for path in outputs]
     if len(outputs) > 1:
         raise UsageError(f"the session was of {len(outputs)} sensors: name a folder instead of {named}")

@@ -30,15 +30,14 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
     UsageError
         The file cannot be written there, or the disk is full.
     """
-    # A link is followed, so that its target is replaced and the link stays.
-    target = Path(os.path.realpath(path))
     check_writable(path)
     try:
-        if _is_special(target):
-            with open(target, "wb") as stream:
+        if _is_special(path):
+            with open(path, "wb") as stream:
                 yield stream
         else:
-            yield from _renamed_at_the_end(target)
+            # A link is followed, so that its target is replaced and the link stays.
+            yield from _renamed_at_the_end(Path(os.path.realpath(path)))
     except OSError as failure:
         if failure.errno not in _NO_ROOM:
             raise
@@ -69,16 +68,22 @@ def check_writable(path: str | Path) -> None:
     """
     target = Path(os.path.realpath(path))
     folder = target.parent
-    if target.is_dir():
+    if os.path.isdir(target):
         raise UsageError(f"cannot write {path}: it is a folder; name a file in it")
-    if not folder.exists():
+    if not os.path.exists(folder):
         raise UsageError(f"cannot write {path}: there is no folder {folder}; make it first")
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise UsageError(f"cannot write {path}: {folder} is a file, not a folder")
-    if target.exists() and not os.access(target, os.W_OK):
+    if os.path.exists(path) and not os.access(path, os.W_OK):
         raise UsageError(f"cannot write {path}: the file is write-protected; choose another name or unprotect it")
-    if _is_special(target):
+    if _is_special(path):
         return
+    try:
+        target.stat()  # a name that is too long
+    except FileNotFoundError:
+        pass
+    except OSError as failure:
+        raise _cannot_write(path, failure, "choose another name") from failure
     part = _part_of(target)
     try:
         stream, named = _begun(part)
@@ -87,6 +92,19 @@ def check_writable(path: str | Path) -> None:
     stream.close()
     if named:
         part.unlink()
+
+
+def require_apart(path: str | Path, *read: str | Path) -> None:
+    """Refuse to write a file in place of one that the command reads.
+
+    Raises
+    ------
+    UsageError
+        They are one file.
+    """
+    for source in read:
+        if os.path.realpath(source) == os.path.realpath(path) and not _is_special(path):
+            raise UsageError(f"cannot write {path}: it would replace {source}, which is read; name another file")
 
 
 def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
@@ -150,9 +168,9 @@ def _sync_folder(folder: Path) -> None:
             os.close(handle)
 
 
-def _is_special(target: Path) -> bool:
-    return target.exists() and not target.is_file() and not target.is_dir()
+def _is_special(path: str | Path) -> bool:
+    return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
-def _cannot_write(path: str | Path, failure: OSError) -> UsageError:
-    return UsageError(f"cannot write {path}: {failure.strerror or failure}; choose another folder")
+def _cannot_write(path: str | Path, failure: OSError, do: str = "choose another folder") -> UsageError:
+    return UsageError(f"cannot write {path}: {failure.strerror or failure}; {do}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -68,7 +69,7 @@ def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[st
     if procedure.rotation is not None or determines.axes:
         raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
     path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):
         files = {serial: path / f"{serial}.yaml" for serial in serials}
     elif len(serials) == 1:
         files = {serials[0]: path}

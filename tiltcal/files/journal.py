@@ -259,7 +259,7 @@ class JournalWriter:
             The file exists, or cannot be made.
         """
         path = Path(path)
-        if path.exists():
+        if os.path.lexists(path):
             raise UsageError(f"{path} exists: resume it with --resume {path}, or name another --journal")
         body = _dumps({"tiltcal-journal": VERSION, **header}).encode()
         crc = crc32(body)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.errors import InputError
+from tiltcal.files.atomic import require_apart
 from tiltcal.frozen import frozen
 from tiltcal.logs.apply_summary import ApplySummary
 from tiltcal.logs.cf_attributes import same_unit
@@ -26,7 +28,7 @@ from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare, prepare_file
-from tiltcal.logs.streams import keep_freed_memory, log_sink, with_writeback
+from tiltcal.logs.streams import STANDARD, keep_freed_memory, log_sink, with_writeback
 
 NO_TIME = (
     "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "
@@ -128,6 +130,8 @@ def apply_log(
     apply``, which reads them in a child process.
     """
     require_way(log, output)
+    if str(output) != STANDARD:
+        require_apart(output, log, *([calibration] if isinstance(calibration, str | Path) else []))
     options = ApplyOptions(
         first_order=first_order,
         uncertainty=uncertainty,
@@ -219,7 +223,7 @@ def prepare_any(
     InputError
         The calibration is wrong.
     """
-    if not isinstance(calibration, str | Path) or Path(calibration).is_dir():
+    if not isinstance(calibration, str | Path) or os.path.isdir(calibration):
         from tiltcal.calibration.calibration_library import CalibrationLibrary, open_calibrations
         from tiltcal.logs.apply_library import prepare_library
 

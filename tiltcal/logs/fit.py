@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -405,7 +406,7 @@ def _serial(serial: str | None, base: str | Path | None) -> str:
     """The serial number that is named, or that of the base."""
     if serial is not None:
         return serial
-    if base is None or Path(base).is_dir():
+    if base is None or os.path.isdir(base):
         raise UsageError("state the sensor's --serial number")
     return read_calibration(base).sensor.serial
 

@@ -19,7 +19,7 @@ from select import select
 from types import FrameType
 from typing import BinaryIO, Protocol, TypeVar, cast
 
-from tiltcal.errors import UsageError
+from tiltcal.errors import InputError, UsageError
 
 T = TypeVar("T")
 
@@ -234,7 +234,15 @@ class HashingReader:
 
 
 def sha256_of(path: str | Path) -> str:
-    """Return the SHA-256 of a whole file, hexadecimal."""
+    """Return the SHA-256 of a whole file, hexadecimal.
+
+    Raises
+    ------
+    InputError
+        It is a pipe or a device, whose content is gone when it has been read.
+    """
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise InputError("this is no file that can be read twice, and its checksum is needed: name a file", file=path)
     with open(path, "rb") as stream:
         return file_digest(stream, "sha256").hexdigest()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from math import asin, degrees, isfinite
 from pathlib import Path
@@ -53,7 +54,7 @@ class _Terminal:
 
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         """Ask once more before the files are written."""
-        named = ", ".join(f"{path} (replaces the one there)" if path.exists() else str(path) for path in files)
+        named = ", ".join(f"{path} (replaces the one there)" if os.path.exists(path) else str(path) for path in files)
         self._say(f"\nAll positions are measured. Write {named}?")
         self._hint("Enter write", "n stop and keep")
         if self._choice(f"{ENTER}ynq") in "nq":

@@ -1,0 +1,114 @@
+"""Names that no file can have, pipes, links, and outputs that would replace an input."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from threading import Thread
+
+import pytest
+from support import FIXTURES
+from support.command import TILTCAL, measure, tiltcal
+
+LONG = "a" * 300
+CSV = "x,y\n1024,1024\n1100,1000\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    shutil.copy(FIXTURES / "plane.yaml", tmp_path)
+    shutil.copy(FIXTURES / "plane.journal.jsonl", tmp_path)
+    (tmp_path / "log.csv").write_text(CSV)
+    (tmp_path / "segments.csv").write_text("position,start,end\nlevel,0,2\n")
+    (tmp_path / "link.csv").symlink_to("log.csv")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("apply", "plane.yaml", "log.csv", "-o", "log.csv"),
+        ("apply", "plane.yaml", "log.csv", "-o", "link.csv"),
+        ("apply", "plane.yaml", "link.csv", "-o", "./log.csv"),
+        ("apply", "plane.yaml", "log.csv", "-o", "plane.yaml"),
+        ("report", "plane.yaml", "-o", "plane.yaml"),
+        ("report", "plane.yaml", "log.csv", "-o", "log.csv"),
+        ("fit", "level", "log.csv", "--base", "plane.yaml", "-o", "log.csv"),
+        ("fit", "level", "log.csv", "--segments", "segments.csv", "--base", "plane.yaml", "-o", "segments.csv"),
+        ("match", "log.csv", "--pair", "x,y", "--orthogonal", "z", "-o", "log.csv"),
+        ("match", "log.csv", "--pair", "x,y", "--orthogonal", "z", "--figure", "log.csv"),
+        ("noise", "log.csv", "--figure", "log.csv"),
+        ("replay", "plane.journal.jsonl", "-o", "plane.journal.jsonl"),
+        ("replay", "plane.journal.jsonl", "--samples", "plane.journal.jsonl"),
+    ],
+)
+def test_an_output_replaces_no_input(command: tuple[str, ...], folder: Path) -> None:
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    done = tiltcal(*command, cwd=folder)
+    assert done.returncode == 2
+    assert "it would replace" in done.stderr
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_calibration_does_not_replace_its_journal(tmp_path: Path) -> None:
+    done = measure("-o", "S.yaml", "--journal", "S.yaml", cwd=tmp_path)
+    assert (done.returncode, os.listdir(tmp_path)) == (2, [])
+    assert "S.yaml: it would replace S.yaml" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("check", LONG),
+        ("apply", LONG, "log.csv"),
+        ("apply", "plane.yaml", LONG),
+        ("apply", "plane.yaml", "log.csv", "-o", LONG),
+        ("report", LONG + ".yaml", "-o", "page.html"),
+        ("report", "plane.yaml", "-o", LONG),
+        ("history", LONG),
+        ("replay", LONG),
+        ("replay", "plane.journal.jsonl", "-o", LONG),
+        ("replay", "plane.journal.jsonl", "--golden", LONG),
+        ("replay", "plane.journal.jsonl", "--samples", LONG),
+        ("fit", LONG, "log.csv", "--serial", "S", "-o", "o.yaml"),
+        ("fit", "level", LONG, "--base", "plane.yaml", "-o", "o.yaml"),
+        ("fit", "level", "log.csv", "--base", LONG, "-o", "o.yaml"),
+        ("fit", "plane", "log.csv", "--segments", LONG, "--unit", "V", "--serial", "S", "-o", "o.yaml"),
+        ("measure", "plane", "--bench", LONG, "-o", "."),
+        ("measure", "plane", "--sensor", "sca100t-d02", "--address", "sim:", "--serial", "S", "-o", LONG),
+        ("measure", "plane", "--sensor", "sca100t-d02", "--address", f"sim:?twin={LONG}", "--serial", "S", "-o", "o"),
+        ("measure", "--resume", LONG),
+        ("verify", LONG, "--address", "sim:"),
+        ("record", "--sensor", "sca100t-d02", "--address", "sim:", "--rows", "2", "-o", LONG),
+        ("combine", LONG, LONG, "-o", "o.yaml"),
+        ("diff", LONG, "plane.yaml"),
+        ("match", LONG, "--pair", "x,y", "--orthogonal", "z"),
+        ("noise", LONG),
+        ("demo", LONG),
+    ],
+)
+def test_a_name_that_is_too_long_is_refused(command: tuple[str, ...], folder: Path) -> None:
+    done = tiltcal(*command, cwd=folder)
+    assert done.returncode == 2, done.stderr
+    assert LONG in done.stderr
+
+
+def test_a_calibration_may_come_out_of_a_pipe_where_it_is_read_once(folder: Path) -> None:
+    os.mkfifo(folder / "pipe.yaml")
+    for command, code in ((("check", "pipe.yaml"), 0), (("apply", "pipe.yaml", "log.csv"), 2)):
+        feeder = Thread(target=lambda: (folder / "pipe.yaml").write_bytes((folder / "plane.yaml").read_bytes()))
+        feeder.start()
+        done = tiltcal(*command, cwd=folder)
+        feeder.join()
+        assert done.returncode == code, done.stderr
+    assert "pipe.yaml: this is no file that can be read twice, and its checksum is needed" in done.stderr
+
+
+def test_an_output_may_be_the_device_of_standard_output(folder: Path) -> None:
+    """/dev/stdout is a link to a name that is no file where it is a pipe."""
+    command = [*TILTCAL, "apply", "plane.yaml", "log.csv", "-o", "/dev/stdout"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("x,y,g_x,")
