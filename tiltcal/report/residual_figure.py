@@ -56,19 +56,17 @@ def _plot_channel(panel: Axes, calibration: CalibrationRecord, positions: list[s
     residuals, uncertainties = calibration.fit.residuals, _uncertainties(calibration, channel)
     colour, mark, _ = CHANNELS[channel]
     panel.axvline(0.0, color=INK, linewidth=0.6)
-    for row, name in enumerate(positions):
-        value = residuals[name].get(channel)
-        if value is not None:
-            panel.plot([0.0, value], [row, row], color=GREY, linewidth=0.4)
-            panel.errorbar(
-                value,
-                row,
-                xerr=NORMAL_FACTOR * uncertainties.get(name, 0.0),
-                color=colour,
-                marker=mark,
-                markersize=3.2,
-                linewidth=0.8,
-            )
+    held = [
+        (row, residuals[name][channel], NORMAL_FACTOR * uncertainties.get(name, 0.0))
+        for row, name in enumerate(positions)
+        if residuals[name].get(channel) is not None
+    ]
+    if held:
+        rows, values, bars = zip(*held, strict=True)
+        panel.hlines(rows, 0.0, values, color=GREY, linewidth=0.4)
+        panel.errorbar(
+            values, rows, xerr=bars, color=colour, marker=mark, markersize=3.2, linewidth=0.8, linestyle="none"
+        )
     panel.set_xlabel(f"residual of {channel} [{calibration.sensor.unit}]")
     panel.tick_params(axis="y", length=0)
     panel.spines["left"].set_visible(False)
