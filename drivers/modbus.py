@@ -55,7 +55,10 @@ EXCEPTIONS = {
     2: "it has no such register: check the register numbers, which count from 0",
     3: "it refuses the number of registers",
     4: "it has failed",
+    5: "it needs more time",
     6: "it is busy",
+    10: "the gateway has no path to it: check the unit's number",
+    11: "the gateway got no answer from it: check the unit's number and its supply",
 }
 """Meaning of the exception codes."""
 
@@ -202,7 +205,7 @@ class ModbusColumns:
     def _registers(self, request: bytes) -> dict[int, bytes]:
         _, first, number = struct.unpack(">BHH", request)
         answer = self._link.exchange(request)
-        if answer and answer[0] & FAILED:
+        if len(answer) == 2 and answer[0] & FAILED:
             why = EXCEPTIONS.get(answer[1], f"exception {answer[1]}")
             raise DeviceFault(f"the device refuses to read {number} registers from {first}: {why}")
         if len(answer) != 2 + 2 * number:

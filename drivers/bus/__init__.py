@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import MutableMapping
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.bus.modbus import ModbusLine
     from tiltcal.drivers.device import Model
 
 __all__ = ["link_letter", "open_link"]
@@ -31,7 +33,7 @@ def link_letter(address: Address, model: Model) -> str:
     return _LETTERS[scheme.rpartition("+")[2]]
 
 
-def open_link(address: Address, model: Model) -> Link:
+def open_link(address: Address, model: Model, lines: MutableMapping[str, ModbusLine] | None = None) -> Link:
     """Open the bus of an address for one device, and import only that bus's library.
 
     Parameters
@@ -40,6 +42,9 @@ def open_link(address: Address, model: Model) -> Link:
         Of a real bus. The link of a ``sim:`` address is the twin, ``model.twin(truth, fixture, clock)``.
     model : Model
         What is connected there; its facts limit the options.
+    lines : mapping of str to ModbusLine, optional
+        The lines that the caller has open already, by their port: devices on one of them share it. See
+        :func:`~tiltcal.drivers.bus.modbus.open_modbus`.
 
     Raises
     ------
@@ -57,5 +62,6 @@ def open_link(address: Address, model: Model) -> Link:
     if bus not in _OPENERS:
         address.refuse(f"this version of tiltcal cannot open {address.scheme}: yet")
     module, _, opener = _OPENERS[bus].partition(":")
-    link: Link = getattr(import_module(module), opener)(address, model)
+    open_bus = getattr(import_module(module), opener)
+    link: Link = open_bus(address, model, lines) if bus == "modbus" else open_bus(address, model)
     return link

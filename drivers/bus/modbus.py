@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import MutableMapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from weakref import WeakValueDictionary
 
 from tiltcal.drivers.bus.device_node_errors import no_permission
 from tiltcal.drivers.bus.serial import PARITIES
@@ -23,14 +23,17 @@ TIMEOUT = 1.0
 """Timeout after which a request is sent again, s."""
 RETRIES = 2
 
+SILENT = 2
+"""Time-outs without a byte after which no late answer is expected: the answers to a request and its repetitions, which
+are sent a time-out apart, arrive at the same distance."""
+BABBLE = 20
+"""Pieces of data that are discarded before a line counts as one that is never silent."""
+
 HOLDING, INPUT, FAILED = 3, 4, 0x80
 """Function codes that read a table, and the bit that an exception answer adds to them."""
 
-_PORTS: WeakValueDictionary[str, Any] = WeakValueDictionary()
-"""The clients in use by serial port: a port is opened once, and the units of an RS-485 line share it."""
 
-
-def open_modbus(address: Address, model: Model) -> ModbusLink:
+def open_modbus(address: Address, model: Model, lines: MutableMapping[str, ModbusLine] | None = None) -> ModbusLink:
     """Open a ``modbus:`` address.
 
     Parameters
@@ -40,6 +43,9 @@ def open_modbus(address: Address, model: Model) -> ModbusLink:
         serial port ``baudrate``, ``parity`` (N, E, O) and ``stopbits`` (1, 2).
     model : Model
         Its options are accepted as well.
+    lines : mapping of str to ModbusLine, optional
+        The serial lines that were opened before, by their port, which the units of an RS-485 line share; a new one is
+        added.
 
     Raises
     ------
@@ -62,54 +68,132 @@ def open_modbus(address: Address, model: Model) -> ModbusLink:
         if not port.isdigit() or not 0 < int(port) < 65536:
             address.refuse(f"{port!r} is no port number (tcp://host:{PORT})")
         client = library.ModbusTcpClient(
-            host.removeprefix("[").removesuffix("]"), port=int(port), timeout=timeout, retries=RETRIES
+            host.removeprefix("[").removesuffix("]"), port=int(port), timeout=timeout, retries=0
         )
-    else:
-        address.allow("unit", "timeout", "baudrate", "parity", "stopbits", *model.options)
-        parity = address.text("parity", "N").upper()
-        if parity not in PARITIES[:3]:
-            address.refuse(f"option parity={parity} is not one of {', '.join(PARITIES[:3])}")
-        client = library.ModbusSerialClient(
-            place,
-            baudrate=address.integer("baudrate", BAUDRATE, low=50, high=20_000_000),
-            parity=parity,
-            stopbits=address.integer("stopbits", 1, low=1, high=2),
-            timeout=timeout,
-            retries=RETRIES,
-        )
-        client = _shared(address, client)
-    return ModbusLink(place, client, unit)
+        return ModbusLink(ModbusLine(place, client, numbered=True), unit)
+    address.allow("unit", "timeout", "baudrate", "parity", "stopbits", *model.options)
+    parity = address.text("parity", "N").upper()
+    if parity not in PARITIES[:3]:
+        address.refuse(f"option parity={parity} is not one of {', '.join(PARITIES[:3])}")
+    client = library.ModbusSerialClient(
+        place,
+        baudrate=address.integer("baudrate", BAUDRATE, low=50, high=20_000_000),
+        parity=parity,
+        stopbits=address.integer("stopbits", 1, low=1, high=2),
+        timeout=timeout,
+        retries=0,
+    )
+    line = ModbusLine(place, client)
+    if lines is not None:
+        line = lines.setdefault(place, line)
+        if line.settings != client.comm_params:
+            address.refuse(
+                f"another unit on {place} has another baudrate, parity, stopbits or timeout: those of one line are the "
+                "same"
+            )
+    return ModbusLink(line, unit)
 
 
-def _shared(address: Address, client: Any) -> Any:
-    """Return the client that has the port of an address already, or else this one.
+class ModbusLine:
+    """A serial line or a server, with the units on it.
 
-    Raises
-    ------
-    UsageError
-        The port is open with other settings.
-    """
-    other = _PORTS.get(address.path)
-    if other is not None and other.comm_params == client.comm_params:
-        return other
-    if other is not None and other.connected:
-        address.refuse(
-            f"another unit on {address.path} has another baudrate, parity, stopbits or timeout: those of one line are "
-            "the same"
-        )
-    _PORTS[address.path] = client
-    return client
-
-
-class ModbusLink:
-    """One device on a Modbus line or server.
+    An answer on a serial line names its unit, its function and its length, but not the registers. A late one could be
+    taken for the answer of the next request. So after a request without an answer only the same request is repeated,
+    and before another one the line has to be silent for as long as a late answer may take. An answer of TCP has the
+    number of its request.
 
     Parameters
     ----------
     place : str
-        What was opened, for messages.
+        What is opened, for messages.
     client : pymodbus client
-        Not connected yet.
+        Not connected yet, without retries.
+    numbered : bool
+        Whether answers have the number of their request.
+    """
+
+    def __init__(self, place: str, client: Any, *, numbered: bool = False) -> None:
+        self.place = place
+        self._client = client
+        self._numbered = numbered
+        self._answers_may_come = False
+
+    @property
+    def settings(self) -> Any:
+        """The settings of the line, for comparison."""
+        return self._client.comm_params
+
+    def open(self) -> None:
+        """Open the line, unless it is open.
+
+        Raises
+        ------
+        BusError
+        """
+        try:
+            opened = self._client.connect()
+        except UnicodeError as cause:  # a name that cannot be one of a host
+            raise BusError(_why_not_opened(self.place)) from cause
+        if not opened:
+            raise BusError(_why_not_opened(self.place))
+
+    def close(self) -> None:
+        """Close the line; closing twice is allowed, and the next request opens it again."""
+        self._client.close()
+
+    def read(self, unit: int, function: int, first: int, number: int) -> Any:
+        """Return the answer of a unit: pymodbus' response to this request, or an exception response.
+
+        Raises
+        ------
+        BusError
+            No answer with the right checksum, function and length, or the connection is gone.
+        """
+        from pymodbus.exceptions import ConnectionException, ModbusException
+
+        read = self._client.read_holding_registers if function == HOLDING else self._client.read_input_registers
+        cause: Exception | None = None
+        why: object = "none has its function and number of registers"
+        self.open()
+        try:
+            self._await_silence()
+            for _ in range(1 + RETRIES):
+                try:
+                    answer = read(first, count=number, device_id=unit)
+                except ConnectionException:
+                    raise
+                except ModbusException as error:
+                    cause = why = error
+                else:
+                    fits = answer.isError() or len(answer.registers) == number
+                    if fits and answer.function_code & ~FAILED == function:
+                        return answer
+                # Whatever answers the repetition may be the answer to this request.
+                self._answers_may_come = not self._numbered
+        except (ModbusException, OSError) as error:
+            cause = why = error
+        raise BusError(
+            f"no answer of unit {unit} on {self.place} ({why}): check the supply, A and B, the unit's number, baud "
+            "rate and parity, and that it answers within timeout="
+        ) from cause
+
+    def _await_silence(self) -> None:
+        """Discard late answers until none can come."""
+        silent = 0
+        for _ in range(BABBLE if self._answers_may_come else 0):
+            silent = 0 if self._client.recv(None) else silent + 1
+            if silent == SILENT:
+                self._answers_may_come = False
+                return
+        if self._answers_may_come:
+            raise BusError(f"{self.place} is never silent: does another master use this line?")
+
+
+class ModbusLink:
+    """One unit on a Modbus line or server.
+
+    Parameters
+    ----------
     unit : int
         The device's address on the line.
 
@@ -121,16 +205,10 @@ class ModbusLink:
 
     letter = "m"
 
-    def __init__(self, place: str, client: Any, unit: int) -> None:
-        self._place = place
-        self._client = client
+    def __init__(self, line: ModbusLine, unit: int) -> None:
+        self._line = line
         self._unit = unit
-        try:
-            opened = client.connect()
-        except UnicodeError as cause:  # a name that cannot be one of a host
-            raise BusError(_why_not_opened(place)) from cause
-        if not opened:
-            raise BusError(_why_not_opened(place))
+        line.open()
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Read registers.
@@ -152,25 +230,18 @@ class ModbusLink:
         Raises
         ------
         BusError
-            No answer with the right checksum, or the connection is gone.
+            As :meth:`ModbusLine.read`.
         """
         function, first, number = out[0], int.from_bytes(out[1:3], "big"), int.from_bytes(out[3:5], "big")
-        read = self._client.read_holding_registers if function == HOLDING else self._client.read_input_registers
-        try:
-            answer = read(first, count=number, device_id=self._unit)
-        except (_pymodbus_errors(), OSError) as cause:
-            raise BusError(
-                f"no answer of unit {self._unit} on {self._place} ({cause}): check the supply, A and B, the unit's "
-                "number, baud rate and parity"
-            ) from cause
+        answer = self._line.read(self._unit, function, first, number)
         if answer.isError():
             return bytes([function | FAILED, answer.exception_code])
         data = b"".join(int(register).to_bytes(2, "big") for register in answer.registers)
         return bytes([function, len(data)]) + data
 
     def close(self) -> None:
-        """Close the connection; closing twice is allowed, and the next request of another unit opens it again."""
-        self._client.close()
+        """Close the line; closing twice is allowed, and the next request of another unit opens it again."""
+        self._line.close()
 
 
 def _pymodbus() -> Any:
@@ -185,12 +256,6 @@ def _pymodbus() -> Any:
     if not logger.handlers:
         logger.addHandler(logging.NullHandler())
     return pymodbus.client
-
-
-def _pymodbus_errors() -> type[Exception]:
-    from pymodbus.exceptions import ModbusException
-
-    return ModbusException
 
 
 def _why_not_opened(place: str) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.event_log import EventLog, RecordedLink
@@ -18,6 +19,9 @@ from tiltcal.drivers.bus.link import Interruption, Link
 from tiltcal.drivers.device import Model, Reading, Sensor
 from tiltcal.errors import HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.modbus import ModbusLine
 
 Sample = tuple[Reading, ...]
 """One reading of each sensor of a set, in its order."""
@@ -189,8 +193,15 @@ class SensorSet:
             raise SensorError(serial, str(error) if alone else f"{serial}: {error}") from error
 
 
-def open_device(device: DeviceSetup, virtual: VirtualBench) -> Link:
+def open_device(
+    device: DeviceSetup, virtual: VirtualBench, lines: MutableMapping[str, ModbusLine] | None = None
+) -> Link:
     """Return the live link of one device.
+
+    Parameters
+    ----------
+    lines : mapping of str to ModbusLine, optional
+        The lines of the devices that were opened before, which share them.
 
     Raises
     ------
@@ -198,7 +209,7 @@ def open_device(device: DeviceSetup, virtual: VirtualBench) -> Link:
         It cannot be opened.
     """
     address = parse_address(device.address)
-    return virtual.twin(device) if address.simulated else open_link(address, device.model)
+    return virtual.twin(device) if address.simulated else open_link(address, device.model, lines)
 
 
 @contextmanager
@@ -217,9 +228,13 @@ def connected(
         Makes the twins of ``sim:`` addresses.
     """
     devices = (*sensors, thermometer) if thermometer is not None else tuple(sensors)
+    lines: dict[str, ModbusLine] = {}
     links = [
         RecordedLink(
-            log, partial(open_device, device, virtual), link_letter(parse_address(device.address), device.model), number
+            log,
+            partial(open_device, device, virtual, lines),
+            link_letter(parse_address(device.address), device.model),
+            number,
         )
         for number, device in enumerate(devices)
     ]

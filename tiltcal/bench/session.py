@@ -30,6 +30,7 @@ from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus.modbus import ModbusLine
     from tiltcal.files.pair import PairRecord
     from tiltcal.files.rotation import Rotation
 
@@ -189,8 +190,9 @@ class Session:
             check_writable(path)
         for path in self.outputs:
             require_apart(path, self.path)
+        lines: dict[str, ModbusLine] = {}
         for device in () if ended else self.plan.devices:
-            with closing(open_device(device, self._virtual)) as link:
+            with closing(open_device(device, self._virtual, lines)) as link:
                 device.model.driver(link, self._clock).probe()
         self._clock.seek(0)
 

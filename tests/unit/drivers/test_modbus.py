@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import struct
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 
 import pytest
@@ -92,7 +98,8 @@ def test_registers_without_a_gap_are_one_request() -> None:
     ("answer", "error", "why"),
     [
         ("83 02", DeviceFault, "refuses to read 2 registers from 0: it has no such register"),
-        ("83 0B", DeviceFault, "exception 11"),
+        ("83 0B", DeviceFault, "the gateway got no answer from it"),
+        ("83 FF", DeviceFault, "exception 255"),
         ("03 04 7FC0 0000", DeviceFault, "x is nan: the device has no reading"),
         ("03 02 0000", BusError, "2 registers were answered with 2 bytes"),
     ],
@@ -151,16 +158,124 @@ def test_devices_on_one_line_share_its_port() -> None:
     with slave(7, BLOCKS, rtu=True) as place:
         model, written = at("unit=7&columns=x@0*0.001", place)
         other, written_too = at("unit=7&columns=x@10:float32", place)
-        first, second = open_link(parse_address(written), model), open_link(parse_address(written_too), other)
+        lines: dict = {}
+        first, second = (
+            open_link(parse_address(one), which, lines) for one, which in ((written, model), (written_too, other))
+        )
         for _ in range(2):
             first.close()
             assert model.driver(first, VirtualClock()).read().values == (-0.5,)
             assert other.driver(second, VirtualClock()).read().values == (0.125,)
         _, contrary = at("unit=8&baudrate=19200&columns=x@0", place)
         with pytest.raises(UsageError, match=r"another unit on /dev/.* has another baudrate"):
-            open_link(parse_address(contrary), model)
+            open_link(parse_address(contrary), model, lines)
         first.close()
         second.close()
+
+
+# Against a slave whose answers come when the test says
+
+
+@contextmanager
+def late_slave(answer: Callable[[bytes, int], list[tuple[float, bytes]]]) -> Iterator[str]:
+    """Yield a serial line on which the n-th request is answered by these frames, each after a delay in seconds.
+
+    Frames have no checksum here; it is added by the polynomial of the protocol's specification.
+    """
+    master, end = os.openpty()
+    tty.setraw(end)
+
+    def serve() -> None:
+        count = 0
+        while request := received(master):
+            count += 1
+            for delay, frame in answer(request[:-2], count):
+                time.sleep(delay)
+                os.write(master, frame + crc16(frame))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield os.ttyname(end)
+    finally:
+        os.close(end)
+        thread.join(10.0)
+        os.close(master)
+
+
+def received(master: int) -> bytes:
+    """Return the next request; nothing when the line is cut."""
+    try:
+        return os.read(master, 8)
+    except OSError:
+        return b""
+
+
+def crc16(frame: bytes) -> bytes:
+    """CRC of Modbus over serial line, V1.02, 6.2.2: 0xA001 reflected, start 0xFFFF, low byte first."""
+    crc = 0xFFFF
+    for byte in frame:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
+    return crc.to_bytes(2, "little")
+
+
+def frame_of(unit: int, value: int) -> bytes:
+    return bytes([unit, 3, 2]) + value.to_bytes(2, "big")
+
+
+def test_crc_of_the_specification() -> None:
+    """The example of Modbus over serial line, figure 31: device 2, function 7 has the CRC 0x1241, low byte first."""
+    assert crc16(bytes.fromhex("02 07")) == bytes.fromhex("41 12")
+
+
+def test_a_late_answer_is_never_that_of_another_register() -> None:
+    """x in register 0 is 111 and y in register 9 is 222; the first request is answered after its time-out."""
+
+    def answer(request: bytes, count: int) -> list[tuple[float, bytes]]:
+        if count == 1:
+            return []
+        own = frame_of(1, {0: 111, 9: 222}[request[3]])
+        # The answer to the first request, which was for x, and a little later that to its repetition.
+        return [(0.0, own), (0.05, own)] if count == 2 else [(0.0, own)]
+
+    with late_slave(answer) as place:
+        model, written = at("unit=1&timeout=0.1&columns=x@0,y@9", place)
+        with closing(open_link(parse_address(written), model)) as link:
+            sensor = model.driver(link, VirtualClock())
+            assert [sensor.read().values for _ in range(2)] == [(111.0, 222.0)] * 2
+
+
+def test_a_late_answer_is_never_that_of_another_link() -> None:
+    """After an error the link is opened anew, and the answers to the three requests before are still to come."""
+
+    def answer(request: bytes, count: int) -> list[tuple[float, bytes]]:
+        late = frame_of(1, 111)
+        return {3: [(0.22, late), (0.1, late), (0.1, late)]}.get(count, [(0.0, frame_of(1, 222))] if count > 3 else [])
+
+    with late_slave(answer) as place:
+        lines: dict = {}
+        first, written = at("unit=1&timeout=0.15&columns=x@0", place)
+        second, written_too = at("unit=1&timeout=0.15&columns=x@9", place)
+        with (
+            closing(open_link(parse_address(written), first, lines)) as link,
+            pytest.raises(BusError, match=r"no answer of unit 1 .* answers within timeout="),
+        ):
+            first.driver(link, VirtualClock()).read()
+        with closing(open_link(parse_address(written_too), second, lines)) as link:
+            assert second.driver(link, VirtualClock()).read().values == (222.0,)
+
+
+def test_an_answer_of_another_function_or_length_is_none() -> None:
+    def answer(request: bytes, count: int) -> list[tuple[float, bytes]]:
+        wrong = [bytes.fromhex("01 04 02 0001"), bytes.fromhex("01 03 04 0001 0002")]
+        return [(0.0, wrong[count - 1] if count < 3 else frame_of(1, 333))]
+
+    with late_slave(answer) as place:
+        model, written = at("unit=1&timeout=0.1&columns=x@0", place)
+        with closing(open_link(parse_address(written), model)) as link:
+            assert model.driver(link, VirtualClock()).read().values == (333.0,)
 
 
 def test_a_register_that_the_slave_lacks_and_a_unit_that_is_not_there() -> None:
