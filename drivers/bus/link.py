@@ -70,6 +70,21 @@ class Recalling(Protocol):
         ...
 
 
+@runtime_checkable
+class Continuing(Protocol):
+    """A link to recorded data, which goes on where an earlier link to the same data stopped."""
+
+    def go_on_after(self, answer: bytes) -> None:
+        """Skip all up to the end of an answer of the earlier link; data that do not have it are taken from their start.
+
+        Raises
+        ------
+        BusError
+            The data cannot be read.
+        """
+        ...
+
+
 def require_length(answer: bytes, length: int, what: str = "transaction") -> bytes:
     """Return an answer that is as long as its transaction.
 

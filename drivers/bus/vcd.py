@@ -9,7 +9,7 @@ from io import BufferedReader
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges
+from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges, unpack_edges
 from tiltcal.drivers.bus.link import CaptureEnded
 from tiltcal.errors import BusError, HardwareError
 
@@ -104,6 +104,14 @@ class VcdLink:
                 "position"
             )
         return pack_edges(edges)
+
+    def go_on_after(self, answer: bytes) -> None:
+        """Skip the edges up to the last one of an answer; see :class:`~tiltcal.drivers.bus.link.Continuing`."""
+        *_, last = unpack_edges(answer)
+        reached = next((edge for edge in self._edges if edge.number >= last.number), None)
+        if reached != last:  # it is another capture
+            self.close()
+            self._open()
 
     def close(self) -> None:
         """Release the file; closing twice is allowed."""

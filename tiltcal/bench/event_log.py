@@ -15,7 +15,7 @@ from typing import Any, ParamSpec
 
 from tiltcal.bench.operators.operator import OperatorAnswer
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import CaptureEnded, Interruption, Link, Recalling
+from tiltcal.drivers.bus.link import CaptureEnded, Continuing, Interruption, Link, Recalling
 from tiltcal.errors import BusError, JournalError
 from tiltcal.files.journal import ANSWER, HARDWARE_ERROR, LIVE_READING, POSITION, RESUMED, Event, Journal, JournalWriter
 
@@ -253,6 +253,7 @@ class RecordedLink:
         self._number = number
         self._live: Link | None = None
         self._played: deque[tuple[bytes, int]] = deque(maxlen=REMEMBERED)
+        self._last_answer = b""
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Carry out one transaction; after an error the next one opens the bus anew, so a re-plugged sensor goes on."""
@@ -264,6 +265,7 @@ class RecordedLink:
                 self._played.clear()
                 raise
             self._played.append((out, log.now_ns()))
+            self._last_answer = answer or self._last_answer
             return answer
         log.require_writer()
         device = (self._number,) if self._number else ()
@@ -279,6 +281,7 @@ class RecordedLink:
             log.record(HARDWARE_ERROR, out.hex(), str(error), *device)
             raise
         log.record(self.letter, out.hex(), answer.hex(), *device)
+        self._last_answer = answer or self._last_answer
         return answer
 
     def close(self) -> None:
@@ -287,7 +290,9 @@ class RecordedLink:
             self._live = None
 
     def _remind(self, live: Link) -> None:
-        """Send a new twin what was sent to the one before it; a real part has had it."""
+        """Send a new twin what was sent to the one before it, which a real part has had; a capture goes on."""
+        if isinstance(live, Continuing) and self._last_answer:
+            live.go_on_after(self._last_answer)
         if isinstance(live, Recalling):
             for out, now_ns in self._played:
                 live.recall(out, now_ns)

@@ -21,6 +21,7 @@ from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.bus.edges import Edge, unpack_edges
 from tiltcal.drivers.device import Sensor
 from tiltcal.errors import BusError, HardwareError, UsageError
+from tiltcal.files.journal import JournalWriter, read_journal
 
 pytest.importorskip("vcd", reason="the pyvcd package is not installed")
 
@@ -146,6 +147,43 @@ def test_a_capture_at_its_end_does_not_start_again(hand_written: Path) -> None:
         link.exchange(b"", 0)
         *_, last = unpack_edges(link.exchange(b"", 4096))
         assert last == Edge(20_000_000, 0, True, 5)
+
+
+@pytest.mark.parametrize("again", [HAND_WRITTEN, HAND_WRITTEN + "#150 0!\n"], ids=["the same", "a longer one"])
+def test_a_session_that_is_resumed_goes_on_behind_the_edges_that_it_has(
+    hand_written: Path, tmp_path: Path, again: str
+) -> None:
+    journal = tmp_path / "j.jsonl"
+    writer = JournalWriter.create(journal, {})
+    taken = two_records(EventLog(VirtualClock(), None, writer), hand_written)
+    writer.close()
+    assert [edge.number for edge in unpack_edges(taken)] == [1, 2]
+
+    hand_written.write_text(again)
+    captured = read_journal(journal)
+    writer = JournalWriter.resume(captured)
+    log = EventLog(VirtualClock(), captured, writer)
+    link = RecordedLink(log, lambda: opened(hand_written), "e", 0)
+    with closing(link), closing(writer):
+        assert link.exchange(b"", 28) == taken
+        assert [edge.number for edge in unpack_edges(link.exchange(b"", 28))] == [3, 4]
+        # A link that is opened anew after an error goes on as well.
+        link.close()
+        assert next(unpack_edges(link.exchange(b"", 14))).number == 5
+
+
+def test_another_capture_under_the_same_name_is_read_from_its_start(hand_written: Path) -> None:
+    link = RecordedLink(EventLog(VirtualClock()), lambda: opened(hand_written), "e", 0)
+    with closing(link):
+        for text in (HAND_WRITTEN, HAND_WRITTEN.replace("#50", "#49"), HAND_WRITTEN[: HAND_WRITTEN.index("#50")]):
+            hand_written.write_text(text)
+            assert next(unpack_edges(link.exchange(b"", 28))).number == 1
+            link.close()
+
+
+def two_records(log: EventLog, capture: Path) -> bytes:
+    with closing(RecordedLink(log, lambda: opened(capture), "e", 0)) as link:
+        return link.exchange(b"", 28)
 
 
 @pytest.mark.parametrize(
