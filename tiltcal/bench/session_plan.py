@@ -196,6 +196,12 @@ class SessionPlan:
         settings = header.settings
         try:
             procedure = procedure_from_record(header.procedure, settings.angle, file=file, line=1)
+            missing = [sensor.serial for sensor in header.sensors if sensor.serial not in header.known]
+            if procedure.determines.completes and missing:
+                raise UsageError(
+                    f"{procedure.name} completes the calibration that a sensor has, and none of "
+                    f"{', '.join(missing)} is in the journal: measure anew"
+                )
             return cls(
                 procedure=procedure.with_turns(settings.turns),
                 sensors=tuple(DeviceSetup.from_header(sensor) for sensor in header.sensors),

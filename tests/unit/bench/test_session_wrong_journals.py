@@ -14,7 +14,7 @@ from support import FIXTURES
 
 from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import SessionPlan
-from tiltcal.errors import TiltcalError
+from tiltcal.errors import JournalError, TiltcalError
 from tiltcal.files.journal import read_journal
 
 WRONG: list[Any] = [None, True, -1, 10**18, 1.5, "x", "zz", "", [], ["x"], {}, {"to": 3}, [[]]]
@@ -130,3 +130,12 @@ def test_a_line_without_an_end_is_not_read_into_memory(tmp_path: Path) -> None:
         stream.truncate(10**9)  # a sparse file: a gigabyte that takes no room
     with pytest.raises(TiltcalError, match="longer than any of a journal"):
         read_journal(path)
+
+
+def test_a_verification_that_completes_a_calibration_is_refused(tmp_path: Path) -> None:
+    """An older version let `verify` begin with `level`, whose journals have no calibration to complete."""
+    header, *events = lines_of("level")
+    sensors = [{**sensor, "output": ""} for sensor in header["sensors"]]
+    header = {key: value for key, value in header.items() if key not in ("base", "bases")} | {"sensors": sensors}
+    with pytest.raises(JournalError, match=r"header cannot be used: level completes the calibration .* none of SIM-42"):
+        Session.of_journal(written(tmp_path / "j.jsonl", [header, *events]))
