@@ -116,13 +116,13 @@ def _origins(session: CombinedSession) -> set[str]:
 def _combined(sessions: Sequence[CombinedSession]) -> CalibrationRecord:
     target = _target(sessions)
     found, remarks = _estimate(sessions, target, unlevelled=True)
-    verdict = judge([change for _, change in found.differences])
+    verdict = judge([change for _, change in found.differences], among=found.compared)
     if verdict.changed and any(session.level_unstated for session in sessions):
         try:
             found, remarks = _estimate(sessions, target, unlevelled=False)
         except EstimateError:
             _refuse(sessions, found, verdict)
-        verdict = judge([change for _, change in found.differences])
+        verdict = judge([change for _, change in found.differences], among=found.compared)
     if verdict.changed:
         _refuse(sessions, found, verdict)
     return combined_record(sessions, found, remarks)

@@ -54,16 +54,18 @@ class Verdict:
         return f"no verdict: {more}, but {self.incomplete}" if self.incomplete else f"changed: {more}"
 
 
-def judge(found: Sequence[CoefficientChange], incomplete: str = "") -> Verdict:
+def judge(found: Sequence[CoefficientChange], incomplete: str = "", *, among: int = 0) -> Verdict:
     """Judge whether one of several changes is too large for chance, given their number (Šidák).
 
     Parameters
     ----------
+    among : int
+        The number of changes of which these are the largest, where it is more than their own.
     incomplete : str
         Why the uncertainties are too small; empty where they are whole.
     """
     judged = [change for change in found if change.ratio is not None]
-    confidence = COVERAGE ** (1.0 / max(len(judged), 1))
+    confidence = COVERAGE ** (1.0 / max(len(judged), among, 1))
     thresholds = {change.name: change.threshold(confidence) for change in judged}
     changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
     return Verdict(thresholds, changed, tuple(change.name for change in found if change.is_unjudged), incomplete)

@@ -100,11 +100,14 @@ class Combination(DeterminedCoefficients):
     differences : tuple of CoefficientChange
         By coefficient that more than one session has measured, what one states (``after``) against what all others
         give (``before``); that of the largest ratio.
+    compared : int
+        The number of differences among which these are the largest.
     """
 
     statements: tuple[Statement, ...]
     parts: tuple[Array, ...]
     differences: tuple[tuple[str, CoefficientChange], ...]
+    compared: int
     chi_square: float
     dof: int
 
@@ -139,22 +142,18 @@ def combine_statements(statements: Sequence[Statement], start: Coefficients, nam
         if np.all(np.abs(step) <= CLOSE * np.sqrt(np.diag(inverse))):
             break
     parts = [inverse @ a.T @ w for a, w in zip(slopes, weights, strict=True)]
-    budget = Budget.of(
-        [
-            Part(statement.label, by, statement.covariance, statement.factors)
-            for statement, by in zip(statements, parts, strict=True)
-        ]
-    )
     found = with_vector(start, names, theta)
     left = [statement.values - statement.expected(found) for statement in statements]
     chi_square = float(sum(r @ w @ r for r, w in zip(left, weights, strict=True)))
+    differences, compared = _differences(statements, slopes, weights, parts, left)
     return Combination(
         found,
         names,
-        budget,
+        _budget(statements, slopes, parts),
         tuple(statements),
         tuple(parts),
-        tuple(_differences(statements, slopes, weights, parts, left)),
+        tuple(differences),
+        compared,
         chi_square,
         sum(len(statement.names) for statement in statements) - len(names),
     )
@@ -185,6 +184,36 @@ def _weight(statement: Statement) -> Array:
     return np.asarray((vectors / np.maximum(values, DIGITS)) @ vectors.T / np.outer(scale, scale))
 
 
+def _budget(statements: Sequence[Statement], slopes: Sequence[Array], parts: Sequence[Array]) -> Budget:
+    """Return the covariance of the combination, with what estimated weights cost.
+
+    Notes
+    -----
+    A session whose residuals happen to be small weighs too much and states too little. To first order in one over its
+    degrees of freedom ν, the lost efficiency and the bias of the variance are each 2/ν of the variance of what it
+    differs by from the combination. The sessions that understate themselves weigh most, so their degrees of freedom do
+    not add up: the effective ones are their harmonic mean, weighted with the variances.
+
+    Sources: P. Meier, *Variance of a weighted mean*, Biometrics 9 (1953) 59; M. G. Kenward and J. H. Roger, *Small
+    sample inference for fixed effects*, Biometrics 53 (1997) 983.
+    """
+    costly = []
+    for statement, a, own in zip(statements, slopes, parts, strict=True):
+        single = Part("", np.eye(len(statement.names)), statement.covariance, statement.factors)
+        more = np.outer(*[2.0 / np.sqrt(single.dof)] * 2)
+        if more.any():
+            differs = [
+                (np.eye(len(a)) if other is statement else 0.0) - a @ by
+                for other, by in zip(statements, parts, strict=True)
+            ]
+            more *= sum(d @ other.covariance @ d.T for d, other in zip(differs, statements, strict=True))
+        costly.append(Part(statement.label, own, statement.covariance + more, statement.factors))
+    whole = Budget.of(costly)
+    variance = np.diag(whole.covariance)
+    inverse = sum(np.diag(part.by @ part.covariance @ part.by.T) / part.dof for part in costly)
+    return replace(whole, dof=np.divide(variance, inverse, out=np.full_like(variance, inf), where=inverse > 0.0))
+
+
 def _slopes(statement: Statement, start: Coefficients, names: Sequence[str], theta: Array) -> Array:
     """Return the derivatives of what a session should state by the coefficients, shape (k, names)."""
     steps = 1e-6 * np.maximum(np.abs(theta), 1e-3)
@@ -207,8 +236,9 @@ def _differences(
     weights: Sequence[Array],
     parts: Sequence[Array],
     left: Sequence[Array],
-) -> list[tuple[str, CoefficientChange]]:
-    """Return by coefficient what one statement differs by from what all others give."""
+) -> tuple[list[tuple[str, CoefficientChange]], int]:
+    """Return by coefficient what one statement differs by most from what all others give; and among how many."""
+    count: dict[str, int] = {}
     worst: dict[str, tuple[str, CoefficientChange]] = {}
     for statement, a, w, part, r in zip(statements, slopes, weights, parts, left, strict=True):
         checked = w - w @ a @ part
@@ -216,6 +246,7 @@ def _differences(
             others = any(other is not statement and name in other.names for other in statements)
             if not others or checked[k, k] <= REDUNDANT * w[k, k]:
                 continue
+            count[name] = count.get(name, 0) + 1
             difference = float((w @ r)[k] / checked[k, k])
             # The weights are widened, so that their inverse is not the variance of the difference.
             rows = [
@@ -232,7 +263,8 @@ def _differences(
             change = CoefficientChange(name, value - difference, value, float(budget.u[0]), float(budget.dof[0]))
             if name not in worst or (change.ratio or 0.0) > (worst[name][1].ratio or 0.0):
                 worst[name] = statement.label, change
-    return list(worst.values())
+    # Two statements differ by the same from each other.
+    return list(worst.values()), sum(1 if statements_of == 2 else statements_of for statements_of in count.values())
 
 
 def conditional(names: Sequence[str], covariance: Array, measured: NDArray[np.bool_]) -> tuple[Array, Array]:
