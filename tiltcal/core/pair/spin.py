@@ -23,6 +23,8 @@ _FEWEST_ROWS = 16
 _PIECE = 1 << 14
 """Rows whose columns are in memory together, and in the processor's cache."""
 _PADDING = 2
+_MOST_EMPTY = 8
+"""The length of the record over that of its rows, at the most."""
 _CLEAREST = 30.0
 """How far the spin's line must stand above the median of the spectrum, in power."""
 
@@ -56,7 +58,7 @@ def estimate_spin(time: Array, readings: Array) -> Spin:
     Parameters
     ----------
     time : ndarray, shape (n,)
-        Evenly spaced but for jitter; finite.
+        With gaps, jitter and rates that change; finite.
     readings : ndarray, shape (n, channels)
         Finite.
 
@@ -121,22 +123,36 @@ def followed_spin(before: Spin, time: Array, readings: Array) -> Spin:
 
 
 def _strongest(centred: Array, readings: Array) -> float:
-    """Turns in the record of the strongest line of all channels together."""
-    rows = len(centred)
-    line = np.stack([np.ones(rows), centred])
+    """Turns in the record of the strongest line of all channels together.
+
+    Each row counts in the nearest place of an even grid as fine as most rows are apart, so that a gap is empty places.
+    """
+    line = np.stack([np.ones(len(centred)), centred])
     level = np.linalg.solve(line @ line.T, line @ readings)
-    window, count = np.hanning(rows), _PADDING * rows
+    steps = np.diff(centred)
+    apart = float(np.median(steps[steps > 0.0]))
+    del line, steps
+    if not apart * _MOST_EMPTY * len(centred) > 1.0:
+        raise EstimateError(
+            f"the gaps of the record are more than {_MOST_EMPTY - 1} times as long as what it holds, and how often the "
+            "stage turned in them cannot be counted: match a part of it, or name the column of the --phase"
+        )
+    places = round(1.0 / apart) + 1
+    place = np.rint((centred + 0.5) * (places - 1)).astype(np.intp)
+    window = 0.5 + 0.5 * np.cos(2.0 * pi * centred)
+    count = _PADDING * places
     power = np.zeros(count // 2 + 1)
     for channel, (offset, drift) in zip(readings.T, level.T, strict=True):
-        power += np.abs(np.fft.rfft((channel - offset - drift * centred) * window, count)) ** 2
+        weighed = np.bincount(place, (channel - offset - drift * centred) * window, places)
+        power += np.abs(np.fft.rfft(weighed, count)) ** 2
     first = round(_PADDING * FEWEST_TURNS / 2)
     peak = first + int(np.argmax(power[first:]))
     if not power[peak] > _CLEAREST * float(np.median(power)):
         raise EstimateError(
             "no spectral line is above the noise: the stage is not turning, or its axis is not inclined"
         )
-    # The record has n - 1 steps between its n rows.
-    return peak / _PADDING * (rows - 1) / rows
+    # The record has one step less than places.
+    return peak / _PADDING * (places - 1) / places
 
 
 def _refined(centred: Array, readings: Array, turns: float) -> tuple[float, Array]:

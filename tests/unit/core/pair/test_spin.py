@@ -46,6 +46,21 @@ class TestSpin:
             0.125, abs=1e-5
         )
 
+    def test_gaps_and_rates_that_change(self) -> None:
+        """A seventh of the rows missing in one stretch, then another rate, then whole seconds at 50 Hz."""
+        taken = disk.record(seconds=160)
+        gap = (taken.time < 50.0) | (taken.time > 73.0)
+        faster = np.where(taken.time < 80.0, 0, np.arange(len(taken.time)) % 3) == 0
+        for rows in (gap, faster, gap & faster):
+            assert estimate_spin(taken.time[rows], taken.readings[rows]).frequency == pytest.approx(0.125, abs=1e-5)
+        assert estimate_spin(np.floor(taken.time), taken.readings).frequency == pytest.approx(0.125, abs=1e-3)
+
+    def test_gaps_in_which_turns_cannot_be_counted(self) -> None:
+        taken = disk.record(seconds=40)
+        late = np.where(taken.time < 20.0, taken.time, taken.time + 3600.0)
+        with pytest.raises(EstimateError, match="the gaps of the record are more than 7 times as long"):
+            estimate_spin(late, taken.readings)
+
     def test_the_angle_makes_the_first_channel_a_pure_sine(self) -> None:
         taken = disk.record(seconds=80, noise=0.0, wander=0.0, start=222.0)
         theta = np.deg2rad(estimate_spin(taken.time, taken.readings).theta(taken.time))
