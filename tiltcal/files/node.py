@@ -22,6 +22,10 @@ _BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_OTHER_THAN_TEXT = re.compile(
+    f"(?P<null>{_NULL.pattern})|(?P<truth>{_TRUE.pattern}|{_FALSE.pattern})"
+    f"|(?P<integer>{_INTEGER.pattern}|{_BASED.pattern})|{_FLOAT.pattern}|{_NOT_FINITE.pattern}"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,15 +189,19 @@ class Node:
         return self._resolved()
 
     def _resolved(self) -> str | int | float | bool | None:
-        if self.is_null:
+        if not isinstance(self.content, Scalar):
             return None
-        if self._plain(_TRUE) is not None or self._plain(_FALSE) is not None:
-            return self.flag()
-        if self._plain(_INTEGER) is not None or self._plain(_BASED) is not None:
-            return self.integer()
-        if self._plain(_FLOAT) is not None or self._plain(_NOT_FINITE) is not None:
-            return self.number()
-        return self.content.text if isinstance(self.content, Scalar) else None
+        found = _OTHER_THAN_TEXT.fullmatch(self.content.text) if self.content.plain else None
+        if found is None:
+            return self.content.text
+        match found.lastgroup:
+            case "null":
+                return None
+            case "truth":
+                return self.flag()
+            case "integer":
+                return self.integer()
+        return self.number()
 
     def _plain(self, grammar: re.Pattern[str]) -> str | None:
         """Return the text of a plain scalar that matches a grammar, or None."""
