@@ -39,3 +39,45 @@ def test_a_schema_is_printed_without_files_alone() -> None:
     result = tiltcal("check", "--schema", "bench", FIXTURES / "plane.yaml", "--json")
     assert (result.returncode, result.stdout) == (2, "")
     assert "--schema prints the JSON Schema of a kind and checks no file" in result.stderr
+
+
+BENCH = """tiltcal: 1
+kind: bench
+jig: 0.1
+thermometer: {model: sca100t-d02, address: "sim:"}
+sensors:
+  - {serial: A, model: sca100t-d02, address: "sim:"}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('A, model: sca100t-d02, address: "sim:', 'A, model: sca100t-d2, address: "sim:', ":6: sensors[0]: no sensor"),
+        ('A, model: sca100t-d02, address: "sim:', 'A, model: sca100t-d02, address: "smi:', ":6: sensors[0]: address"),
+        ("thermometer: {model: sca100t-d02", "thermometer: {model: scb", ":4: thermometer: no sensor model"),
+        (
+            "0.1",
+            "\uff10.1",
+            ":3: jig: a number is needed here, found '\uff10.1'; these are other",
+        ),
+        ("0.1", "0,1", ":3: jig: a number is needed here, found '0,1'; write the point as '.'"),
+        ("0.1", "0.1°", ":3: jig: a number is needed here, found '0.1°'; write the number alone"),
+        ("0.1", "0.1 deg", ":3: jig: a number is needed here, found '0.1 deg'; write the number alone"),
+        ("0.1", "'0.1'", ":3: jig: a number is needed here, found the text '0.1'; take off the quotes"),
+        ("jig", "j\u0456g", "(did you mean 'jig', with other letters than 'j\\u0456g'?)"),
+    ],
+)
+def test_wrong_bench_files_are_named(tmp_path: Path, old: str, new: str, says: str) -> None:
+    assert BENCH.count(old) == 1
+    (tmp_path / "bench.yaml").write_text(BENCH.replace(old, new), encoding="utf-8")
+    result = tiltcal("check", "bench.yaml", cwd=tmp_path)
+    assert result.returncode == 2
+    assert says in result.stderr
+
+
+def test_a_bench_that_is_measured_is_checked_with_its_lines(tmp_path: Path) -> None:
+    (tmp_path / "bench.yaml").write_text(BENCH.replace("A, model: sca100t-d02", "A, model: sca100"))
+    for command in (("measure", "plane", "--bench", "bench.yaml"), ("record", "--bench", "bench.yaml", "-o", "l.csv")):
+        result = tiltcal(*command, cwd=tmp_path)
+        assert (result.returncode, result.stderr.split(" no ")[0]) == (2, "tiltcal: bench.yaml:6: sensors[0]:")

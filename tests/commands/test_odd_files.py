@@ -10,7 +10,7 @@ from threading import Thread
 
 import pytest
 from support import FIXTURES
-from support.command import TILTCAL, measure, tiltcal
+from support.command import TILTCAL, measure, tiltcal, tiltcal_process
 
 LONG = "a" * 300
 CSV = "x,y\n1024,1024\n1100,1000\n"
@@ -112,3 +112,26 @@ def test_an_output_may_be_the_device_of_standard_output(folder: Path) -> None:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("x,y,g_x,")
+
+
+NOT_UTF_8 = os.fsdecode(b"\xff\xe9")
+
+
+def test_names_that_are_not_utf_8(folder: Path) -> None:
+    """What a session would keep of them, in the journal and in the calibration, is text."""
+    shutil.copy(folder / "plane.yaml", folder / f"{NOT_UTF_8}.yaml")
+    for arguments in (("--serial", NOT_UTF_8), ("-o", f"{NOT_UTF_8}.2.yaml"), ("--journal", NOT_UTF_8)):
+        done = measure(*arguments, cwd=folder)
+        assert done.returncode == 2
+        assert f"{ascii(NOT_UTF_8)[1:-1]}" in done.stderr
+        assert "is not UTF-8" in done.stderr
+    for command in (("check", f"{NOT_UTF_8}.yaml"), ("report", ".", "-o", "fleet.html")):
+        assert tiltcal_process(*command, cwd=folder).returncode == 0
+
+
+def test_a_terminal_without_some_characters_shows_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The root sign in this help is not in Latin-1."""
+    monkeypatch.setenv("PYTHONIOENCODING", "latin-1")
+    done = subprocess.run([*TILTCAL, "apply", "--help"], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"which falls with ?count" in b" ".join(done.stdout.split())

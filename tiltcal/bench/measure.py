@@ -16,7 +16,7 @@ from tiltcal.bench.operators.selection import open_operator
 from tiltcal.bench.sensor_set import open_device
 from tiltcal.bench.session import Session, SessionResult
 from tiltcal.bench.session_calibration import changes_in_words
-from tiltcal.bench.session_plan import SessionPlan, plan_session, single
+from tiltcal.bench.session_plan import SessionPlan, known_bench, plan_session, single
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.level import NO_LEVEL, level_summary
@@ -28,8 +28,9 @@ from tiltcal.drivers.device import Sensor, in_words
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.atomic import check_writable
 from tiltcal.files.base_calibration import bases_of, identity_in
-from tiltcal.files.bench import BenchFile, read_bench
+from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.document import read_document
 from tiltcal.files.node import require_name
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
@@ -310,7 +311,7 @@ def _require_named(procedure: object, bench: object, resume: object, single: Map
 
 
 def _bench(bench: str | Path | BenchFile) -> BenchFile:
-    return bench if isinstance(bench, BenchFile) else read_bench(bench)
+    return bench if isinstance(bench, BenchFile) else known_bench(read_document(bench))
 
 
 def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:

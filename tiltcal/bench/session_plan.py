@@ -17,14 +17,16 @@ from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.position_result import SessionSettings
 from tiltcal.calibration.prediction import require_tilt
 from tiltcal.core.orientation import STRAIGHT, Orientation
+from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.base_calibration import BASE, BaseFile
-from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
+from tiltcal.files.bench import BENCH, BenchFile, BenchSensor, BenchThermometer
+from tiltcal.files.document import checked_kind
 from tiltcal.files.journal import Journal
 from tiltcal.files.moments import stamp
-from tiltcal.files.node import require_printable
+from tiltcal.files.node import Node, require_printable
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure, procedure_from_record, shipped_procedures
 
@@ -256,6 +258,8 @@ def plan_session(
         An unknown model, a bad address, or an angle that the model cannot read.
     """
     scale = 1.0 if settle is None else settle / procedure.settle
+    for path in filter(None, (journal, *outputs)):
+        require_printable(str(path), None, None, "the name of a file")
     sensors = tuple(_device(sensor, output, journal) for sensor, output in zip(bench.sensors, outputs, strict=True))
     if procedure.rotation is not None:
         from tiltcal.bench.channel_map import map_channels
@@ -286,6 +290,30 @@ def plan_session(
     if typical:
         _require_population(plan)
     return plan if plan.virtual else replace(plan, started=_to_the_millisecond(datetime.now(UTC)))
+
+
+def known_bench(document: Node) -> BenchFile:
+    """Return the bench of a document; its models must be known, and their addresses be right.
+
+    Raises
+    ------
+    InputError
+        Anything in it is wrong; the message names file, line and key.
+    """
+    bench, entries = BENCH.read(checked_kind(document, "bench")), document.entries()
+    devices: list[tuple[BenchSensor | BenchThermometer, Node]] = [
+        *zip(bench.sensors, entries["sensors"].items(), strict=True)
+    ]
+    if bench.thermometer is not None:
+        devices.append((bench.thermometer, entries["thermometer"]))
+    for device, node in devices:
+        try:
+            find_model(device.model).at(parse_address(device.address))
+            if isinstance(device, BenchThermometer):
+                _thermometer(device)
+        except UsageError as failure:
+            raise node.error(str(failure)) from None
+    return bench
 
 
 def devices_of(bench: BenchFile) -> tuple[tuple[DeviceSetup, ...], DeviceSetup | None]:

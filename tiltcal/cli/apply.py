@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -219,7 +218,7 @@ def command(
     with progress_bar("apply") as progress:
         summary = ApplyTask(calibration, given, logs[0], output, columns, skip_bad_rows).run(remark, progress)
     if as_json:
-        (talk if output == "-" else click.echo)(json.dumps(summary.as_data()))
+        (talk if output == "-" else click.echo)(options.json_text(summary.as_data()))
     else:
         remark(summary.as_text())
     return 0
@@ -238,7 +237,9 @@ def _each(tasks: Sequence[ApplyTask], jobs: int | None, force: bool, scheduler: 
         if not as_json:
             remark(f"{task.output}: {outcome.as_text()}")
     if as_json:
-        options.print_judged(json.dumps({"logs": {task.log: told[task.log] for task in tasks if task.log in told}}))
+        options.print_judged(
+            options.json_text({"logs": {task.log: told[task.log] for task in tasks if task.log in told}})
+        )
     if len(told) < len(tasks):
         raise InputError(f"{len(tasks) - len(told)} of {len(tasks)} logs failed; the others are written")
     return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -32,7 +31,7 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
             raise UsageError("--schema prints the JSON Schema of a kind and checks no file: leave FILE or --schema out")
         from tiltcal.files.json_schema import json_schema
 
-        click.echo(json.dumps(json_schema(schema), indent=2, ensure_ascii=False))
+        click.echo(options.json_text(json_schema(schema), 2))
         return 0
     if not paths:
         raise UsageError("check needs a FILE, or --schema KIND; see tiltcal check --help")
@@ -43,7 +42,7 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
         if not as_json:
             options.print_judged(f"{path}: {kind}, " + ("; ".join(findings) if findings else "good"))
     if as_json:
-        options.print_judged(json.dumps(results, indent=2, ensure_ascii=False))
+        options.print_judged(options.json_text(results, 2))
     return NEGATIVE_VERDICT if any(result["findings"] for result in results) else 0
 
 
@@ -58,6 +57,11 @@ def _checked(path: Path) -> tuple[str, list[str]]:
     kind = named.choice(list(KINDS))
     if kind in ("tilt", "pair"):
         return _of_calibration(path, document)
+    if kind == "bench":
+        from tiltcal.bench.session_plan import known_bench
+
+        known_bench(document)
+        return kind, []
     from tiltcal.files.json_schema import FORMATS
 
     FORMATS[kind].read(checked_kind(document, kind))

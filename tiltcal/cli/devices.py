@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
 
+from tiltcal.cli import options
 from tiltcal.drivers import models
 from tiltcal.drivers.device import Model
 
@@ -17,7 +17,7 @@ def command(as_json: bool) -> None:
     """List the sensor models with their addresses, units, and what their virtual twins do not model."""
     known = list(models())
     if as_json:
-        click.echo(json.dumps([_facts(model) for model in known], indent=2, ensure_ascii=False))
+        click.echo(options.json_text([_facts(model) for model in known], 2))
         return
     for model in known:
         click.echo(f"{model.name}  {model.title}")

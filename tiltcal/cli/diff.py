@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
@@ -25,4 +24,4 @@ def command(before: Path, after: Path, as_json: bool) -> None:
     from tiltcal.files.calibration import read_calibration
 
     found = compare(*(Calibration(read_calibration(path)) for path in (before, after)))
-    click.echo(json.dumps(found.as_data()) if as_json else str(found))
+    click.echo(options.json_text(found.as_data()) if as_json else str(found))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +36,7 @@ def command(folder: Path, interval: str, as_json: bool) -> None:
     cannot be used, or that contradict each other, are named. `tiltcal report DIR` makes a page of it.
     """
     found = read_history(folder, interval)
-    click.echo(json.dumps(found.as_data()) if as_json else str(found))
+    click.echo(options.json_text(found.as_data()) if as_json else str(found))
 
 
 def read_history(folder: Path, interval: str = "365d") -> FleetHistory:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,7 +104,7 @@ def command(
         draw_matching(figure, drawing)
     if as_json:
         shown = [_as_data(matching) for matching in found.calibration.matchings]
-        click.echo(json.dumps(shown[0] if len(shown) == 1 else {"pairs": shown}))
+        click.echo(options.json_text(shown[0] if len(shown) == 1 else {"pairs": shown}))
     else:
         click.echo(str(found.calibration))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -137,7 +136,7 @@ def command(
         draw_noise(figure, found.channels, found.scale)
     for note in found.remarks:
         remark(f"note: {note}")
-    click.echo(json.dumps(found.as_data()) if as_json else str(found))
+    click.echo(options.json_text(found.as_data()) if as_json else str(found))
     return INTERRUPTED if interrupted else 0
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -70,6 +71,19 @@ def left_at_default(option: str) -> bool:
     """Return whether an option is not on the command line."""
     context = click.get_current_context()
     return context.get_parameter_source(option) is click.core.ParameterSource.DEFAULT
+
+
+def json_text(data: object, indent: int | None = None) -> str:
+    """Return data as JSON in ASCII; a number that is not finite, which JSON does not have, is null."""
+    return json.dumps(_finite(data), indent=indent, allow_nan=False)
+
+
+def _finite(data: object) -> object:
+    if isinstance(data, Mapping):
+        return {name: _finite(value) for name, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    return None if isinstance(data, float) and not isfinite(data) else data
 
 
 def print_judged(text: str) -> None:

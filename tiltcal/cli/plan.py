@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
@@ -35,4 +34,4 @@ def command(procedure: str, as_json: bool, **design: Any) -> None:
     from tiltcal.bench.plan import plan
 
     found = plan(procedure, **design)
-    click.echo(json.dumps(found.as_data()) if as_json else str(found))
+    click.echo(options.json_text(found.as_data()) if as_json else str(found))

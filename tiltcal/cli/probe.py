@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import click
 
 from tiltcal.bench.measure import open_sensor
@@ -38,7 +36,7 @@ def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
     if as_json:
         results = {channel: {"passed": test.passed, "said": str(test)} for channel, test in tests.items()}
         options.print_judged(
-            json.dumps({"model": model.name, "address": address, "answers": said, "self_test": results})
+            options.json_text({"model": model.name, "address": address, "answers": said, "self_test": results})
         )
     else:
         options.print_judged(f"{model.name} answers at {address}")

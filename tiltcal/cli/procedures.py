@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
+from tiltcal.cli import options
 from tiltcal.files.procedure import Determines, Procedure
 from tiltcal.files.procedure_file import find_procedure, shipped_procedures
 from tiltcal.files.rotation import Rotation
@@ -25,9 +25,9 @@ def command(procedure: str | None, source: bool, as_json: bool) -> None:
     else:
         shown = [find_procedure(procedure)]
     if source and procedure is not None:
-        click.echo(Path(shipped_procedures().get(procedure, Path(procedure))).read_text(), nl=False)
+        click.echo(Path(shipped_procedures().get(procedure, Path(procedure))).read_text(encoding="utf-8"), nl=False)
     elif as_json:
-        click.echo(json.dumps([dict(found.record) for found in shown], indent=2, ensure_ascii=False))
+        click.echo(options.json_text([dict(found.record) for found in shown], 2))
     elif procedure is None:
         width = max(len(found.name) for found in shown)
         for found in shown:

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from tiltcal.bench.session_plan import single
+from tiltcal.bench.session_plan import known_bench, single
 from tiltcal.cli import options
 from tiltcal.cli.recording import capture
 from tiltcal.cli.talk import remark
 from tiltcal.errors import INTERRUPTED, UsageError
-from tiltcal.files.bench import read_bench
+from tiltcal.files.document import read_document
 
 
 @click.command(epilog="Example: tiltcal record --bench bench.yaml --rate 10 -o night.csv")
@@ -43,7 +43,7 @@ def command(
     """
     if (bench is None) == (sensor is None) or (sensor is None) != (address is None):
         raise UsageError("record needs either --bench FILE, or --sensor MODEL and --address ADDRESS")
-    named = read_bench(bench) if bench is not None else single(str(sensor), "", str(address))
+    named = known_bench(read_document(bench)) if bench is not None else single(str(sensor), "", str(address))
     captured = capture(named, rate, rows, seconds, output)
     remark(f"{captured.tally.rows} rows in {output}{captured.missing}")
     return INTERRUPTED if captured.interrupted else 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, cast
@@ -122,7 +121,7 @@ def command(
         remark("no --jig is stated: the positions count as exact")
     # What a program reads is JSON to the last line.
     as_json = as_json or operator == "json"
-    options.print_judged(json.dumps(found.as_data(), ensure_ascii=False) if as_json else str(found))
+    options.print_judged(options.json_text(found.as_data()) if as_json else str(found))
     return 0 if found.verdict == PASSED else NEGATIVE_VERDICT
 
 

@@ -53,7 +53,7 @@ def write_whole(path: str | Path, text: str) -> None:
         The file cannot be written there, or the disk is full.
     """
     with whole_file(path) as stream:
-        stream.write(text.encode())
+        stream.write(text.encode(errors="replace"))  # names of files may be other than UTF-8
 
 
 def check_writable(path: str | Path) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
+from unicodedata import normalize
 
 from tiltcal.errors import InputError, UsageError
 
@@ -21,6 +22,7 @@ _INTEGER = re.compile(r"[-+]?[0-9]+")
 _BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+_NO_TEXT = re.compile("[\ud800-\udfff]")  # what Python makes of bytes that are not UTF-8
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _OTHER_THAN_TEXT = re.compile(
     f"(?P<null>{_NULL.pattern})|(?P<truth>{_TRUE.pattern}|{_FALSE.pattern})"
@@ -229,10 +231,10 @@ class Node:
 
     def _unexpected(self, expected: str) -> InputError:
         advice = ""
-        if isinstance(self.content, Scalar) and not self.content.plain and _FLOAT.fullmatch(self.content.text):
-            advice = "; take off the quotes"
-        elif self._plain(_NOT_FINITE) is not None:
+        if self._plain(_NOT_FINITE) is not None:
             advice = "; it must be finite"
+        elif isinstance(self.content, Scalar) and "number" in expected:
+            advice = _number_advice(self.content)
         return self.error(f"{expected} is needed here, found {self._shown()}{advice}")
 
     def _shown(self) -> str:
@@ -293,13 +295,15 @@ def _node_of(data: Any, file: str | None, line: int | None, key: str | None, dep
 
 
 def require_printable(text: str, file: str | None, line: int | None, key: str | None) -> None:
-    """Refuse control characters, which can command a terminal; line feed and tab are allowed.
+    """Refuse control characters, which can command a terminal, and what is no text; line feed and tab are allowed.
 
     Raises
     ------
     InputError
         The text has one.
     """
+    if _NO_TEXT.search(text):
+        raise InputError(f"{text!r} is not UTF-8", file=file, line=line, key=key)
     found = CONTROL.search(text)
     if found:
         raise InputError(
@@ -322,6 +326,18 @@ def require_name(text: object, what: str) -> None:
     require_printable(text, None, None, what)
 
 
+def _number_advice(scalar: Scalar) -> str:
+    """Return how a text that looks like a number becomes one."""
+    text = scalar.text.strip()
+    if _FLOAT.fullmatch(text):
+        return "; take off the quotes" if not scalar.plain else ""
+    if not text.isascii() and _FLOAT.fullmatch(normalize("NFKC", text)):
+        return "; these are other characters than the digits 0 to 9"
+    if _FLOAT.fullmatch(text.replace(",", ".")):
+        return "; write the point as '.'"
+    return "; write the number alone" if re.match(_FLOAT.pattern + r" ?[°%a-zA-Z]", text) else ""
+
+
 def member_key(key: str | None, name: str) -> str:
     """Return the dotted path of a mapping's member."""
     return name if key is None else f"{key}.{name}"
@@ -334,4 +350,5 @@ def item_key(key: str | None, index: int) -> str:
 
 def _hint(word: str, known: Sequence[str]) -> str:
     near = get_close_matches(word, known, n=1)
-    return f" (did you mean {near[0]!r}?)" if near else ""
+    alike = "" if word.isascii() else f", with other letters than {word!a}"
+    return f" (did you mean {near[0]!r}{alike}?)" if near else ""

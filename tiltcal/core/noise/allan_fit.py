@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.core.noise.allan import Kind, degrees_of_freedom
+from tiltcal.errors import EstimateError
 
 TERMS = ("N", "B", "K", "R")
 
@@ -156,7 +157,7 @@ class _Spectrum:
         price = np.where((squares > 0.0).sum(axis=1) == choices.sum(axis=1), deviance, np.inf)
         best = int(np.argmin(price + _WORTH * choices.sum(axis=1)))
         if not price[best] < np.inf:
-            raise ValueError("an Allan variance must be above zero")
+            raise EstimateError("the Allan variance is zero or beyond any number: give the readings in another unit")
         chosen = np.flatnonzero(choices[best])
         return chosen.tolist(), squares[best, chosen]
 
