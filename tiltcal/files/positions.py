@@ -110,6 +110,13 @@ def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition
     return positions
 
 
+def tabled_channels(table: Table, axes: Sequence[str]) -> tuple[str, ...]:
+    """Return those of some axes that a table has a reading of."""
+    path = table if isinstance(table, str | Path) else "the table"
+    rows = [ROW.read(row) for row in table_rows(table, path, ROW.keys())]
+    return tuple(axis for axis in axes if any(getattr(row, axis) is not None for row in rows))
+
+
 def _position(node: Node, channels: Sequence[str]) -> TabledPosition:
     row = ROW.read(node)
     return TabledPosition(

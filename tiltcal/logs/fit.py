@@ -18,6 +18,7 @@ from tiltcal.calibration.joint_fit import no_sensitivity
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal, rails_of
 from tiltcal.calibration.prediction import require_tilt
 from tiltcal.calibration.unit_gravity import directions, require_no_jig
+from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import significant
 from tiltcal.core.statistics import SampleSummary
@@ -28,12 +29,13 @@ from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.declaration import Section
 from tiltcal.files.node import require_name
-from tiltcal.files.positions import TabledRow, read_positions
+from tiltcal.files.positions import TabledRow, read_positions, tabled_channels
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.provenance_record import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.segments import Segment, SegmentRow, read_segments
 from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
+from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Rails, sampled
 from tiltcal.logs.log import Progress
@@ -163,6 +165,8 @@ def fit(
     known = bases_of(steps, base, [serial]).get(serial)
     own = None if known is None else known.calibration
     identity = _identity(own, model, steps, unit, serial)
+    if own is None and model is None:
+        identity = replace(identity, channels=source.channels(steps, say))
     nominal = None if model is None or model.unit != identity.unit else Nominal.of(model)
     source = replace(source, rails=rails_of(identity.channels, nominal, own))
     if steps.ramp is not None:
@@ -248,6 +252,25 @@ class FitSource:
             raise UsageError(FOUND_ONLY)
         if self.window is not None and self.window < SHORTEST:
             raise UsageError(f"--window {self.window}: a window has {SHORTEST} rows or more")
+
+    def channels(self, procedure: Procedure, say: Callable[[str], None]) -> tuple[str, ...]:
+        """Return the axes of a procedure that the data have a reading of: a sensor of two axes has no column z."""
+        axes = procedure.determines.axes
+        stream = isinstance(self.data, str | Path) and not Path(self.data).is_file()  # which is read once
+        if procedure.determines.free or not axes or stream:
+            return axes or AXES
+        if self.table:
+            found = tabled_channels(_path_or_rows(self.data, "the table", TabledRow), axes)
+        else:
+            named = named_columns(self.columns, axes)
+            with open_log(self.data) as log:
+                found = tuple(axis for axis in axes if axis in named or axis in log.names)
+        if not found:
+            return axes
+        absent = [axis for axis in axes if axis not in found]
+        if absent:
+            say(f"there is no {' and no '.join(absent)}: the sensor has {' and '.join(found)}")
+        return found
 
     def set_positions(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
         """Positions in the directions of a procedure, or in those that the segments give.

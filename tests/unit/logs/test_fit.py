@@ -13,6 +13,7 @@ import scipy
 import xarray
 
 import tiltcal
+from tiltcal.errors import InputError
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.logs.fit import fit
 
@@ -139,6 +140,37 @@ def test_without_a_model_or_a_base_it_is_said_what_is_needed(procedure: str) -> 
     """It asked a two-axis log for a column z."""
     with pytest.raises(tiltcal.EstimateError, match=r"determines no sensitivity: name a --sensor .* or with --base"):
         tiltcal.fit(procedure, **recorded(procedure, (2.5, 2.4)), **SENSOR)
+
+
+@pytest.mark.parametrize("kind", ["frame", "log", "headerless", "table"])
+def test_a_two_axis_sensor_of_no_known_model(kind: str, tmp_path: Path) -> None:
+    """Cross-axis sensitivity is of both channels to three axes: no column z is needed. Against eq. 2."""
+    readings, said = recorded("cross-axis", (2.5, 2.4)), list[str]()
+    data, segments = readings["data"], readings["segments"]
+    means = [[float(np.mean(data[c][row["start"] : row["end"]])) for c in "xy"] for row in segments]
+    options: dict[str, Any] = {"segments": segments}
+    if kind == "table":
+        data = {"position": [row["position"] for row in segments]} | dict(zip("xy", np.transpose(means), strict=True))
+        options = {"table": True}
+    elif kind != "frame":
+        rows = pl.DataFrame({"a": data["x"], "b": data["y"]})
+        data = tmp_path / "log.csv"
+        rows.write_csv(data, include_header=kind == "log")
+        options["columns"] = "x=a,y=b" if kind == "log" else "x=1,y=2"
+    found = fit("cross-axis", data, **SENSOR, **options, jig=0.01, say=said.append)
+    assert found.sensor.channels == ("x", "y")
+    assert said == ["there is no z: the sensor has x and y"]
+    for row, channel in enumerate("xy"):
+        for column, axis in enumerate("xyz"):
+            up, down = (means[2 * column + side][row] for side in (0, 1))
+            sine = 0.5 if axis != "z" else 1.0
+            assert found.sensitivity[channel, axis] == pytest.approx((up - down) / (2 * sine), abs=1e-4)
+
+
+def test_a_column_that_is_named_must_be_there() -> None:
+    readings = recorded("cross-axis", (2.5, 2.4))
+    with pytest.raises(InputError, match="no column 'VoutZ'"):
+        fit("cross-axis", **readings, **SENSOR, columns={"z": "VoutZ"})
 
 
 def test_a_base_with_a_mounting_is_refused(base: Path) -> None:
