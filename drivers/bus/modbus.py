@@ -153,7 +153,7 @@ class ModbusLine:
 
         read = self._client.read_holding_registers if function == HOLDING else self._client.read_input_registers
         cause: Exception | None = None
-        why: object = "none has its function and number of registers"
+        why = f"{1 + RETRIES} requests"
         self.open()
         try:
             self._await_silence()
@@ -163,7 +163,7 @@ class ModbusLine:
                 except ConnectionException:
                     raise
                 except ModbusException as error:
-                    cause = why = error
+                    cause = error
                 else:
                     fits = answer.isError() or len(answer.registers) == number
                     if fits and answer.function_code & ~FAILED == function:
@@ -171,7 +171,7 @@ class ModbusLine:
                 # Whatever answers the repetition may be the answer to this request.
                 self._answers_may_come = not self._numbered
         except (ModbusException, OSError) as error:
-            cause = why = error
+            cause, why = error, str(error)
         raise BusError(
             f"no answer of unit {unit} on {self.place} ({why}): check the supply, A and B, the unit's number, baud "
             "rate and parity, and that it answers within timeout="
