@@ -63,9 +63,9 @@ class LineBuffer:
         Raises
         ------
         BusError
-            Silence, or bytes without a line end.
+            Silence, bytes without a line end, or line ends alone.
         """
-        while True:
+        for _ in range(UNUSABLE):
             began_ns: int | None = None
             while not self._ready:
                 self._listen()
@@ -77,6 +77,7 @@ class LineBuffer:
             self._begun = True
             if line:
                 return line, whole
+        raise BusError(f"{UNUSABLE} lines arrived and all were empty: does the device send text?")
 
     def discard(self) -> None:
         """Discard what has arrived."""

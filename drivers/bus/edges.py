@@ -36,6 +36,9 @@ GATHER = 0.005
 KERNEL_BUFFER = 1024
 """Edges that the kernel buffers for two lines before the oldest is lost; this is its maximum."""
 
+MOST_LINES = 65_536
+"""No chip has as many lines."""
+
 CONSUMER = "tiltcal"
 
 
@@ -100,7 +103,7 @@ def open_gpio(address: Address, model: Model) -> GpioLink:
         No such chip or line, no permission, or in use.
     """
     address.allow("x", "y", "timeout", *model.options)
-    x, y = address.integer("x", low=0), address.integer("y", low=0)
+    x, y = (address.integer(name, low=0, high=MOST_LINES - 1) for name in ("x", "y"))
     if x == y:
         address.refuse(f"x and y are both line {x}; they are two wires")
     timeout = address.number("timeout", TIMEOUT, low=0.01, high=3600.0)

@@ -110,6 +110,7 @@ class SerialLink:
         self._timeout = timeout
         try:
             port.timeout = GATHER
+            port.write_timeout = timeout
             port.open()
         except _PORT_ERRORS as cause:
             port.close()

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from tiltcal.drivers.device import Model
 
 
+FASTEST = 100_000_000
+"""Highest clock of a part whose own is not known, Hz; spidev would take 2**32 and more for other clocks."""
+
+
 def open_spi(address: Address, model: Model) -> SpiLink:
     """Open a ``spi:`` address for one device.
 
@@ -41,7 +45,7 @@ def open_spi(address: Address, model: Model) -> SpiLink:
     if mode not in port.modes:
         works = " and ".join(map(str, port.modes))
         address.refuse(f"{model.name} does not work in SPI mode {mode} (it works in {works})")
-    speed = address.integer("speed", port.speed or port.fastest, low=1)
+    speed = address.integer("speed", port.speed or port.fastest, low=1, high=FASTEST)
     if port.fastest is not None and speed > port.fastest:
         address.refuse(f"{speed} Hz is too fast for {model.name} (at most speed={port.fastest})")
     if speed < port.slowest:

@@ -304,3 +304,15 @@ def test_a_device_that_drips_bytes_is_given_up() -> None:
     with pytest.raises(BusError, match="no whole line came in 10 s, only '1111'"):
         model.driver(Dripping(), clock).read()
     assert clock.now_ns() == 16_000_000_000
+
+
+def test_a_device_that_sends_line_ends_alone_is_given_up() -> None:
+    class Endless:
+        letter = "r"
+
+        def exchange(self, out: bytes, count: int = 0) -> bytes:
+            return b"\r\n"
+
+    address = parse_address("serial:/dev/ttyUSB0?columns=x,y")
+    with pytest.raises(BusError, match="50 lines arrived and all were empty"):
+        find_model("serial-columns").at(address).driver(Endless(), VirtualClock()).read()

@@ -289,6 +289,14 @@ def test_a_clock_that_lets_the_words_change_while_they_are_read_is_refused() -> 
         open_link(address, D01.at(address))
 
 
+@pytest.mark.parametrize("speed", ["4294967300", "99999999999999999999"])
+def test_a_clock_that_spidev_would_take_for_another_is_refused(speed: str) -> None:
+    """It has 32 bits for the clock: 2**32 + 4 Hz would be 4 Hz."""
+    address = parse_address(f"spi:///dev/spidev0.0?speed={speed}")
+    with pytest.raises(UsageError, match=r"is too large \(at most 100000000\)"):
+        open_link(address, D01.at(address))
+
+
 def test_a_virtual_part_needs_no_option() -> None:
     assert at("sca3000-i2c", "sim:").sensitivity == 1333.0
     assert at("sca3000-i2c", "sim:counts_per_g=500").default_truth(1).sensitivity["x"]["x"] == pytest.approx(

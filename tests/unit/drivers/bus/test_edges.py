@@ -195,6 +195,7 @@ def test_the_real_library_finds_no_such_chip_and_no_chip_in_a_file() -> None:
         ("gpio:///dev/gpiochip0?x=17", "option 'y' is missing"),
         ("gpio:///dev/gpiochip0?x=17&y=17", "both line 17"),
         ("gpio:///dev/gpiochip0?x=17&y=-1", "too small"),
+        ("gpio:///dev/gpiochip0?x=17&y=4294967323", "too large"),
         ("gpio:///dev/gpiochip0?x=17&y=27&z=1", "unknown option 'z'"),
     ],
 )

@@ -9,6 +9,7 @@ import sys
 import threading
 import tty
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,11 @@ def test_silence_is_an_error_that_says_what_to_try(pty, link) -> None:
     # An error of the line is no error of the link: the device may begin to talk.
     os.write(pty[0], b"x")
     assert link.exchange(b"", 1) == b"x"
+
+
+def test_a_port_that_takes_no_bytes_is_an_error(pty) -> None:
+    with closing(opened(f"serial://{pty[1]}?timeout=0.05")) as link, pytest.raises(BusError, match="Write timeout"):
+        link.exchange(bytes(1 << 20))
 
 
 def test_an_unplugged_adapter_is_told_and_a_plugged_one_goes_on() -> None:
