@@ -75,7 +75,7 @@ def test_a_page_of_the_folder(folder: Path, tmp_path: Path) -> None:
     assert text.count("<svg") >= 2
     assert "torn.yaml" in text
     assert ODD in text
-    assert '<td>U-0-b.yaml</td><td class="n">306</td><td>unknown</td>' in text
+    assert '<td class="n">U-0-b.yaml</td><td class="n">306</td><td>unknown</td>' in text
 
 
 def test_a_change_is_told_with_its_uncertainty_and_the_folder_of_its_file(folder: Path, tmp_path: Path) -> None:

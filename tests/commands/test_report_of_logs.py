@@ -100,6 +100,16 @@ def test_other_names_of_columns_moments_and_bad_rows(bare: str, tmp_path: Path) 
     assert "time from 2026-01-17 22:00:00 UTC [s]" in text
 
 
+def test_a_log_without_an_angle_has_no_empty_figure(bare: str, tmp_path: Path) -> None:
+    path = tmp_path / "dead.csv"
+    path.write_text("x,y,temperature\n,,\n", encoding="utf-8")
+    page = report(bare, path, output=tmp_path / "r.html")
+    said = [one.text for one in page.root.find("p")]
+    assert any(text.startswith("1 row. The calibration") for text in said)
+    assert "No row has an angle." in said
+    assert not any("dead.csv" in one.text for one in page.root.find("figure"))
+
+
 def test_a_log_without_time_counts_its_rows(bare: str, tmp_path: Path) -> None:
     path = tmp_path / "rows.csv"
     path.write_text("x,y,temperature\n" + "1030,1020,20\n" * 5, encoding="utf-8")

@@ -68,10 +68,16 @@ document.title = `${document.querySelectorAll("table").length} tables, ${wide.le
 </script>"""
 
 
-@pytest.mark.parametrize("name", ["rotation", "temperature-sweep"])
+@pytest.mark.parametrize("name", ["rotation", "temperature-sweep", "free", "fleet"])
 def test_no_table_is_wider_than_the_page(name: str, tmp_path: Path) -> None:
-    page = tmp_path / "report.html"
-    assert run(["report", str(FIXTURES / f"{name}.yaml"), "-o", str(page)]) == 0
+    page, source = tmp_path / "report.html", FIXTURES / f"{name}.yaml"
+    if name == "fleet":
+        source = tmp_path / name
+        source.mkdir()
+        text = (FIXTURES / "plane.yaml").read_text(encoding="utf-8").replace("SIM-42", "S-" + "0123456789" * 20)
+        for year in ("2000", "2001"):
+            (source / f"{'long' * 30}-{year}.yaml").write_text(text.replace("2000-01", f"{year}-01"), encoding="utf-8")
+    assert run(["report", str(source), "-o", str(page)]) == 0
     text = re.sub("<meta http-equiv=.Content-Security-Policy.[^>]*>", "", page.read_text(encoding="utf-8"))
     page.write_text(text + MEASURE, encoding="utf-8")
     options = [*QUIET, f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1200,900", "--dump-dom"]

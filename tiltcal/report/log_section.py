@@ -88,21 +88,22 @@ class LogSection:
     flags: Sequence[Share]
     reasons: Sequence[Share]
     angles: Sequence[AngleRow]
-    figure: SvgFigure
+    figure: SvgFigure | None
 
 
 def log_section(log: ReportedLog, number: int) -> LogSection:
     """Return the section of a log with its number on the page."""
     overview = log.overview
+    angles = bool(np.isfinite(overview.low).any())
     return LogSection(
         log.name,
         log.sha256,
-        grouped(overview.rows),
+        "1 row" if overview.rows == 1 else f"{grouped(overview.rows)} rows",
         "The tilt is that of the log." if log.compensated else "The calibration was applied to its readings.",
         _shares(overview.flags, FLAGS, overview.rows),
         _shares(overview.reasons, REASONS, overview.rows),
-        _angle_rows(overview),
-        _figure(log, number),
+        _angle_rows(overview) if angles else [],
+        _figure(log, number) if angles else None,
     )
 
 
