@@ -45,14 +45,14 @@ def measured(folder: Path, *options: str, procedure: str = "plane") -> dict[str,
 
 
 def test_six_sensors_twelve_axes_one_thermometer(tmp_path: Path) -> None:
-    """The paper's board, overnight: six calibration files from one journal that replays to the byte."""
+    """The paper's board: six calibration files from one journal that replays to the byte; the how-to page has mavs."""
     models = ["adxl202", "adxl202e", "adxl202", "adxl202-analog", "sca100t-d02", "sca100t-d02-analog"]
     bench(
         tmp_path,
         *(f'serial: A-{n}, model: {model}, address: "sim:?seed={n}"' for n, model in enumerate(models)),
         more='thermometer: {model: thermistor, address: "sim:"}\n',
     )
-    measured(tmp_path, procedure="mavs")
+    measured(tmp_path)
     files = sorted(path.name for path in tmp_path.glob("A-*.yaml"))
     assert files == [f"A-{n}.yaml" for n in range(6)]
     calibration = read_calibration(tmp_path / "A-0.yaml")

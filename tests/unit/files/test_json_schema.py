@@ -136,19 +136,25 @@ def test_an_unknown_key_is_refused_by_both_wherever_it_stands(kind: str, tmp_pat
     assert tried
 
 
-@pytest.mark.parametrize("path", good_files(), ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_a_key_that_is_needed_is_needed_by_both(path: Path, tmp_path: Path) -> None:
-    whole = plain(path)
-    kind = whole["kind"]
-    inner = [(name, key) for name in SECTIONS if isinstance(whole.get(name), dict) for key in whole[name]]
-    for *lead, last in [*((key,) for key in whole), *inner]:
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_a_key_that_is_needed_is_needed_by_both(kind: str, tmp_path: Path) -> None:
+    """Each key beside each set of other keys that one of our files has it beside."""
+    (tmp_path / "bench.yaml").write_text(BENCH, encoding="utf-8")
+    tried = {}
+    for whole in map(plain, [*good_files(), tmp_path / "bench.yaml"]):
+        sections = [(), *((name,) for name in SECTIONS if isinstance(whole.get(name), dict))]
+        for place in sections if whole["kind"] == kind else []:
+            keys = reached(whole, place) or {}
+            tried.update({(place, key, frozenset(keys)): whole for key in keys})
+    assert tried
+    for (place, key, _), whole in tried.items():
         content = deepcopy(whole)
-        del (content[lead[0]] if lead else content)[last]
+        del (reached(content, place) or {})[key]
         (tmp_path / "less.yaml").write_text(json.dumps(content), encoding="utf-8")
         told = complaint(kind, tmp_path / "less.yaml")
         # What hangs on another key's value no schema says.
         if not told or "missing" in told:
-            assert accepted(kind, content) == (not told), (*lead, last)
+            assert accepted(kind, content) == (not told), (*place, key)
 
 
 def test_a_bench_passes_both(tmp_path: Path) -> None:
