@@ -73,6 +73,28 @@ def test_a_sensor_that_hardly_turns_is_refused_with_the_directions_to_add() -> N
         calibrated(cone(20, 40.0, rng), 2e-4, rng)
 
 
+def test_an_angle_that_no_attitude_shows_is_warned_of_and_all_else_is_found() -> None:
+    """Six faces and tilts about x and y alone, as in a recording that others have published: x and y never meet."""
+    tilts = np.radians([30.0, 45.0, 60.0])
+    about_y = np.stack([np.sin(tilts), 0.0 * tilts, np.cos(tilts)], axis=1)
+    about_x = np.stack([0.0 * tilts, np.sin(tilts), -np.cos(tilts)], axis=1)
+    rng = np.random.default_rng(5)
+    up = np.concatenate([np.eye(3), -np.eye(3), about_y, about_x]) + rng.normal(0.0, 0.02, (12, 3))
+    found = calibrated(up / np.linalg.norm(up, axis=1)[:, None], 1e-3, rng)
+    warning = found.fit.warning
+    assert warning is not None
+    assert warning.startswith("sensitivity.x.y has an expanded uncertainty of ")
+    assert warning.endswith("add attitudes between the axes x and y, with both about 45° up or down")
+    uncertainty, coefficients = found.uncertainty, found.coefficients
+    assert 50.0 < 1e3 * uncertainty["sensitivity.x.y"] * uncertainty.coverage_factor["sensitivity.x.y"] < 200.0
+    for i, channel in enumerate("xyz"):
+        assert coefficients.offset[i] == pytest.approx(OFFSET[i], abs=0.005)
+        for j, axis in enumerate("xyz"[i:], start=i):
+            name = f"sensitivity.{channel}.{axis}"
+            interval = uncertainty[name] * uncertainty.coverage_factor.get(name, 1.96)
+            assert coefficients.sensitivity[i, j] == pytest.approx(SENSITIVITY[i, j], abs=interval)
+
+
 def test_three_faces_taken_again_and_again_are_refused() -> None:
     rng = np.random.default_rng(3)
     faces = np.repeat(np.eye(3), 6, axis=0) + rng.normal(0.0, 0.2, (18, 3))
