@@ -20,8 +20,11 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 
 UNCERTAIN, WORTHLESS = 10.0, 50.0
-"""Expanded uncertainty of a coefficient above which it is warned of, and above which a recording that lacks directions
-is refused, mg. One that lacks none is refused where the standard uncertainty is above the latter."""
+"""Expanded uncertainty of a coefficient above which it is warned of, and above which a recording that lacks a
+direction is refused, mg."""
+
+WORTHLESS_ANGLE = 500.0
+"""The latter of a recording that lacks none, in which only the angle of two axes can be so uncertain."""
 
 SKEW, UNEQUAL = 15.0, 1.5
 """Axes further from square, degrees, or sensitivities further apart, as a ratio, are those of no sensor."""
@@ -92,8 +95,8 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
     """Add how well the length of gravity is met, what judges it, and what is undetermined.
 
     Of 728 simulated recordings with an expanded uncertainty below :data:`UNCERTAIN` none was off by more than twice
-    that; above :data:`WORTHLESS` 57 % were. Where every axis was up and down and only the angle of two of them is
-    uncertain, the intervals hold up to 1 g (97 % of 89 simulated recordings above :data:`WORTHLESS`).
+    that; above :data:`WORTHLESS` 57 % were. Where every axis was up and down, the intervals hold beyond that, too: 97 %
+    of 324 between 50 and 1000 mg.
 
     Parameters
     ----------
@@ -124,10 +127,11 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
             f"{distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to show whether "
             "the result is right; add attitudes, 12 to 18 or more"
         )
-    worst, u, expanded = _worst(calibration)
+    worst, expanded = _worst(calibration)
     why, missing = _no_sensor(coefficients), _missing(attitudes)
-    if why is None and expanded > WORTHLESS and (missing or u > WORTHLESS):
-        why = f"{worst} has an expanded uncertainty of {expanded:.2g} mg, more than {WORTHLESS:g} mg"
+    most = WORTHLESS if missing else WORTHLESS_ANGLE
+    if why is None and expanded > most:
+        why = f"{worst} has an expanded uncertainty of {expanded:.2g} mg, more than {most:g} mg"
     advice = _advice(worst, missing)
     if why is not None:
         raise EstimateError(f"the attitudes do not determine the sensor: {why}; {advice}")
@@ -138,8 +142,8 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
     return replace(calibration, derived=replace(calibration.derived, mounting=UNDETERMINED), fit=fit)
 
 
-def _worst(calibration: CalibrationRecord) -> tuple[str, float, float]:
-    """Return the most uncertain coefficient, its standard and its expanded uncertainty, mg of the mean sensitivity."""
+def _worst(calibration: CalibrationRecord) -> tuple[str, float]:
+    """Return the coefficient with the largest expanded uncertainty (95 %), and that in mg of the mean sensitivity."""
     coefficients, uncertainty = calibration.coefficients, calibration.uncertainty
     scale = float(np.mean(np.linalg.norm(coefficients.sensitivity, axis=1)))
     expanded = {
@@ -148,7 +152,7 @@ def _worst(calibration: CalibrationRecord) -> tuple[str, float, float]:
         if name.startswith(("offset.", "sensitivity."))
     }
     worst = max(expanded, key=lambda name: expanded[name])
-    return worst, 1e3 * uncertainty[worst] / scale, expanded[worst]
+    return worst, expanded[worst]
 
 
 def _no_sensor(coefficients: Coefficients) -> str | None:
