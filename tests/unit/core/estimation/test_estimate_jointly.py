@@ -33,7 +33,7 @@ def vector(found) -> np.ndarray:
 )
 def test_the_mean_square_error_is_the_cramer_rao_bounds(jig, count, sensors, calibrations) -> None:
     """Bound over mean square error at least 0.95 within 2.5 Monte Carlo standard deviations, for every class."""
-    result = simulate(EfficiencyRegime(jig, count, sensors, noise=5e-4), calibrations, 5, ("joint",), bounds_of=12)
+    result = simulate(EfficiencyRegime(jig, count, sensors, noise=5e-4), calibrations, 5, ("joint",), bounds_of=6)
     for name in CLASSES:
         if result.attainable[name] > 0.95:
             assert result.ratio["joint"][name] > 0.95 - 2.5 * result.error[name], name
@@ -46,7 +46,7 @@ def test_the_simpler_ways_are_far_from_it() -> None:
         24,
         6,
         ("joint", "jig not stated", "least squares", "six faces"),
-        bounds_of=12,
+        bounds_of=6,
     ).ratio
     assert ratio["least squares"]["offset"] < 0.1
     assert ratio["six faces"]["offset"] < 0.6
@@ -59,7 +59,7 @@ def test_six_sensors_with_one_jig_beat_six_separate_fits_by_what_the_bound_predi
     rng = np.random.default_rng(30)
     plan = plan_of(6, noise=5e-4, jig=0.3)
     together, apart, bound_together, bound_apart = [], [], [], []
-    for _ in range(20):
+    for _ in range(12):
         parts = [part(rng) for _ in range(6)]
         observations = measured(rng, plan, parts)
         truth = np.array([one.truth for one in parts])
@@ -74,7 +74,7 @@ def test_six_sensors_with_one_jig_beat_six_separate_fits_by_what_the_bound_predi
     predicted = np.mean(np.array(bound_apart)[:, :, OFFSETS]) / np.mean(np.array(bound_together)[:, :, OFFSETS])
     print(f"offsets of six sensors: mean square error {gain:.2f} times smaller, predicted {predicted:.2f}")
     assert predicted > 1.5
-    # 360 squares on either side, in part the same ones: 8 % of Monte Carlo error.
+    # 216 squares on either side, in part the same ones: 10 % of Monte Carlo error, and no gain would be off by 40 %.
     assert gain == pytest.approx(predicted, rel=0.25)
 
 
