@@ -102,7 +102,7 @@ def test_ctrl_c_says_how_to_go_on(warm: WarmStart, tmp_path: Path) -> None:
     terminal.expect("x-45")
     terminal.expect("live")
     terminal.sendintr()
-    terminal.expect(r"interrupted.*--resume S-1\.journal\.jsonl")
+    terminal.expect(r"\x1b\[2Ktiltcal: interrupted.*--resume S-1\.journal\.jsonl")  # not behind the live reading
     terminal.expect(pexpect.EOF)
     terminal.close()
     assert terminal.exitstatus == 130
@@ -119,6 +119,17 @@ def test_not_written_when_the_operator_says_no(warm: WarmStart, tmp_path: Path) 
     terminal.close()
     assert terminal.exitstatus == 130
     assert not (tmp_path / "S-1.yaml").exists()
+
+
+def test_a_dumb_terminal_gets_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    terminal = start(TILTCAL, tmp_path)
+    terminal.expect("Enter measure")
+    terminal.sendline("q")
+    terminal.expect(pexpect.EOF)
+    assert "\x1b" not in terminal.before
+    terminal.close()
+    assert terminal.exitstatus == 130
 
 
 def test_plain_lines_need_no_terminal(tmp_path: Path) -> None:

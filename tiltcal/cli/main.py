@@ -10,8 +10,9 @@ from importlib import import_module
 import click
 
 from tiltcal import __version__
-from tiltcal.cli.talk import printable, talk
+from tiltcal.cli.talk import talk
 from tiltcal.errors import INTERRUPTED, TiltcalError, UsageError
+from tiltcal.printable import printable
 
 COMMANDS = {
     "devices": "list the sensor models, their addresses and the limits of their twins",
@@ -89,7 +90,7 @@ def run(args: list[str] | None = None) -> int:
             error.show()
         return error.exit_code
     except TiltcalError as error:
-        # The message may quote a file: control characters in it could be escape sequences.
+        # The message may quote a file.
         talk(f"tiltcal: {printable(str(error))}")
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from contextlib import suppress
 
+from tiltcal.printable import printable
+
 
 def talk(text: str) -> None:
     """Print a text as it is."""
@@ -17,11 +19,6 @@ def remark(text: str) -> None:
     """Print a remark on what a command does, broken at the width of a terminal."""
     shown = printable(text)
     talk(wrapped(shown) if sys.stderr is not None and sys.stderr.isatty() else shown)
-
-
-def printable(text: str) -> str:
-    """Return text whose control characters, which could be escape sequences, are question marks."""
-    return "".join(character if character.isprintable() or character == "\n" else "?" for character in text)
 
 
 def wrapped(text: str) -> str:

@@ -8,9 +8,15 @@ from collections.abc import Callable
 import pytest
 from rich.console import Console
 
+from tiltcal.bench.operators.keys import ENTER
 from tiltcal.bench.operators.operator import OperatorAnswer
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.operators.terminal import TerminalOperator
+from tiltcal.bench.position_result import PositionResult
+from tiltcal.calibration.measurement import Measurement
+from tiltcal.core.statistics import SampleSummary
+from tiltcal.drivers import find_model
+from tiltcal.drivers.device import Reading
 from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Position
 
@@ -80,6 +86,47 @@ def test_no_escape_sequence_and_no_markup_of_a_file_reaches_the_terminal(person,
     assert "a[/]?]0;owned? title" in said
     assert not set("\x1b\x07\x9b") & set(said)
     assert "refused: ?[2J[bold]S[/]" in said
+
+
+REVIEWED = PositionResult(
+    LEVEL,
+    {
+        "S-1": Measurement(
+            "level",
+            LEVEL.gravity,
+            LEVEL.tilt,
+            24.93,
+            {"x": SampleSummary(1045.25, 0.65, 20, 0.1), "y": SampleSummary(1018.95, 0.69, 20, 0.1)},
+        )
+    },
+    expected={"S-1": {"x": 1024.0, "y": 1023.0}},
+)
+
+
+@pytest.mark.parametrize("width", [30, 40, 80])
+def test_no_number_of_a_review_is_cut_off(width: int, shown: io.StringIO) -> None:
+    console = Console(file=shown, force_terminal=True, width=width, color_system=None)
+    operator = TerminalOperator(console, Typed(ENTER), live=False)
+    operator.begin("A title", 3, {"S-1": find_model("sca100t-d02")})
+    assert operator.review(REVIEWED) == OperatorAnswer("accept")
+    text = shown.getvalue()
+    for number in ("1045.25 count", "1018.95 count", "1024", "1023", "+1.49°", "-0.35°", "0.65", "0.69", "24.93 °C"):
+        assert number in text
+    assert "…" not in text
+    assert all(len(line) <= width for line in text.splitlines())
+
+
+def test_a_reading_is_shown_whole_or_not_at_all(shown: io.StringIO) -> None:
+    """45 columns have no room for the temperature: `2` of `24.9 °C` would be one that nobody measured."""
+    console = Console(file=shown, force_terminal=True, width=45, color_system=None)
+    operator = TerminalOperator(console, Typed(ENTER), live=True)
+    operator.begin("A title", 3, {"S-1": find_model("sca100t-d02")})
+    shown.truncate(0)
+    operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "live")
+    line = shown.getvalue().rpartition("K")[2]
+    assert line == "  x 1045 (+1.47°)   y 1019 (-0.35°) …"
+    operator.clear()
+    assert shown.getvalue().endswith("\r\x1b[2K")
 
 
 def test_the_virtual_jig_gives_up_a_position_that_is_refused_again_and_again() -> None:

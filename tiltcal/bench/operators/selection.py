@@ -67,12 +67,13 @@ def _terminal(stack: ExitStack, *, turns: bool, plain: bool) -> PositionOperator
     from tiltcal.bench.operators.keys import Keys, LineKeys, TerminalKeys
     from tiltcal.bench.operators.terminal import TerminalOperator, TerminalRotationOperator
 
-    live = sys.stdin.isatty() and sys.stderr.isatty() and not plain
-    keys: Keys = stack.enter_context(TerminalKeys()) if live else LineKeys(sys.stdin)
-
     class Talk(Console):
         def on_broken_pipe(self) -> None:
             self.quiet = True  # in place of SystemExit: the session goes on without its talk
 
     console = Talk(stderr=True, highlight=False, no_color=plain or None)
-    return (TerminalRotationOperator if turns else TerminalOperator)(console, keys, live=live)
+    live = sys.stdin.isatty() and sys.stderr.isatty() and not (plain or console.is_dumb_terminal)
+    keys: Keys = stack.enter_context(TerminalKeys()) if live else LineKeys(sys.stdin)
+    operator = (TerminalRotationOperator if turns else TerminalOperator)(console, keys, live=live)
+    stack.callback(operator.clear)
+    return operator

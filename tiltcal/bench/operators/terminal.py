@@ -19,6 +19,7 @@ from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import HardwareError, InputError, Stopped
 from tiltcal.files.procedure import Position
+from tiltcal.printable import printable
 
 if TYPE_CHECKING:
     from tiltcal.bench.position_result import PositionResult
@@ -29,6 +30,9 @@ T = TypeVar("T")
 
 LIVE_PAUSE = 0.4
 """Seconds between live readings: fast enough to set an angle by, slow enough for the journal of a long night."""
+
+_WIDEST = 10_000
+"""Columns of a terminal on which any table fits."""
 
 CLEAR = "\r\x1b[2K"
 """Empties the line of the live reading."""
@@ -84,13 +88,20 @@ class _Terminal:
             line.append(key, style="bold").append(f" {meaning}   ", style="dim")
         self._console.print(line)
 
-    def _line(self, text: str) -> None:
-        """Print one line that the next one overwrites."""
-        width = self._console.width - 3
-        self._console.file.write(f"{CLEAR}  {printable(text)[:width]}")
+    def _line(self, *parts: str) -> None:
+        """Print one line that the next one overwrites; parts that do not fit are left out whole."""
+        room = self._console.width - 3
+        line, *others = (printable(part) for part in parts)
+        for part in others:
+            if len(line) + len(part) + 3 > room:
+                line = f"{line[: room - 2]} …"
+                break
+            line = f"{line}   {part}"
+        self._console.file.write(f"{CLEAR}  {line[:room]}")
         self._console.file.flush()
 
-    def _clear(self) -> None:
+    def clear(self) -> None:
+        """Empty the line of the live reading, which whatever is printed next would be appended to."""
         if self._live:
             self._console.file.write(CLEAR)
             self._console.file.flush()
@@ -142,8 +153,13 @@ class TerminalOperator(_Terminal):
 
     def review(self, result: PositionResult) -> OperatorAnswer:
         """Show expected, measured and noise, and ask whether it counts."""
-        self._clear()
-        self._console.print(self._table(result))
+        self.clear()
+        table = self._table(result)
+        wide = self._console.options.update(width=_WIDEST)
+        if self._console.measure(table, options=wide).maximum <= self._console.width:
+            self._console.print(table)
+        else:
+            self._list(result)
         self._hint("Enter accept", "r redo", "b back", "q stop and keep")
         key = self._choice(f"{ENTER}rbq")
         if key == "q":
@@ -154,11 +170,22 @@ class TerminalOperator(_Terminal):
         self._say(f"  accepted {result.position.name}", "green")
 
     def refused(self, position: Position, why: str) -> None:
-        self._clear()
+        self.clear()
         self._say(f"  refused: {why}", "bold red")
 
     def lost(self, serial: str, why: str) -> None:
         self._say(f"  {serial} is dropped, the others continue: {why}", "bold red")
+
+    def _list(self, result: PositionResult) -> None:
+        """Print what the table says, one channel below the other."""
+        for serial, measurement in result.measurements.items():
+            expected = result.expected.get(serial, {})
+            for channel, summary in measurement.summaries.items():
+                self._say(f"  {serial} {channel}  {summary.mean:.6g} {self._models[serial].unit}", "bold")
+                self._say(f"    expected {expected[channel]:.6g}" if expected else "    expected unknown")
+                self._say(f"    tilt {self._angle(serial, summary.mean)}, noise {summary.std:.2g}, n {summary.n}")
+            if measurement.temperature is not None:
+                self._say(f"  {serial} T  {measurement.temperature:.2f} °C", "bold")
 
     def _table(self, result: PositionResult) -> Table:
         table = Table(box=None, pad_edge=False, padding=(0, 2), header_style="dim")
@@ -190,7 +217,7 @@ class TerminalOperator(_Terminal):
             except HardwareError as error:
                 self._line(f"no reading: {error}")
             key = self._keys.choice(LIVE_PAUSE)
-        self._clear()
+        self.clear()
         return key
 
     def _show(self, readings: Mapping[str, Reading], why: str) -> None:
@@ -205,7 +232,7 @@ class TerminalOperator(_Terminal):
             ]
             if reading.temperature is not None:
                 parts.append(f"{reading.temperature:.1f} °C")
-        self._line("   ".join(parts) + f"   {why}")
+        self._line(*parts, why)
 
     def _angle(self, serial: str, value: float) -> str:
         """Return a reading as a tilt, by the model's nominal coefficients."""
@@ -284,25 +311,20 @@ class TerminalRotationOperator(_Terminal):
             self._say(f"  {turn}")
 
     def paused(self, why: str) -> None:
-        self._clear()
+        self.clear()
         self._say(f"  held: {why}", "yellow")
 
     def resumed(self) -> None:
         self._say("  goes on")
 
     def refused(self, why: str) -> None:
-        self._clear()
+        self.clear()
         self._say(f"  refused: {why}", "bold red")
 
     def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
-        self._clear()
+        self.clear()
         for matching in matchings:
             self._say(f"  matched {pair_in_words(matching.pair.name, matching)} after {turns:.1f} turns", "green")
-
-
-def printable(text: str) -> str:
-    """Return a text for a terminal: control characters, which could be escape sequences, become a question mark."""
-    return "".join(character if character.isprintable() or character == "\n" else "?" for character in text)
 
 
 def direction(typed: str) -> tuple[float, ...]:
