@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from math import radians, sqrt
+from math import hypot, radians, sqrt
 from pathlib import Path
 
 import pytest
@@ -28,6 +28,19 @@ def test_a_jig_adds_what_its_angle_is_worth() -> None:
     """Level and 45° with noise near zero: the offset of D02 is uncertain by 819 count/g times the jig."""
     found = plan("zero-45", "--noise", "0.5", "--samples", "1000000", "--jig", "0.2")["uncertainty"]
     assert found["offset.x"] == pytest.approx(819.0 * radians(0.2), rel=1e-3)
+
+
+def test_a_thermometer_adds_what_the_drift_makes_of_it() -> None:
+    """Two temperatures 18.5 °C apart, each good to 1 °C: √2 · hypot(s, k · 1 °C) / 18.5 °C, with the drift k that is
+    stated. It is about 2 mg/°C, as in the data sheet of the ADXL202, of 0.125/g.
+    """
+    options = ("two-temperature", "--sensor", "adxl202", "--noise", "0.0002", "--samples", "100", "--thermometer", "1")
+    said = tiltcal("plan", *options).stdout.splitlines()[1]
+    before, _, drift = said.removesuffix(" duty/°C").rpartition(" ")
+    assert before == "  and temperatures that are known to 1 °C, for a part that drifts by"
+    assert 1e-4 < float(drift) < 5e-4
+    found = plan(*options[:1], *options[3:], sensor="adxl202")["uncertainty"]["temperature.offset.x.1"]
+    assert found == pytest.approx(sqrt(2) * hypot(0.0002 / sqrt(100), float(drift)) / 18.5, rel=0.03)
 
 
 def test_nothing_left_over_is_said() -> None:

@@ -41,6 +41,8 @@ class PredictedUncertainty:
     ----------
     noise : float
         Standard deviation of one sample that was counted with, unit.
+    drift : float
+        Of the offset of a usual part, unit/°C, that was counted with.
     closing : str
         What a closing visit to the first position takes and brings; empty where there is one.
     """
@@ -48,6 +50,7 @@ class PredictedUncertainty:
     design: Design
     prediction: Prediction
     noise: float
+    drift: float
     unit: str
     closing: str = ""
 
@@ -75,6 +78,11 @@ class PredictedUncertainty:
         prediction, free = self.prediction, self.design.free
         jig = "positions that are not set" if free else _jig_in_words(self.design.jig)
         yield f"predicted standard uncertainty, with {self.noise:.2g} {self.unit} of noise a sample and {jig}:"
+        if self.design.thermal and self.design.thermometer:
+            yield (
+                f"  and temperatures that are known to {self.design.thermometer:.2g} °C, for a part that drifts by "
+                f"{self.drift:.2g} {self.unit}/°C"
+            )
         for name, u in self.uncertainty.items():
             # What unit gravity leaves open is the choice of a frame, in which these are 0.
             if u > 0.0 or not free:
@@ -217,15 +225,17 @@ def predict(
     count = samples or procedure.samples
     # A steady reading that is rounded keeps an error that no averaging removes.
     adc = summarise([0.0] * 2, model.resolution).quantisation if scatter < model.resolution / 4 else 0.0
+    drift = _usual_drift(model, base)
     prediction = predict_uncertainty(
         design,
         _planned(procedure, orientation, design.reference),
         scatter / sqrt(count),
         sensitivity=model.sensitivity,
+        drift=drift,
         adc=adc,
         sensors=sensors,
     )
-    return PredictedUncertainty(design, prediction, scatter, model.unit)
+    return PredictedUncertainty(design, prediction, scatter, drift, model.unit)
 
 
 def _jig_in_words(jig: float | None) -> str:
@@ -236,6 +246,17 @@ def _usual_noise(model: Model) -> float:
     """Return the noise of a sample of the model's virtual part, at least that of rounding, unit."""
     known = max(model.default_truth(0).noise.values(), default=0.0) if model.default_truth else 0.0
     return hypot(known, model.resolution / sqrt(12))
+
+
+def _usual_drift(model: Model, base: CalibrationRecord | None) -> float:
+    """Return the drift of the offset, root mean square of the channels: the base's, or the virtual part's, unit/°C."""
+    thermal = None if base is None else base.coefficients.thermal
+    if thermal is not None and thermal.drift.size:
+        slopes = thermal.drift[:, 0]
+    else:
+        usual = model.default_truth(0).drift.values() if model.default_truth else ()
+        slopes = np.array([terms[0] for terms in usual if terms] or [0.0])
+    return float(np.sqrt(np.mean(slopes**2)))
 
 
 def _planned(procedure: Procedure, orientation: Orientation, reference: float) -> Sequence[PlannedPosition]:

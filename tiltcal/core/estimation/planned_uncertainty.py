@@ -94,6 +94,7 @@ def predict_uncertainty(
     noise: float | Sequence[float],
     *,
     sensitivity: float = 1.0,
+    drift: float = 0.0,
     adc: float = 0.0,
     sensors: int = 1,
 ) -> Prediction:
@@ -108,6 +109,8 @@ def predict_uncertainty(
         Standard uncertainty of a position's mean reading, for all channels or for each, in the sensor's unit.
     sensitivity : float
         Nominal, unit/g.
+    drift : float
+        Of the offset of a usual part, unit/°C: an error of the thermometer moves a reading by so much.
     adc : float
         Standard uncertainty that quantisation leaves in a mean, same unit as the noise.
     sensors : int
@@ -123,7 +126,7 @@ def predict_uncertainty(
     EstimateError
         The plan leaves coefficients undetermined; they are named, and a position that would determine them.
     """
-    equations = partial(_system, design, noise=noise, sensitivity=sensitivity, adc=adc, sensors=sensors)
+    equations = partial(_system, design, noise=noise, usual=(sensitivity, drift), adc=adc, sensors=sensors)
     system, z = equations(positions)
     near = linearised(system, z)
     if design.free:
@@ -162,7 +165,7 @@ def _system(
     positions: Sequence[PlannedPosition],
     *,
     noise: float | Sequence[float],
-    sensitivity: float,
+    usual: tuple[float, float],
     adc: float,
     sensors: int,
 ) -> tuple[System, Array]:
@@ -175,7 +178,7 @@ def _system(
             position.name,
             np.array(position.gravity),
             zero,
-            np.maximum(u, 1e-12 * abs(sensitivity)),
+            np.maximum(u, 1e-12 * abs(usual[0])),
             position.temperature,
             position.heading,
             position.held,
@@ -186,13 +189,16 @@ def _system(
     plan = [SensorObservations(stated, observations)] * sensors
     require_sound(plan)
     system = system_of(plan)
-    z = _nominal(design, system, sensitivity)
+    z = _nominal(design, system, *usual)
     return triangular_gauge(system, z) if design.free else (system, z)
 
 
-def _nominal(design: Design, system: System, sensitivity: float) -> Array:
-    """Return the coefficients of the data sheet: each channel senses its own axis alone."""
-    nominal: Mapping[str, float] = {f"sensitivity.{channel}.{channel}": sensitivity for channel in design.channels}
+def _nominal(design: Design, system: System, sensitivity: float, drift: float) -> Array:
+    """Return the coefficients of a usual part: each channel senses its own axis alone."""
+    nominal: Mapping[str, float] = {
+        **{f"sensitivity.{channel}.{channel}": sensitivity for channel in design.channels},
+        **{f"temperature.offset.{channel}.1": drift for channel in design.channels},
+    }
     z = system.start()
     for column, name in enumerate(system.names):
         if name in nominal and not np.isfinite(system.prior_u[column]):
