@@ -20,12 +20,11 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from math import sqrt
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.edges import RECORD, Edge, unpack_edges
 from tiltcal.drivers.converter import SCHEMES as CONVERTERS
-from tiltcal.drivers.device import Model, Reading, from_twin, in_words
+from tiltcal.drivers.device import Model, Reading, deviation_within, from_twin, in_words
 from tiltcal.drivers.lines import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.nmea import content, missing
 from tiltcal.drivers.pulses import Cycle, PulseTrains
@@ -333,8 +332,7 @@ def _model(name: str, title: str, variant: Adxl202Variant) -> Model:
         offset=ZERO,
         sensitivity=variant.duty_per_g,
         offset_spread=OFFSET_SPREAD,
-        # Limits without further information are a rectangular distribution (GUM 4.3.7): limit / sqrt(3).
-        sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
+        sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
         rails=(0.0, 1.0),
         resolution=0.0,
         # The sensor streams: a read waits for the next sentence.

@@ -222,6 +222,11 @@ class Model:
         return self if self.configure is None else self.configure(address)
 
 
+def deviation_within(limit: float) -> float:
+    """Return the standard deviation of errors of either sign within a limit: a rectangular distribution (GUM 4.3.7)."""
+    return limit / sqrt(3.0)
+
+
 class SelfTestResult(Protocol):
     """The result of the self-test of one channel; its text is for the operator."""
 

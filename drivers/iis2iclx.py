@@ -23,10 +23,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from math import sqrt
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.device import Model, Reading, SpiPort, from_twin
+from tiltcal.drivers.device import Model, Reading, SpiPort, deviation_within, from_twin
 from tiltcal.drivers.polled import PolledSensor, Settings
 from tiltcal.drivers.registers import RegisterPort, check_data_line, choose_range, slowest_clock
 from tiltcal.errors import DeviceFault
@@ -150,9 +149,8 @@ def _model(settings: Iis2iclxSettings) -> Model:
         addresses=("spi:///dev/spidev0.0", "i2c:///dev/i2c-1?address=0x6a"),
         offset=0.0,
         sensitivity=settings.counts_per_g,
-        # A limit of either sign with nothing known inside it is a rectangular distribution (GUM 4.3.7).
-        offset_spread=OFFSET_LIMIT / sqrt(3.0),
-        sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
+        offset_spread=deviation_within(OFFSET_LIMIT),
+        sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
         rails=(-32768.0, 32767.0),
         resolution=1.0,
         # A read waits for the next sample.

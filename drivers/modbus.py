@@ -22,6 +22,7 @@ from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT
 from tiltcal.drivers.columns import AXES, OFFSET_SPREAD, RAIL, TEMPERATURE, TIME, require_name, with_numbers
 from tiltcal.drivers.device import Model, Reading, from_twin
@@ -280,15 +281,7 @@ def _tailored(address: Address) -> Model:
 SIMULATED = "x@0:float32,y@2:float32,temperature@4:float32"
 """Default columns of a virtual device."""
 
-_SIMULATED = RegisterLayout(
-    (
-        RegisterColumn("x", 0, "f", 1.0),
-        RegisterColumn("y", 2, "f", 1.0),
-        RegisterColumn(TEMPERATURE, 4, "f", 1.0),
-    ),
-    HOLDING,
-    ORDERS["abcd"],
-)
+_SIMULATED = layout_of(parse_address("sim:"), SIMULATED)
 
 _MODEL = Model(
     name="modbus-columns",

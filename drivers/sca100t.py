@@ -14,11 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import radians, sin, sqrt
+from math import radians, sin
 from typing import TYPE_CHECKING, ClassVar
 
 from tiltcal.drivers.bus.link import require_length
-from tiltcal.drivers.device import Model, Population, Reading, SpiPort, from_twin
+from tiltcal.drivers.device import Model, Population, Reading, SpiPort, deviation_within, from_twin
 from tiltcal.drivers.registers import check_data_line
 from tiltcal.errors import DeviceFault, UsageError
 
@@ -346,7 +346,6 @@ NOT_MODELLED = (
 
 
 def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
-    # Limits without further information are a rectangular distribution (GUM 4.3.7): limit / sqrt(3).
     return Model(
         name=name,
         title=title,
@@ -356,8 +355,8 @@ def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
         addresses=("spi:///dev/spidev0.0",),
         offset=variant.zero,
         sensitivity=variant.counts_per_g,
-        offset_spread=sin(radians(variant.offset_limit)) / sqrt(3.0),
-        sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
+        offset_spread=deviation_within(sin(radians(variant.offset_limit))),
+        sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
         rails=(float(LOWEST_SANE_WORD - 1), float(FULL_SCALE)),
         resolution=1.0,
         # The bandwidth is 8 to 28 Hz: the noise of an earlier sample is not independent.

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import radians, sin, sqrt
+from math import radians, sin
 from typing import ClassVar
 
 from tiltcal.drivers import sca100t
-from tiltcal.drivers.device import Model, Population, from_twin
+from tiltcal.drivers.device import Model, Population, deviation_within, from_twin
 from tiltcal.drivers.sca100t import (
     LOWEST_SANE_WORD,
     RDAX,
@@ -157,8 +157,8 @@ def _model(name: str, part: OneAxisPart) -> Model:
         channels=("x",),
         offset=part.zero,
         sensitivity=part.counts_per_g,
-        offset_spread=sin(radians(part.offset_limit)) / sqrt(3.0),
-        sensitivity_spread=SENSITIVITY_LIMIT / sqrt(3.0),
+        offset_spread=deviation_within(sin(radians(part.offset_limit))),
+        sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
         rails=part.rails,
         population=part.population,
         driver=Sca103t if part.differential else Sca61t,

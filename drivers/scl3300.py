@@ -16,11 +16,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import sqrt
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.link import require_length
-from tiltcal.drivers.device import Model, Reading, SpiPort, from_twin, in_words
+from tiltcal.drivers.device import Model, Reading, SpiPort, deviation_within, from_twin, in_words
 from tiltcal.drivers.registers import check_data_line, choose_range, in_counts
 from tiltcal.drivers.scl3300_frames import (
     BANK_0,
@@ -404,9 +403,8 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
         addresses=("spi:///dev/spidev0.0", f"spi:///dev/spidev0.0?range={list(part.words)[-1]}"),
         offset=0.0,
         sensitivity=measuring.counts_per_g,
-        # Limits without further information are a rectangular distribution (GUM 4.3.7): limit / sqrt(3).
-        offset_spread=part.offset_limit / sqrt(3.0),
-        sensitivity_spread=part.sensitivity_limit / sqrt(3.0),
+        offset_spread=deviation_within(part.offset_limit),
+        sensitivity_spread=deviation_within(part.sensitivity_limit),
         rails=(-32768.0, 32767.0),
         resolution=1.0,
         # A first-order filter: after half a period of its corner frequency the noise has changed by 96 %.

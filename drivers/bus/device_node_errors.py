@@ -35,6 +35,13 @@ def no_permission(device: str, subsystem: str) -> str:
     )
 
 
+def no_serial_port(place: str) -> str:
+    """Return the message for a serial port that does not exist."""
+    present = ", ".join(sorted(str(path) for kind in ("ttyUSB*", "ttyACM*") for path in Path("/dev").glob(kind)))
+    advice = f"present: {present}" if present else "no USB serial port is present; is the cable plugged in?"
+    return f"{place} does not exist ({advice})"
+
+
 def node_error(device: str, cause: OSError, bus: str, *, subsystem: str, pattern: str, example: str) -> str | None:
     """Return the message for an error that every bus node has in common; None for another error.
 

@@ -8,7 +8,7 @@ from collections.abc import MutableMapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.device_node_errors import no_permission
+from tiltcal.drivers.bus.device_node_errors import no_permission, no_serial_port
 from tiltcal.drivers.bus.serial import PARITIES
 from tiltcal.errors import BusError, HardwareError
 
@@ -262,8 +262,7 @@ def _why_not_opened(place: str) -> str:
     if place.startswith("tcp://"):
         return f"no Modbus server answers at {place}: is it running, and are host and port right?"
     if not Path(place).exists():
-        present = ", ".join(sorted(str(path) for kind in ("ttyUSB*", "ttyACM*") for path in Path("/dev").glob(kind)))
-        return f"{place} does not exist ({f'present: {present}' if present else 'no USB serial port is present'})"
+        return no_serial_port(place)
     if not os.access(place, os.R_OK | os.W_OK):
         return no_permission(place, "tty")
     return f"{place} cannot be opened: is it a serial port, and does another program use it?"

@@ -7,10 +7,9 @@ import os
 import re
 import time
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from tiltcal.drivers.bus.device_node_errors import no_permission
+from tiltcal.drivers.bus.device_node_errors import no_permission, no_serial_port
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
@@ -177,9 +176,7 @@ def _why(place: str, cause: Exception) -> str:
     """Return the message for an error of pyserial or the operating system: the cause and what to try."""
     number = _errno(cause)
     if number == errno.ENOENT:
-        present = ", ".join(sorted(str(path) for kind in ("ttyUSB*", "ttyACM*") for path in Path("/dev").glob(kind)))
-        advice = f"present: {present}" if present else "no USB serial port is present; is the cable plugged in?"
-        return f"{place} does not exist ({advice})"
+        return no_serial_port(place)
     if number in (errno.EACCES, errno.EPERM):
         return no_permission(place, "tty")
     if number in (errno.EBUSY, errno.EAGAIN):
