@@ -19,7 +19,7 @@ from tiltcal.bench.event_log import EventLog
 from tiltcal.bench.sensor_set import ConnectedSensor, Listener, SensorSet
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Reading
-from tiltcal.errors import HardwareError, UsageError
+from tiltcal.errors import UsageError
 from tiltcal.files.journal import write_all
 from tiltcal.files.moments import stamp
 
@@ -202,13 +202,9 @@ def record(
     tally = RecordingTally()
     # A sensor that talks faster than rows are taken would be read later and later.
     slower = interval > 1.5 * min(model.interval for model in sensors.models)
-    sensors.discard()
     due_ns = secured_ns = clock.now_ns()
     while rows is None or tally.rows < rows:
-        if slower:
-            with suppress(HardwareError):
-                sensors.discard()
-        readings, why = sensors.read_available()
+        readings, why = sensors.read_available(fresh=slower or not tally.rows)
         now_ns = clock.now_ns()
         log.write(_cells(sensors.sensors, readings, started + timedelta(microseconds=now_ns / 1000), thermometer))
         tally.rows += 1

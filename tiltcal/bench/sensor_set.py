@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -128,24 +128,34 @@ class SensorSet:
         """Return the readings of a sample by serial number."""
         return {sensor.serial: reading for sensor, reading in zip(self.sensors, sample, strict=True)}
 
-    def read_available(self) -> tuple[list[Reading | None], list[str]]:
-        """Return one sample of every sensor that answers, None for the others, and why they did not."""
+    def read_available(self, *, fresh: bool = False) -> tuple[list[Reading | None], list[str]]:
+        """Return one sample of every sensor that answers, None for the others, and why they did not.
+
+        Parameters
+        ----------
+        fresh : bool
+            Whether what the sensors sent before is dropped first, and again after the wait for one that fails.
+        """
+        devices = [(sensor.serial, sensor.sensor) for sensor in self.sensors]
+        if self._thermometer is not None:
+            devices.append((self.THERMOMETER, self._thermometer))
+        for _, device in devices if fresh else ():
+            with suppress(HardwareError):  # its reading fails as well, and says why
+                device.discard()
         readings: list[Reading | None] = []
-        reasons = []
-        for sensor in self.sensors:
+        reasons: list[str] = []
+        for serial, device in devices:
             try:
-                with self._named(sensor.serial):
-                    readings.append(sensor.sensor.read())
+                with self._named(serial):
+                    if fresh and reasons:
+                        device.discard()
+                    readings.append(device.read())
             except SensorError as error:
                 readings.append(None)
                 reasons.append(str(error))
         if self._thermometer is not None:
-            try:
-                with self._named(self.THERMOMETER):
-                    temperature = self._thermometer.read().temperature
-            except SensorError as error:
-                temperature = None
-                reasons.append(str(error))
+            last = readings.pop()
+            temperature = None if last is None else last.temperature
             readings = [reading and replace(reading, temperature=temperature) for reading in readings]
         return readings, reasons
 

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import os
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from tiltcal.bench import recording
-from tiltcal.bench.recording import CsvRecorder
+from tiltcal.bench.recording import CsvRecorder, record
+from tiltcal.bench.sensor_set import ConnectedSensor, SensorSet
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import VirtualClock
+from tiltcal.drivers.device import Reading
+from tiltcal.errors import BusError
 
 
 @pytest.mark.parametrize(("written", "rows"), [(None, 2), (2, 1), (0, 1)], ids=["after", "within", "before"])
@@ -27,3 +34,49 @@ def test_ctrl_c_at_a_row(written: int | None, rows: int, tmp_path: Path, monkeyp
     log.close()
     assert log.rows == rows
     assert path.read_text() == "".join(["time,x\n", "0,1024\n", "1,1025\n"][: rows + 1])
+
+
+class Printer:
+    """A device that prints its age in seconds once a second; what is not read waits in the port."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self._clock = clock
+        self._taken = -1
+
+    def read(self) -> Reading:
+        self._taken += 1
+        if self._taken * 10**9 > self._clock.now_ns():
+            self._clock.seek(self._taken * 10**9)
+        return Reading((float(self._taken),))
+
+    def discard(self) -> None:
+        self._taken = self._clock.now_ns() // 10**9
+
+
+class Silent:
+    """A device that is dead: each reading waits for five seconds in vain."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self._clock = clock
+
+    def read(self) -> Reading:
+        self._clock.sleep(5.0)
+        raise BusError("silent")
+
+    def discard(self) -> None:
+        raise BusError("gone")
+
+
+def test_a_dead_sensor_makes_no_reading_of_another_one_old(tmp_path: Path) -> None:
+    """Every row holds a number that was printed within a second of the row's time."""
+    clock = VirtualClock()
+    model = find_model("serial-columns").at(parse_address("serial:///dev/null?columns=x"))
+    sensors = SensorSet([ConnectedSensor(model, "A", Silent(clock)), ConnectedSensor(model, "B", Printer(clock))])
+    log = CsvRecorder(tmp_path / "log.csv", ["time", "A_x", "B_x"])
+    started = datetime(2026, 1, 1, tzinfo=UTC)
+    *_, tally = record(sensors, log, clock, started, thermometer=False, interval=10.0, rows=6)
+    log.close()
+    assert (tally.rows, tally.missing) == (6, 6)
+    rows = [line.split(",") for line in (tmp_path / "log.csv").read_text().splitlines()[1:]]
+    ages = [(datetime.fromisoformat(time) - started).total_seconds() - float(b) for time, _, b in rows]
+    assert all(0.0 <= age <= 1.0 for age in ages), ages
