@@ -105,14 +105,16 @@ def test_the_session_goes_on_once_the_sensor_is_plugged_in_again(tmp_path: Path)
     require_near(part, yaml.safe_load((tmp_path / "A-1005.yaml").read_text()))
 
 
-@pytest.mark.parametrize("address", ["sim:seed=4", "sim:seed=4&wiring=edges"])
-def test_a_virtual_session_that_was_cut_anywhere_resumes_to_the_same_file(tmp_path: Path, address: str) -> None:
+@pytest.mark.parametrize(("address", "procedure"), [("sim:seed=4", "mavs"), ("sim:seed=4&wiring=edges", "zero-45")])
+def test_a_virtual_session_that_was_cut_anywhere_resumes_to_the_same_file(
+    address: str, procedure: str, tmp_path: Path
+) -> None:
     def measured(*arguments: str) -> None:
         done = tiltcal("measure", *arguments, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
 
     sensor = ["--sensor", "adxl202", "--address", address, "--serial", "V-1", "--operator", "sim"]
-    measured("mavs", *sensor, "--samples", "20", "-o", "V-1.yaml")
+    measured(procedure, *sensor, "--samples", "20", "-o", "V-1.yaml")
     journal, file = tmp_path / "V-1.journal.jsonl", tmp_path / "V-1.yaml"
     lines, whole = journal.read_bytes().splitlines(keepends=True), file.read_bytes()
     for share in (0.02, 0.35, 0.351, 0.7, 0.98):

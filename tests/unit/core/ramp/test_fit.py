@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -40,10 +42,10 @@ def recorded(seconds, thermometer, readings):
     return averager.record()
 
 
-def made(pace, *, lag=0.0, legs=4, noise=1.0, seed=1, wander=0.0):
-    """A record of a row every two seconds or more, of about 2000 rows."""
+def made(pace, *, lag=0.0, legs=4, noise=1.0, seed=1, wander=0.0, rows=2400):
+    """A record of a row every two seconds or more."""
     draw = np.random.default_rng(seed)
-    seconds = np.linspace(0.0, legs * SPAN / pace * 60.0, 2400)
+    seconds = np.linspace(0.0, legs * SPAN / pace * 60.0, rows)
     thermometer = chamber(seconds, pace)
     element = thermometer
     if lag > 0.0:
@@ -137,7 +139,9 @@ def test_a_loop_that_grows_from_both_turns_is_no_lag(pace, legs):
 def test_the_uncertainty_covers_the_curve(lag, wander):
     inside = []
     for seed in range(5):
-        fit = fit_ramp(made(1.0, lag=lag, wander=wander, seed=seed), reference=REFERENCE)
+        # 160 rows take half the time of 2400; each has the noise of a mean of 15.
+        record = made(1.0, lag=lag, wander=wander * sqrt(15.0), noise=1.0 / sqrt(15.0), seed=seed, rows=160)
+        fit = fit_ramp(record, reference=REFERENCE)
         error = curve_error(fit.coefficients)
         inside += [np.abs(error[c]) < 1.96 * u_of_curve(fit, c) for c in (0, 1)]
     # Ten curves, of ten places that depend on each other: 95 % within what so few curves can show.
