@@ -63,7 +63,7 @@ EXCEPTIONS = {
 }
 """Meaning of the exception codes."""
 
-_COLUMN = re.compile(r"([^@:*]+)@(0[xX][0-9a-fA-F]+|[0-9]+)(?::([a-z0-9]+))?(?:\*([-+0-9.eE]+))?")
+_COLUMN = re.compile(r"([^@:*]+)@(0[xX][0-9a-fA-F]{1,8}|[0-9]{1,9})(?::([a-z0-9]+))?(?:\*([-+0-9.eE]+))?")
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import MutableMapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.drivers.bus.device_node_errors import no_permission, no_serial_port
-from tiltcal.drivers.bus.serial import PARITIES
+from tiltcal.drivers.bus.serial import PARITIES, require_line
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 BAUDRATE = 9600
 """If the address names none, baud."""
 PORT = 502
+_PORT_NUMBER = re.compile("[0-9]{1,5}")
 TIMEOUT = 1.0
 """Timeout after which a request is sent again, s."""
 RETRIES = 2
@@ -62,16 +64,19 @@ def open_modbus(address: Address, model: Model, lines: MutableMapping[str, Modbu
     library = _pymodbus()
     if place.startswith("tcp://"):
         address.allow("unit", "timeout", *model.options)
-        host, _, port = place.removeprefix("tcp://").rstrip("/").rpartition(":")
-        if not host:
+        host, colon, port = place.removeprefix("tcp://").rstrip("/").rpartition(":")
+        if not colon:
             host, port = port, str(PORT)
-        if not port.isdigit() or not 0 < int(port) < 65536:
-            address.refuse(f"{port!r} is no port number (tcp://host:{PORT})")
+        if not _PORT_NUMBER.fullmatch(port) or not 0 < int(port) < 65536:
+            address.refuse(f"{port[:20]!r} is no port number (tcp://host:{PORT})")
+        if not host:
+            address.refuse(f"it names no host (tcp://host:{PORT})")
         client = library.ModbusTcpClient(
             host.removeprefix("[").removesuffix("]"), port=int(port), timeout=timeout, retries=0
         )
         return ModbusLink(ModbusLine(place, client, numbered=True), unit)
     address.allow("unit", "timeout", "baudrate", "parity", "stopbits", *model.options)
+    require_line(address)
     parity = address.text("parity", "N").upper()
     if parity not in PARITIES[:3]:
         address.refuse(f"option parity={parity} is not one of {', '.join(PARITIES[:3])}")

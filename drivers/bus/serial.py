@@ -69,9 +69,7 @@ def open_serial(address: Address, model: Model) -> SerialLink:
         "parity": parity,
         "stopbits": STOP_BITS[stop_bits],
     }
-    handler, url, _ = address.path.partition("://")
-    if url and handler.lower() not in HANDLERS:
-        address.refuse(f"{handler}:// cannot be used: name a port, or {', '.join(f'{known}://' for known in HANDLERS)}")
+    require_line(address)
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=3600.0)
     serial = _pyserial()
     try:
@@ -81,6 +79,19 @@ def open_serial(address: Address, model: Model) -> SerialLink:
     except OSError as cause:  # hwgrep:// looks for its port here
         raise BusError(_why(address.path, cause)) from cause
     return SerialLink(address.path, port, timeout)
+
+
+def require_line(address: Address) -> None:
+    """Refuse a URL of pyserial's whose handler does more than open a line.
+
+    Raises
+    ------
+    UsageError
+        With the handlers that can be used.
+    """
+    handler, url, _ = address.path.partition("://")
+    if url and handler.lower() not in HANDLERS:
+        address.refuse(f"{handler}:// cannot be used: name a port, or {', '.join(f'{known}://' for known in HANDLERS)}")
 
 
 class SerialLink:

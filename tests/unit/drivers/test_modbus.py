@@ -10,6 +10,7 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -116,6 +117,7 @@ def test_what_is_no_number_is_no_reading(answer: str, error: type[Exception], wh
         ("columns=x@0:int8", "type 'int8' of column x is not one of int16"),
         ("columns=x@0*0", "factor '0' of column x is no number other than 0"),
         ("columns=x@0*1e", "factor '1e' of column x"),
+        ("columns=x@" + "9" * 5000, "is not of the form name@register"),
         ("columns=x@65535:float32", "register 65535 of column x is beyond 65535"),
         ("columns=x@0,x@1", "names 'x' twice"),
         ("columns=temperature@0", "names no reading"),
@@ -308,6 +310,9 @@ def test_nobody_at_the_other_end() -> None:
     ("place", "options", "why"),
     [
         ("tcp://host:99999", "columns=x@0", "'99999' is no port number"),
+        ("tcp://host:²", "columns=x@0", "'²' is no port number"),
+        ("tcp://host:" + "9" * 5000, "columns=x@0", "'99999999999999999999' is no port number"),
+        ("tcp://:502", "columns=x@0", "names no host"),
         ("tcp://host:502", "columns=x@0&baudrate=9600", "unknown option 'baudrate'"),
         ("/dev/ttyUSB0", "columns=x@0&unit=300", "unit=300 is too large"),
         ("/dev/ttyUSB0", "columns=x@0&parity=Q", "parity=Q is not one of N, E, O"),
@@ -317,6 +322,16 @@ def test_a_wrong_place_is_refused(place: str, options: str, why: str) -> None:
     model, written = at(options, place)
     with pytest.raises(UsageError, match=why):
         open_link(parse_address(written), model)
+
+
+def test_only_handlers_that_open_a_line_and_nothing_else_are_used(tmp_path: Path) -> None:
+    """pyserial's spy:// opens any file for writing before anything is known of the port."""
+    kept = tmp_path / "kept"
+    kept.write_text("mine")
+    model, written = at("columns=x@0", f"spy://loop://%3Ffile={kept}")
+    with pytest.raises(UsageError, match="spy:// cannot be used: name a port, or socket://"):
+        open_link(parse_address(written), model)
+    assert kept.read_text() == "mine"
 
 
 # The twin
