@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from support import accelerometer_disk as disk
-from support.command import TILTCAL, tiltcal
+from support.command import tiltcal
+from support.warm_start import WarmStart
 
 from tiltcal.cli.apply import command as apply_command
 from tiltcal.cli.match import command as match_command
@@ -221,19 +222,9 @@ class TestStuckValues:
 
 
 class TestLiveStream:
-    def begun(self, *more: str | Path, log: str = "-") -> subprocess.Popen[bytes]:
-        pipe = subprocess.PIPE
-        # Ctrl-C reaches whom the shell that runs the tests does not shield from it.
-        before = signal.signal(signal.SIGINT, signal.default_int_handler)
-        try:
-            return subprocess.Popen(
-                [*TILTCAL, "match", log, *PAIR, "--phase", "theta", "--online", "--json", *map(str, more)],
-                stdin=pipe,
-                stdout=pipe,
-                stderr=pipe,
-            )
-        finally:
-            signal.signal(signal.SIGINT, before)
+    def begun(self, warm: WarmStart, *more: str | Path, log: str = "-") -> subprocess.Popen[bytes]:
+        command = [*warm.program, "match", log, *PAIR, "--phase", "theta", "--online", "--json", *map(str, more)]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
     def fed(self, process: subprocess.Popen[bytes], lines: Sequence[str]) -> None:
         """Hand over some rows, then a stage that stands, and wait until that is told: all rows have gone through."""
@@ -250,9 +241,9 @@ class TestLiveStream:
             process.stdin.flush()
         assert b"the stage stands still" in process.stderr.readline()
 
-    def test_rows_count_as_they_arrive_and_ctrl_c_gives_the_result(self, tmp_path: Path) -> None:
+    def test_rows_count_as_they_arrive_and_ctrl_c_gives_the_result(self, warm: WarmStart, tmp_path: Path) -> None:
         lines = small(tmp_path).read_text().splitlines(keepends=True)
-        process = self.begun("-o", tmp_path / "p.yaml")
+        process = self.begun(warm, "-o", tmp_path / "p.yaml")
         self.fed(process, lines[:1200])
         assert process.stdin is not None
         process.stdin.write(b"60.0,12")  # a row that does not end
@@ -264,9 +255,9 @@ class TestLiveStream:
         process.communicate()
         assert read_pair(tmp_path / "p.yaml").provenance.log.rows == 1399
 
-    def test_ctrl_c_before_two_turns_says_what_to_do(self, tmp_path: Path) -> None:
+    def test_ctrl_c_before_two_turns_says_what_to_do(self, warm: WarmStart, tmp_path: Path) -> None:
         lines = small(tmp_path).read_text().splitlines(keepends=True)
-        process = self.begun("-o", tmp_path / "p.yaml")
+        process = self.begun(warm, "-o", tmp_path / "p.yaml")
         self.fed(process, lines[:300])
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=60)[1].decode()
@@ -275,10 +266,10 @@ class TestLiveStream:
         assert "let the stream run for longer" in said
         assert not (tmp_path / "p.yaml").exists()
 
-    def test_a_pipe_with_a_name_is_a_stream_too(self, tmp_path: Path) -> None:
+    def test_a_pipe_with_a_name_is_a_stream_too(self, warm: WarmStart, tmp_path: Path) -> None:
         os.mkfifo(tmp_path / "device")
         lines = small(tmp_path).read_text().splitlines(keepends=True)
-        process = self.begun(log=str(tmp_path / "device"))
+        process = self.begun(warm, log=str(tmp_path / "device"))
         with open(tmp_path / "device", "wb") as device:
             device.write("".join(lines).encode())
         assert json.loads(process.communicate(timeout=60)[0])["p"] == pytest.approx(disk.truth()[0], abs=2e-4)

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from support import coloured_noise as coloured
-from support.command import TILTCAL, tiltcal
+from support.command import tiltcal
+from support.warm_start import WarmStart, wait_until_grown
 
 from tiltcal.cli.noise import command
 from tiltcal.errors import EstimateError, InputError, TiltcalError, UsageError
@@ -284,16 +285,15 @@ class TestLive:
     def test_what_is_not_kept_is_called_the_record(self) -> None:
         assert refused(noise(*self.ONE, "--samples", "20"), EstimateError).startswith("the record: x has 20 samples")
 
-    def test_interrupted_it_tells_of_what_it_has(self, tmp_path: Path) -> None:
+    def test_interrupted_it_tells_of_what_it_has(self, warm: WarmStart, tmp_path: Path) -> None:
         log = tmp_path / "still.csv"
         process = subprocess.Popen(
-            [*TILTCAL, "noise", *self.ONE, "--samples", "100000000", "-o", str(log)],
+            [*warm.program, "noise", *self.ONE, "--samples", "100000000", "-o", str(log)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
-        while process.poll() is None and (not log.exists() or log.stat().st_size < 20_000):
-            pass
+        wait_until_grown(process, log, 20_000)
         process.send_signal(signal.SIGINT)
         printed, said = process.communicate()
         assert process.returncode == 130

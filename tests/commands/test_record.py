@@ -9,7 +9,8 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from support.command import TILTCAL, tiltcal
+from support.command import tiltcal
+from support.warm_start import WarmStart, wait_until_grown
 
 ONE = ("--sensor", "sca100t-d02", "--address", "sim:?seed=3")
 
@@ -73,14 +74,13 @@ def test_a_reading_that_fails_leaves_its_cells_empty(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_stopped_in_the_middle_it_keeps_its_rows(number: int, tmp_path: Path) -> None:
+def test_stopped_in_the_middle_it_keeps_its_rows(number: int, warm: WarmStart, tmp_path: Path) -> None:
     """A virtual sensor without end: stopped by Ctrl-C, or killed, when the log has grown."""
     log = tmp_path / "log.csv"
     process = subprocess.Popen(
-        [*TILTCAL, "record", *ONE, "--rows", "100000000", "-o", str(log)], stderr=subprocess.PIPE, text=True
+        [*warm.program, "record", *ONE, "--rows", "100000000", "-o", str(log)], stderr=subprocess.PIPE, text=True
     )
-    while process.poll() is None and (not log.exists() or log.stat().st_size < 20_000):
-        pass
+    wait_until_grown(process, log, 20_000)
     process.send_signal(number)
     said = process.communicate()[1]
     rows = rows_of(log)

@@ -6,7 +6,6 @@ import json
 import random
 import signal
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,10 +13,10 @@ import pexpect
 import pytest
 from support import FIXTURES
 from support import accelerometer_disk as disk
-from support.command import TILTCAL, tiltcal
+from support.command import tiltcal
 from support.json_program import Event, ProgramSession, lead
 from support.stage_part import on_a_pty, printed
-from support.warm_start import WarmStart
+from support.warm_start import WarmStart, wait_until_grown
 
 from tiltcal.files.pair import read_pair
 
@@ -180,22 +179,21 @@ def test_what_is_no_answer_is_refused_and_it_goes_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", range(4))
-def test_killed_at_a_random_moment_on_a_real_line(number: int, tmp_path: Path) -> None:
+def test_killed_at_a_random_moment_on_a_real_line(number: int, warm: WarmStart, tmp_path: Path) -> None:
     size = random.Random(number).randrange(1500, 90_000)
     (tmp_path / "own.yaml").write_text(OWN)
     with on_a_pty(LINES) as path:
         with subprocess.Popen(
-            [*TILTCAL, *options(serial(path)), "--operator", "json"],
-            cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            [*warm.program, *options(serial(path)), "--operator", "json"],
+            cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
         ) as process:  # fmt: skip
             if process.stdin is None:
                 raise RuntimeError("no pipe")
             process.stdin.write(b'{"answer": "ready"}\n')
             process.stdin.flush()
-            journal = tmp_path / JOURNAL
-            while process.poll() is None and not (journal.exists() and journal.stat().st_size >= size):
-                time.sleep(0.0005)
+            wait_until_grown(process, tmp_path / JOURNAL, size)
             process.send_signal(signal.SIGKILL)
+            process.communicate()  # all that had its streams have ended
         resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path, said='{"answer": "ready"}\n')
     assert resumed.returncode == 0, resumed.stderr
     require_truth(tmp_path / "pair.yaml")

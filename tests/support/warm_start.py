@@ -16,6 +16,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -23,6 +24,7 @@ from importlib import import_module
 from pathlib import Path
 from select import select
 from tempfile import TemporaryDirectory
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -48,6 +50,12 @@ class Victim:
                         os.kill(self._number, signal.SIGKILL)
                     break
             return int(line_of(self._server))
+
+
+def wait_until_grown(process: subprocess.Popen[Any], file: Path, size: int) -> None:
+    """Wait until a file that a process writes has grown to a size, in bytes, or the process has ended."""
+    while process.poll() is None and not (file.exists() and file.stat().st_size >= size):
+        time.sleep(POLL)
 
 
 class WarmStart:
