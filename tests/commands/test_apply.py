@@ -300,6 +300,7 @@ def test_ctrl_c_ends_the_wait_for_a_pipe_that_has_gone_quiet(tmp_path: Path) -> 
         deadline = time.monotonic() + 60
         while int.from_bytes(fcntl.ioctl(process.stdin, termios.FIONREAD, bytes(4)), sys.byteorder):
             assert time.monotonic() < deadline, "the rows were not read"
+            time.sleep(0.0005)
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 130
         assert "interrupted" in process.stderr.read().decode()

@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 from support import FIXTURES
-from support.command import TILTCAL
+from support.warm_start import WarmStart
 
 from tiltcal.cli.apply import command
 from tiltcal.cli.match import command as match_command
@@ -337,14 +337,16 @@ class TestRefusals:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_ctrl_c_leaves_nothing_behind(bench: Path) -> None:
+def test_ctrl_c_leaves_nothing_behind(warm: WarmStart, bench: Path) -> None:
     os.mkfifo("in.csv")
     (bench / "out.parquet").write_text("the one before")
     process = subprocess.Popen(
-        [*TILTCAL, "apply", "cal.yaml", "in.csv", "-o", "out.parquet"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [*warm.program, "apply", "cal.yaml", "in.csv", "-o", "out.parquet"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     )
     with open("in.csv", "wb") as stream:
-        stream.write(b"x,y\n" + b"3.5,2.5\n" * 2_000_000)
+        stream.write(b"x,y\n" + b"3.5,2.5\n" * 500_000)
         stream.flush()  # most of it has been read when this returns, and the end is still to come
         process.send_signal(signal.SIGINT)
     process.communicate(timeout=30)

@@ -15,7 +15,7 @@ import pytest
 from support import FIXTURES
 from support.command import TILTCAL
 
-CAL = str(FIXTURES / "mavs.yaml")
+CAL, LEVEL = (str(FIXTURES / name) for name in ("mavs.yaml", "level.yaml"))
 
 
 def started(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
@@ -120,7 +120,7 @@ main(["apply", {CAL!r}, "a.csv", "b.csv", "-o", "tilt", "--jobs", "2"])
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
-@pytest.mark.parametrize("arguments", [["procedures"], ["apply", CAL, "log.csv"], ["check", CAL, "--json"]])
+@pytest.mark.parametrize("arguments", [["procedures"], ["apply", CAL, "log.csv"], ["check", LEVEL, "--json"]])
 def test_a_full_disk_behind_standard_output(arguments: list[str], tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("x,y\n1024,1024\n")
     with open("/dev/full", "w") as full:

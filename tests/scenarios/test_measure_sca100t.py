@@ -147,12 +147,12 @@ def test_no_such_device(warm: WarmStart, tmp_path: Path) -> None:
 
 def test_a_captured_real_session_replays_to_the_byte(warm: WarmStart, tmp_path: Path) -> None:
     led(warm.program, "plane", tmp_path, FLAT)
-    with run_on_spi([*TILTCAL, "replay", str(tmp_path / "S-0042.journal.jsonl")]) as bench:
+    with run_on_spi([*warm.program, "replay", str(tmp_path / "S-0042.journal.jsonl")]) as bench:
         text = bench.process.stdout.read()
     assert text.encode() == (tmp_path / "S-0042.yaml").read_bytes()
 
 
-def test_killed_on_the_real_bus_and_resumed(tmp_path: Path) -> None:
+def test_killed_on_the_real_bus_and_resumed(warm: WarmStart, tmp_path: Path) -> None:
     with run_on_spi(program(TILTCAL, "plane", tmp_path, "--samples", "30"), FLAT) as bench:
         for _ in range(2):
             bench.take()
@@ -162,7 +162,7 @@ def test_killed_on_the_real_bus_and_resumed(tmp_path: Path) -> None:
         assert bench.exit_code == 128 + signal.SIGKILL
     journal = tmp_path / "S-0042.journal.jsonl"
     before = journal.read_bytes()
-    with run_on_spi([*TILTCAL, "measure", "--resume", str(journal)], FLAT) as bench:
+    with run_on_spi([*warm.program, "measure", "--resume", str(journal)], FLAT) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     # The third position was being measured; nobody knows how the bench stands now, so it is asked for again.
