@@ -104,6 +104,30 @@ def test_a_sensor_that_fails_is_reported_and_the_others_go_on(tmp_path: Path) ->
     assert replayed.returncode == 0, replayed.stderr
 
 
+def test_a_failure_of_the_whole_bench_loses_no_sensor(tmp_path: Path) -> None:
+    """Both twins are unplugged from 4.5 s on, until both have failed five times, a second apart."""
+    fault = "  faults: [{kind: unplugged, start: 4.5, end: 15.0}]\n"
+    bench(
+        tmp_path,
+        f'serial: A, model: sca100t-d02, address: "{twin(tmp_path, 1, fault)}"',
+        f'serial: B, model: sca100t-d02, address: "{twin(tmp_path, 2, fault)}"',
+    )
+    options = ("--operator", "sim", "--samples", "30")
+    ended = tiltcal("measure", "plane", "--bench", "bench.yaml", *options, cwd=tmp_path)
+    assert ended.returncode == 3
+    assert "before it A failed: is a supply, a line or an adapter of all of them down?" in ended.stderr
+    resumed = tiltcal("measure", "--resume", "bench.journal.jsonl", "--operator", "sim", cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+    (tmp_path / "again").mkdir()
+    replayed = tiltcal("replay", "bench.journal.jsonl", "-o", "again", cwd=tmp_path)
+    assert replayed.returncode == 0, replayed.stderr
+    for name, x in (("A.yaml", 1021.0), ("B.yaml", 1022.0)):
+        found = read_calibration(tmp_path / name)
+        assert found.coefficients.offset == pytest.approx([x, 1021.0], abs=0.5)
+        assert len(found.positions) == 4
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / name).read_bytes()
+
+
 def test_a_program_is_told_of_every_sensor(tmp_path: Path) -> None:
     bench(
         tmp_path,

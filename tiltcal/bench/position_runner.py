@@ -142,9 +142,9 @@ class PositionRunner:
         log, sensors = self._log, self._sensors
         if isinstance(error, SensorError) and not sensors.count_failure(error):
             if log.state is SessionState.LIVE:
-                raise error
+                raise sensors.ending(error)
             # It ended the session once; whoever resumes it has put it right.
-            sensors.succeeded()
+            sensors.repaired()
         log.report(self._operator.refused, position, str(error))
         if isinstance(error, SensorError) and error.serial in sensors.lost:
             log.report(self._operator.lost, error.serial, sensors.lost[error.serial])

@@ -81,6 +81,8 @@ class SensorSet:
         self._listeners: list[Listener] = []
         self._thermometer = thermometer
         self._failures: dict[str, int] = {}
+        self._just_lost: list[str] = []
+        """The sensors that were given up since the last success."""
         self.lost: dict[str, str] = {}
 
     @property
@@ -177,6 +179,23 @@ class SensorSet:
     def succeeded(self) -> None:
         """Note a success: failures from here on count anew."""
         self._failures.clear()
+        self._just_lost.clear()
+
+    def repaired(self) -> None:
+        """Note that failures that ended the session are put right: what was given up with them counts again."""
+        for serial in self._just_lost:
+            del self.lost[serial]
+        self.succeeded()
+
+    def ending(self, error: SensorError) -> SensorError:
+        """Return the error that ends the session, with the sensors that were given up since the last success."""
+        if not self._just_lost:
+            return error
+        return SensorError(
+            error.serial,
+            f"{error}; before it {', '.join(self._just_lost)} failed: is a supply, a line or an adapter of all of them "
+            "down? After --resume they are measured again",
+        )
 
     def count_failure(self, error: SensorError, *, needed: bool = False) -> bool:
         """Count a failure, and return whether the session can go on.
@@ -189,6 +208,7 @@ class SensorSet:
         if needed or error.serial == self.THERMOMETER or len(self.sensors) == 1:
             return False
         self.lost[error.serial] = str(error)
+        self._just_lost.append(error.serial)
         return True
 
     @contextmanager
