@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 from math import exp, pi, sqrt
 
 import numpy as np
@@ -17,6 +18,9 @@ HARMONICS = np.arange(1, 1001)
 
 MOST_VALUES = 4096
 """Different values beyond which a reading counts as continuous."""
+
+_NOISES = np.geomspace(0.005, 1.0, 80)
+"""Of readings before they are rounded, in steps; beyond them rounding leaves nothing."""
 
 _ENOUGH_VALUES, _FEW_VALUES = 1 << 18, 1 << 16
 """Different values among which two neighbours are a step apart, and those that are worth joining to the others."""
@@ -161,6 +165,50 @@ def noise_under_rounding(scatter: float, step: float) -> float:
         expected = noise**2 + step**2 / 12.0 - rounding_variance(noise, step)
         low, high = (noise, high) if expected < scatter else (low, noise)
     return (low + high) / 2.0
+
+
+def rounding_left(scatter: float, step: float, positions: int, samples: float) -> float:
+    """Return the standard uncertainty that rounding leaves in the mean of a position, unit.
+
+    Parameters
+    ----------
+    scatter : float
+        Mean variance of the rounded readings within the positions, unit².
+    step : float
+        Of the reading, unit.
+    positions : int
+        Each lies anyhow between two steps, so a few of them show the noise poorly.
+    samples : float
+        In a position, at least 2.
+
+    Notes
+    -----
+    The mean over the noises that the scatter allows, each as probable as it makes the scatter; before, the logarithm of
+    the noise is uniform.
+    """
+    if scatter == 0.0:
+        return step / sqrt(12)
+    variance, error = _rounded()
+    expected = variance.mean(axis=1)
+    # Of the sample variance within a position: of normal readings, and of readings that take two values.
+    sampling = 2.0 * variance**2 / (samples - 1.0) + np.maximum(variance * (1.0 - 4.0 * variance), 0.0) / samples
+    spread = (variance.var(axis=1) + sampling.mean(axis=1)) / positions
+    likelihood = -0.5 * ((scatter / step**2 - expected) ** 2 / spread + np.log(spread))
+    weight = np.exp(likelihood - likelihood.max())
+    return step * float(weight @ error / weight.sum())
+
+
+@cache
+def _rounded() -> tuple[Array, Array]:
+    """Return the variance of readings rounded to 1, by noise and place between two steps; and the error by noise."""
+    from scipy.special import ndtr
+
+    place = (np.arange(200) + 0.5) / 200.0 - 0.5
+    value = np.arange(-6.0, 7.0)[:, None, None]
+    upper, lower = (ndtr((value + side - place) / _NOISES[:, None]) for side in (0.5, -0.5))
+    mean = np.sum((upper - lower) * value, axis=0)
+    variance = np.sum((upper - lower) * value**2, axis=0) - mean**2
+    return variance, np.sqrt(np.mean((mean - place) ** 2, axis=1))
 
 
 def rounding_variance(noise: float, step: float) -> float:

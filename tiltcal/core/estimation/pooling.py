@@ -24,7 +24,7 @@ from math import inf, sqrt
 import numpy as np
 
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import noise_under_rounding, rounding_variance
+from tiltcal.core.quantisation import noise_under_rounding, rounding_left
 from tiltcal.core.statistics import BLOCKS, SampleSummary
 
 STEPS = 50
@@ -184,10 +184,11 @@ def _coarse_rounding(summaries: Sequence[SampleSummary]) -> Array | None:
     if step == 0.0 or weight.sum() == 0.0:
         return None
     scatter = float(weight @ np.array([summary.std**2 for summary in summaries]) / weight.sum())
-    noise = noise_under_rounding(scatter, step)
-    if noise >= COARSE * step:
+    if noise_under_rounding(scatter, step) >= COARSE * step:
         return None
-    return np.asarray(sqrt(rounding_variance(noise, step)) * np.sqrt(_alike(summaries, step)))
+    drawn = weight[weight > 0.0]
+    left = rounding_left(scatter, step, len(drawn), float(drawn.mean()) + 1.0)
+    return np.asarray(left * np.sqrt(_alike(summaries, step)))
 
 
 def _alike(summaries: Sequence[SampleSummary], step: float) -> Array:

@@ -195,19 +195,23 @@ class TestCorrelatedNoise:
 
 
 class TestCoarseConverter:
-    @pytest.mark.parametrize("noise", [0.1, 0.2, 0.3])
-    def test_noise_below_half_a_step(self, noise: float) -> None:
-        """Readings of whole counts anywhere between two steps: 95 % of the means' intervals hold the truth."""
-        rng = np.random.default_rng([7, round(10 * noise)])
+    @pytest.mark.parametrize(("noise", "positions"), [(0.1, 6), (0.15, 6), (0.2, 6), (0.2, 3), (0.3, 8)])
+    def test_noise_below_half_a_step(self, noise: float, positions: int) -> None:
+        """Half the difference of two readings of whole counts: 95 % hold, or more where few positions show the noise.
+        With the noise that fits best, 88 to 92 % hold.
+        """
+        rng = np.random.default_rng([7, round(100 * noise)])
         hits = []
-        for _ in range(40):
-            truth = rng.uniform(0.0, 100.0, 8)
-            readings = np.rint(truth[:, None] + noise * rng.standard_normal((8, 50)))
+        for _ in range(100):
+            truth = rng.uniform(0.0, 100.0, positions)
+            readings = np.rint(truth[:, None] + noise * rng.standard_normal((positions, 50)))
             summaries = [summarise(one, 1.0) for one in readings.tolist()]
             variance, dof, rounding = noise_of_means(summaries)
+            error = np.array([one.mean for one in summaries]) - truth
             half = 1.96 * np.sqrt(variance + rounding**2)
-            hits.append(np.mean(np.abs([one.mean for one in summaries] - truth) <= half))
-        assert np.mean(hits) >= 0.93 - 3 * np.std(hits) / sqrt(40)
+            first, second = np.triu_indices(positions, 1)
+            hits.append(np.mean(np.abs(error[first] - error[second]) <= np.hypot(half[first], half[second])))
+        assert np.mean(hits) >= 0.94 - np.std(hits) / 10.0
         assert np.isfinite(dof).all()
 
 
