@@ -69,10 +69,11 @@ def procedure(draw: Random) -> None:
 
 @target(share=80)
 def bench(draw: Random) -> None:
-    from tiltcal.files.bench import read_bench
+    from tiltcal.bench.session_plan import known_bench
+    from tiltcal.files.document import read_document
 
     Path("b.yaml").write_bytes(damaged_yaml(draw, BENCH))
-    read_bench("b.yaml")
+    known_bench(read_document("b.yaml"))
 
 
 @target(share=80)

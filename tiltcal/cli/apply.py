@@ -241,5 +241,6 @@ def _each(tasks: Sequence[ApplyTask], jobs: int | None, force: bool, scheduler: 
             options.json_text({"logs": {task.log: told[task.log] for task in tasks if task.log in told}})
         )
     if len(told) < len(tasks):
-        raise InputError(f"{len(tasks) - len(told)} of {len(tasks)} logs failed; the others are written")
+        rest = "; the others are written" if told else ""
+        raise InputError(f"{len(tasks) - len(told)} of {len(tasks)} logs failed{rest}")
     return 0

@@ -15,12 +15,10 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
 from tiltcal.errors import InputError
 from tiltcal.files.declaration import Context, Converted, ListOf, Number, Section, Text, entry
-from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.node import Node
 from tiltcal.frozen import frozen
 
@@ -111,14 +109,3 @@ class BenchFile:
 
 BENCH = Section(BenchFile, kind="bench")
 """The bench file."""
-
-
-def read_bench(path: str | Path) -> BenchFile:
-    """Read and check a bench file.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
-    """
-    return BENCH.read(read_tiltcal_file(path, "bench"))

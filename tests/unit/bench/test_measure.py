@@ -201,6 +201,13 @@ def test_an_angle_has_an_axis(axis: str) -> None:
     assert str(refused.value).isascii()
 
 
+def test_an_answer_has_one_direction() -> None:
+    """A rig that sends the gravity of the ask back beside its own tilt lost the tilt."""
+    with pytest.raises(InputError, match="the answer has tilt and gravity"):
+        understood({"answer": "ready", "tilt": {"y": 30.02}, "gravity": [0, 0.5, 0.866]})
+    assert understood({"answer": "ready", "tilt": {}, "gravity": [0, 0.5, 0.866]}).gravity == (0, 0.5, 0.866)
+
+
 def test_a_sensor_is_read_by_itself() -> None:
     with open_sensor("sca100t-d02", "sim:?seed=1") as sensor:
         reading = sensor.read()
