@@ -171,6 +171,7 @@ def test_means_keep_variables_of_text(bench: Path) -> None:
     with xarray.open_dataset("means.nc", engine="h5netcdf") as means:
         assert means["count"].values.tolist() == [2, 2]
         assert means["note"].values.tolist() == ["öre", "öre"]
+        assert means["time"].values.tolist() == ["2026-05-01T12:00:02.500Z", "2026-05-01T12:00:12.500Z"]
 
 
 class TestRefusals:

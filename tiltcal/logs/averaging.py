@@ -25,7 +25,7 @@ from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import SensorColumns
 from tiltcal.logs.log import LogBlock, Table
-from tiltcal.logs.text_to_numbers import no_time_yet
+from tiltcal.logs.text_to_numbers import no_time_yet, texts_of_times
 from tiltcal.stated_numbers import require_whole
 
 if TYPE_CHECKING:
@@ -225,6 +225,11 @@ class Means:
             for index, column in values.items()
             if index != self.time  # it has a unit and a moment of its own
         }
+        name = None if self.time is None else self.names[self.time]
+        if name is not None and self.time is not None and kinds.get(name) == pl.String:
+            exact[name] = texts_of_times(values[self.time], frame[name]).zip_with(
+                pl.Series(np.isfinite(values[self.time])), means[name]
+            )
         return means.with_columns(**exact)
 
 

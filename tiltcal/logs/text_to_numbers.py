@@ -26,6 +26,8 @@ MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 _CUT_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)[eE][+-]?|\d*\.)?")
 _OPEN_POINT = r"\.([^0-9]|$)"
 _MOMENT = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z"
+_DAY = r"^\s*\d{4}-\d"
+_ISO = "%Y-%m-%dT%H:%M:%S%.fZ"
 _EXAMPLE = "2026-05-01T12:00:00.5Z"
 _PARTS = (
     r"^(?P<day>\d{4}-\d\d?-\d\d?)"
@@ -94,6 +96,16 @@ def seconds(cells: pl.Series) -> Array:
     moments = texts.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f%#z", time_unit="us", time_zone="UTC", strict=False)
     values[wrong] = (moments.dt.epoch("us") / 1e6).fill_null(float("nan")).to_numpy()
     return values
+
+
+def texts_of_times(times: Array, like: pl.Series) -> pl.Series:
+    """Return times as text: moments in ISO 8601 where some of the cells ``like`` are moments, else numbers."""
+    import polars as pl
+
+    found = pl.Series(times)
+    if not like.str.contains(_DAY).any():
+        return found.cast(pl.String)
+    return (found.fill_nan(None) * 1e6).round().cast(pl.Int64).cast(pl.Datetime("us")).dt.strftime(_ISO)
 
 
 def unread_time(cells: pl.Series, name: str) -> tuple[int, str] | None:

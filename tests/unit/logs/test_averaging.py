@@ -57,6 +57,21 @@ class TestGroups:
         assert found["x"] == pytest.approx([2.6, 2.75, 3.1])
         assert found["g_x"] == pytest.approx([0.05, 0.125, 0.3])
 
+    @pytest.mark.parametrize(
+        ("times", "means"),
+        [
+            (
+                ["2026-05-01 12:00", "2026-05-01T12:00:03Z", "2026-05-01"],
+                ["2026-05-01T12:00:01.500Z", "2026-05-01T00:00:00Z"],
+            ),
+            (["8", "9.5", "11"], ["8.75", "11.0"]),
+            (["noon", "noon", "one"], ["noon", "one"]),
+        ],
+    )
+    def test_times_that_are_text_get_their_mean(self, times: list[str], means: list[str], cal: Calibration) -> None:
+        frame = pl.DataFrame(rows(x=[2.5, 2.7, 2.6], time=times))
+        assert cal.apply(frame, average=2)["time"].to_list() == means
+
     def test_readings_are_averaged_and_not_angles(self, cal: Calibration) -> None:
         found = cal.apply(rows(x=[2.5, 4.5]), average=2)
         assert found["tilt_x"] == pytest.approx([30.0])  # of the angles it is 45
