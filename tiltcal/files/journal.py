@@ -99,11 +99,13 @@ class Events(Sequence[Event]):
         self._path = path
         self._starts = starts
         self._more = more
+        self._in_file = len(starts) - 1
+        self._count = self._in_file + len(more)
         self._first = 0
         self._block: list[bytes] = []
 
     def __len__(self) -> int:
-        return len(self._starts) - 1 + len(self._more)
+        return self._count
 
     @overload
     def __getitem__(self, index: int) -> Event: ...
@@ -113,13 +115,13 @@ class Events(Sequence[Event]):
 
     def __getitem__(self, index: int | slice) -> Event | Sequence[Event]:
         if isinstance(index, slice):
-            return [self[k] for k in range(*index.indices(len(self)))]
-        place, read = range(len(self))[index], len(self._starts) - 1
-        if place >= read:
-            return self._more[place - read]
+            return [self[k] for k in range(*index.indices(self._count))]
+        place = range(self._count)[index]
+        if place >= self._in_file:
+            return self._more[place - self._in_file]
         if not self._first <= place < self._first + len(self._block):
             self._first = place - place % BLOCK
-            self._block = self._lines(self._first, min(self._first + BLOCK, read))
+            self._block = self._lines(self._first, min(self._first + BLOCK, self._in_file))
         number = place + 2
         return _event_of(_loads(_body(self._block[place - self._first]), self._path, number), number)
 
@@ -405,7 +407,9 @@ def _event_of(found: list[Any], number: int) -> Event:
 def _loads(body: bytes, path: Path, number: int) -> Any:
     """Parse the JSON of a line; refuse numbers that no session has, and deep nesting."""
     try:
-        return _DECODER.decode(body.decode())
+        text = body.decode()
+        found, end = _DECODER.raw_decode(text)  # without a search for white space, which our lines do not have
+        return found if end == len(text) else _DECODER.decode(text)
     except RecursionError:
         raise JournalError("the line is nested too deeply", file=path, line=number) from None
     except ValueError as error:
