@@ -88,7 +88,7 @@ class SensorSet:
     @property
     def sensors(self) -> tuple[ConnectedSensor, ...]:
         """The sensors that were not given up."""
-        return tuple(sensor for sensor in self._all if sensor.serial not in self.lost)
+        return tuple(sensor for sensor in self._all if sensor.serial not in self.lost) if self.lost else self._all
 
     @property
     def models(self) -> tuple[Model, ...]:

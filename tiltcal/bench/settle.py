@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from operator import mul
 from typing import NamedTuple
 
 from tiltcal.bench.sensor_set import Sample, SensorSet
@@ -218,7 +219,8 @@ def movement(
             if not is_still(change, uncertainty, limit, sigmas=sigmas, shown=shown, coverage=SHOWN_WITHIN):
                 return f"{channel} drifts by {change:+.4g} {model.unit} in {span:.3g} s"
             mean = sum(values) / len(values)
-            scatter = (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5
+            deviations = [value - mean for value in values]
+            scatter = (sum(map(mul, deviations, deviations)) / len(values)) ** 0.5
             if scatter > SHAKING * model.sensitivity:
                 return f"{channel} scatters by {scatter:.4g} {model.unit}: hold it still"
         temperatures = [reading.temperature for reading in readings if reading.temperature is not None]
