@@ -34,11 +34,11 @@ def calibrated(days: float, offset: tuple[float, float], u: float = 1.0, serial:
     """Return a calibration whose offset alone is uncertain, and whose readings have no noise."""
     coefficients = replace(LEVEL.coefficients, offset=np.array(offset), sensitivity=SCALE * np.eye(2))
     uncertainty = Uncertainty({"offset.x": u, "offset.y": u}, {"x": 0.0, "y": 0.0})
-    return replace(
-        LEVEL,
-        sensor=replace(LEVEL.sensor, serial=serial),
-        coefficients=coefficients,
-        uncertainty=uncertainty,
+    return CalibrationRecord(
+        replace(LEVEL.sensor, serial=serial),
+        coefficients,
+        uncertainty,
+        limits=LEVEL.limits,
         provenance=Provenance(started=stamp(days - 0.01), ended=stamp(days)),
     )
 
