@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from tiltcal.calibration.channel_checks import require_own_readings
+from tiltcal.calibration.channel_checks import ACCELERATION, require_own_readings
 from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
@@ -24,8 +24,6 @@ from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.position_record import ProcedureRecord
 from tiltcal.files.procedure import Procedure
-
-ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
 
 def calibrate(

@@ -26,6 +26,11 @@ REACTION = 3.0
 DUST = 1e-9
 """The share of a reading below which a number is what arithmetic leaves of nothing."""
 
+ACCELERATION = ("m/s2", "m/s^2", "m/s²")
+
+OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
+"""What 1 g is in units of acceleration."""
+
 CLEARLY = 2.0
 """A channel that answers to another axis so many times more than to its own is that axis's channel."""
 
@@ -59,7 +64,7 @@ def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
     """
     _require_reaction(sensor, found)
     _require_apart(found.coefficients)
-    return tuple(_remarks(found.coefficients))
+    return (*_remarks(found.coefficients), *_remarks_on_unit(found.coefficients, sensor.sensor.unit))
 
 
 _COPIES = "two copies of one channel? Look at the wiring, and at --columns"
@@ -111,6 +116,16 @@ def _remarks(coefficients: Coefficients) -> Iterator[str]:
         own = float(coefficients.sensitivity[coefficients.channels.index(channel), axes.index(channel)])
         if axis == channel and own < 0.0:
             yield f"the sign of {channel} is turned: it reads less where +{channel} points up; look at how it sits"
+
+
+def _remarks_on_unit(coefficients: Coefficients, unit: str) -> Iterator[str]:
+    if unit not in OF_G:
+        return
+    for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
+        size = float(np.linalg.norm(row))
+        if not OF_G[unit] / CLEARLY < size < OF_G[unit] * CLEARLY:
+            known = f"{OF_G[unit]:.3g} {unit}"
+            yield f"{channel} reads {size:.3g} {unit} for 1 g, which is {known}: are the readings in {unit}?"
 
 
 def _axis_of(row: Sequence[float], axes: Sequence[str], own: str) -> str:

@@ -121,9 +121,10 @@ def _refuse_overlap(segments: Iterable[Segment], path: str | Path) -> None:
     ordered = sorted(segments, key=lambda segment: segment.start)
     for before, after in pairwise(ordered):
         if after.start < before.end:
+            also = "and" if before.line is None else f"and, by line {before.line},"
             raise InputError(
-                f"rows {after.start} to {min(before.end, after.end) - 1} belong to {after.name!r} and, by line "
-                f"{before.line}, to {before.name!r}; segments do not overlap",
+                f"rows {after.start} to {min(before.end, after.end) - 1} belong to {after.name!r} {also} to "
+                f"{before.name!r}; segments do not overlap",
                 file=path,
                 line=after.line,
             )

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tiltcal.calibration.calibrate import ACCELERATION
 from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.channel_checks import OF_G
 from tiltcal.core.model import AXES
 from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.scale import NoiseScale
@@ -24,9 +24,6 @@ from tiltcal.logs.noise_log import NoiseLog, characterise_log
 from tiltcal.logs.noise_summary import NoiseTarget, as_data, summary
 from tiltcal.logs.uniform_sampling import UniformLog
 from tiltcal.stated_numbers import require_above_zero, require_whole
-
-STANDARD_GRAVITY = 9.80665
-"""m/s²"""
 
 
 def noise(
@@ -180,8 +177,8 @@ class NoiseFacts:
             return cls(channels, own_unit, own, f"calibration of {known.sensor.serial}")
         if model is not None and model.scaled:
             return cls(channels, own_unit, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}")
-        if own_unit in (*ACCELERATION, "g"):
-            return cls(channels, own_unit, {"*": 1.0 if own_unit == "g" else STANDARD_GRAVITY}, f"unit {own_unit}")
+        if own_unit in OF_G:
+            return cls(channels, own_unit, {"*": OF_G[own_unit]}, f"unit {own_unit}")
         return cls(channels, own_unit, {}, "")
 
     def require_scale(self, target: NoiseTarget) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ NOISE = 1e-4
 Wiring = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
-def calibrated(wiring: Wiring) -> CalibrationRecord:
+def calibrated(wiring: Wiring, unit: str = "V") -> CalibrationRecord:
     """A sensor of 2 V/g and 2.5 V at level, whose channels are wired in some way."""
     rng = np.random.default_rng(1)
     measurements = []
@@ -33,7 +34,7 @@ def calibrated(wiring: Wiring) -> CalibrationRecord:
         mean = wiring(true) + rng.normal(0.0, NOISE, 2)
         summaries = {c: SampleSummary(float(v), 1e-3, 100, NOISE, 0.0, 9.0) for c, v in zip("xy", mean, strict=True)}
         measurements.append(Measurement(position.name, position.gravity, position.tilt, None, summaries))
-    return calibrate([MeasuredSensor(SENSOR, measurements)], PLANE, BenchUncertainty(0.05))[0]
+    return calibrate([MeasuredSensor(replace(SENSOR, unit=unit), measurements)], PLANE, BenchUncertainty(0.05))[0]
 
 
 def remarks(wiring: Wiring) -> list[str]:
@@ -64,6 +65,12 @@ def test_swapped_channels_are_remarked() -> None:
 def test_a_turned_sign_is_remarked() -> None:
     (note,) = remarks(lambda true: np.array([true[0], 5.0 - true[1]]))
     assert note.startswith("the sign of y is turned")
+
+
+@pytest.mark.parametrize(("unit", "per_g", "said"), [("g", 9.81, 2), ("m/s2", 1.0, 2), ("g", 1.1, 0), ("m/s2", 9.6, 0)])
+def test_readings_in_another_unit_of_acceleration_are_remarked(unit: str, per_g: float, said: int) -> None:
+    notes = calibrated(lambda true: true * per_g / 2.0, unit).fit.notes
+    assert sum(note.endswith(f"are the readings in {unit}?") for note in notes) == said
 
 
 def test_the_same_readings_twice_are_refused_where_no_sensitivity_is_determined() -> None:

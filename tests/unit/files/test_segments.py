@@ -69,3 +69,9 @@ def test_error_names_line_and_column(tmp_path: Path, text: str, line: int | None
         read(tmp_path, text)
     assert (caught.value.file, caught.value.line, caught.value.key) == (str(tmp_path / "seg"), line, key)
     assert about in caught.value.message
+
+
+def test_rows_that_are_no_file_have_no_lines() -> None:
+    rows = [{"position": "a", "start": 5, "end": 9}, {"position": "b", "start": 0, "end": 6}]
+    with pytest.raises(InputError, match="rows 5 to 5 belong to 'a' and to 'b'"):
+        read_segments(rows)
