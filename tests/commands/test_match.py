@@ -114,6 +114,8 @@ class TestMatch:
         drawn = (tmp_path / "six.svg").read_text(encoding="utf-8")
         assert "sum after p and q" in drawn
         assert "p, recursive" in drawn
+        assert "10⁻²" in drawn
+        assert "$" not in drawn
 
     def test_a_stop_of_the_stage_is_told_and_survived_online(self, tmp_path: Path) -> None:
         taken = disk.record(seconds=160, rate=20)

@@ -168,6 +168,8 @@ class TestOfALog:
         assert result.exit_code == 0
         drawn = (tmp_path / "a.svg").read_text()
         assert all(text in drawn for text in ("Allan deviation of x [count]", "near level [°]", "averaging time [s]"))
+        assert "10⁻²" in drawn
+        assert "$" not in drawn
 
     @pytest.mark.skipif(not DATA.exists(), reason="the recorded data are not here")
     def test_a_real_sensor(self, tmp_path: Path) -> None:

@@ -21,6 +21,8 @@ INK, GREY, BLUE, RED = "#000000", "#8a8a8a", "#1f6f8b", "#c0504d"
 CHANNELS = {"x": (BLUE, "o", "-"), "y": (RED, "s", "--"), "z": ("#4f6228", "^", ":")}
 """Colour, mark and line of a channel, distinguishable without colour."""
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "axes.spines.top": False,
@@ -63,8 +65,29 @@ def save(figure: Figure, stream: BinaryIO) -> None:
     """Write a figure as SVG without a date; use it within :func:`figure_style`."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
+    _label_decades(figure)
     # Figure.savefig draws a figure with a layout twice, the first time for the layout alone; draw does the layout too.
     FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": "tiltcal"})  # type: ignore[no-untyped-call]
+
+
+def _label_decades(figure: Figure) -> None:
+    """Label logarithmic axes with characters: what is written as mathematics stays as it is (``text.parse_math``)."""
+    from matplotlib.axis import Axis
+    from matplotlib.ticker import LogFormatterSciNotation
+
+    class Decades(LogFormatterSciNotation):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return in_characters(super().__call__(x, pos))
+
+    for axis in figure.findobj(lambda part: isinstance(part, Axis) and part.get_scale() == "log"):
+        axis.set_major_formatter(Decades())  # type: ignore[attr-defined]
+        axis.set_minor_formatter(Decades(labelOnlyBase=False))  # type: ignore[attr-defined]
+
+
+def in_characters(label: str) -> str:
+    """Return ``$\\mathdefault{4\\times10^{-3}}$`` as ``4×10⁻³``."""
+    plain = re.sub(r"^\$\\mathdefault\{(.*)\}\$$", r"\1", label).replace(r"\times", "×")
+    return re.sub(r"\^\{([-0-9]+)\}", lambda power: power[1].translate(_RAISED), plain)
 
 
 def picture(

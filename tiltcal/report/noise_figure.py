@@ -59,9 +59,9 @@ def _draw_channel(panel: Axes, channel: str, noise: ChannelNoise, scale: NoiseSc
     panel.set_axisbelow(True)
     if channel in scale.per_g:
         factor = degrees(1.0 / scale.per_g[channel])
-        beside = panel.secondary_yaxis(
-            "right", functions=(lambda v: np.multiply(v, factor), lambda v: np.divide(v, factor))
-        )
+        beside = panel.twinx()
+        beside.set_yscale("log")
+        beside.set_ylim(*(limit * factor for limit in panel.get_ylim()))
         beside.set_ylabel("near level [°]")
         beside.spines["right"].set_visible(True)
-    panel.legend(loc="best")
+    panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.1, columnspacing=1.2)

@@ -64,7 +64,7 @@ def draw_matching(path: Path, drawing: PairDrawing) -> None:
         if drawing.course:
             _draw_course(panels[1], drawing)
         for panel in panels:
-            panel.legend(loc="upper right")
+            panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.1, columnspacing=1.2)
             panel.margins(x=0.01)
         save(figure, stream)
 
