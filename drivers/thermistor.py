@@ -81,9 +81,21 @@ class Curve:
         return cls(1.0 / (t0 + ZERO_CELSIUS) - log(r0) / beta, 1.0 / beta, 0.0)
 
     def celsius(self, ohms: float) -> float:
-        """Return the temperature at a resistance, °C."""
+        """Return the temperature at a resistance, °C.
+
+        Raises
+        ------
+        DeviceFault
+            The curve has no temperature there.
+        """
         x = log(ohms)
-        return 1.0 / (self.a + self.b * x + self.c * x**3) - ZERO_CELSIUS
+        inverse = self.a + self.b * x + self.c * x**3
+        if inverse <= 0.0:
+            raise DeviceFault(
+                f"the thermistor's curve has no temperature at {ohms:.4g} Ω: check its coefficients, their units "
+                "(1/K, Ω) and the fixed resistor"
+            )
+        return 1.0 / inverse - ZERO_CELSIUS
 
     def ohms(self, celsius: float) -> float:
         """Return the resistance at a temperature, Ω: the real root of the cubic, by Cardano's formula."""

@@ -49,6 +49,13 @@ def test_resistance_and_temperature_are_inverse(celsius: float, a: float, b: flo
     assert curve.celsius(curve.ohms(celsius)) == pytest.approx(celsius, abs=1e-6)
 
 
+@pytest.mark.parametrize("a", [0.0, -1e-3])
+def test_a_curve_without_a_temperature_there(a: float) -> None:
+    """1/T is a + b ln 1 = a, in 1/K."""
+    with pytest.raises(DeviceFault, match="curve has no temperature at 1 Ω: check its coefficients"):
+        Curve(a, 2.4e-4, 0.0).celsius(1.0)
+
+
 @pytest.mark.parametrize(("grounded", "share"), [(True, 1.0 / 3.0), (False, 2.0 / 3.0)])
 def test_a_divider_whose_thermistor_has_half_the_fixed_resistance(grounded: bool, share: float) -> None:
     divider = Divider(BETA, 20_000.0, grounded)
