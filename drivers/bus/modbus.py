@@ -25,9 +25,9 @@ TIMEOUT = 1.0
 """Timeout after which a request is sent again, s."""
 RETRIES = 2
 
-SILENT = 2
-"""Time-outs without a byte after which no late answer is expected: the answers to a request and its repetitions, which
-are sent a time-out apart, arrive at the same distance."""
+SILENCE = 3.0
+"""Seconds without a byte after which no late answer is expected, or two time-outs where these are longer: the answers
+to a request and its repetitions, which are sent a time-out apart, arrive at the same distance."""
 BABBLE = 20
 """Pieces of data that are discarded before a line counts as one that is never silent."""
 
@@ -184,14 +184,16 @@ class ModbusLine:
 
     def _await_silence(self) -> None:
         """Discard late answers until none can come."""
-        silent = 0
-        for _ in range(BABBLE if self._answers_may_come else 0):
-            silent = 0 if self._client.recv(None) else silent + 1
-            if silent == SILENT:
-                self._answers_may_come = False
-                return
-        if self._answers_may_come:
-            raise BusError(f"{self.place} is never silent: does another master use this line?")
+        timeout = self.settings.timeout_connect
+        pieces, silent = 0, 0.0
+        while self._answers_may_come:
+            if self._client.recv(None):
+                pieces, silent = pieces + 1, 0.0
+                if pieces == BABBLE:
+                    raise BusError(f"{self.place} is never silent: does another master use this line?")
+            else:
+                silent += timeout
+                self._answers_may_come = silent < max(SILENCE, 2.0 * timeout)
 
 
 class ModbusLink:

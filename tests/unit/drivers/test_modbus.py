@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tiltcal.drivers import find_model
-from tiltcal.drivers.bus import link_letter, open_link
+from tiltcal.drivers.bus import link_letter, modbus, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.device import Model, Sensor
@@ -178,6 +178,12 @@ def test_devices_on_one_line_share_its_port() -> None:
 # Against a slave whose answers come when the test says
 
 
+@pytest.fixture
+def soon_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line that counts as silent after 0.3 s in place of three."""
+    monkeypatch.setattr(modbus, "SILENCE", 0.3)
+
+
 @contextmanager
 def late_slave(answer: Callable[[bytes, int], list[tuple[float, bytes]]]) -> Iterator[str]:
     """Yield a serial line on which the n-th request is answered by these frames, each after a delay in seconds.
@@ -232,23 +238,25 @@ def test_crc_of_the_specification() -> None:
     assert crc16(bytes.fromhex("02 07")) == bytes.fromhex("41 12")
 
 
+@pytest.mark.usefixtures("soon_silent")
 def test_a_late_answer_is_never_that_of_another_register() -> None:
-    """x in register 0 is 111 and y in register 9 is 222; the first request is answered after its time-out."""
+    """x in register 0 is 111 and y in register 9 is 222; the first request is answered three time-outs late."""
 
     def answer(request: bytes, count: int) -> list[tuple[float, bytes]]:
         if count == 1:
             return []
         own = frame_of(1, {0: 111, 9: 222}[request[3]])
-        # The answer to the first request, which was for x, and a little later that to its repetition.
-        return [(0.0, own), (0.05, own)] if count == 2 else [(0.0, own)]
+        # The answer to the repetition, and later that to the first request, which was for x.
+        return [(0.0, own), (0.15, own)] if count == 2 else [(0.0, own)]
 
     with late_slave(answer) as place:
-        model, written = at("unit=1&timeout=0.1&columns=x@0,y@9", place)
+        model, written = at("unit=1&timeout=0.05&columns=x@0,y@9", place)
         with closing(open_link(parse_address(written), model)) as link:
             sensor = model.driver(link, VirtualClock())
             assert [sensor.read().values for _ in range(2)] == [(111.0, 222.0)] * 2
 
 
+@pytest.mark.usefixtures("soon_silent")
 def test_a_late_answer_is_never_that_of_another_link() -> None:
     """After an error the link is opened anew, and the answers to the three requests before are still to come."""
 
