@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from tiltcal.errors import InputError
 from tiltcal.files import document as document_module
-from tiltcal.files.document import SIZE_LIMIT, parse_document, read_document, read_tiltcal_file
+from tiltcal.files.document import NODE_LIMIT, SIZE_LIMIT, parse_document, read_document, read_tiltcal_file
 from tiltcal.files.emitter import WIDTH, yaml_text
 from tiltcal.files.node import CONTROL, document_of
 
@@ -192,8 +192,12 @@ def test_depth_has_an_end() -> None:
     assert "deeper" in str(complaint("- " * 100_000))
 
 
-def test_number_of_values_has_an_end() -> None:
-    assert "200,000 values" in str(complaint("[" + "1," * 200_001 + "]"))
+def test_number_of_values_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The list counts as one of them."""
+    assert NODE_LIMIT == 200_000
+    monkeypatch.setattr("tiltcal.files.document.NODE_LIMIT", 2000)
+    assert len(parse_document("[" + "1," * 1999 + "]", "f.yaml").items()) == 1999
+    assert "more than 2,000 values in one file" in str(complaint("[" + "1," * 2000 + "]"))
 
 
 def test_large_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
