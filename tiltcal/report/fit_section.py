@@ -41,6 +41,11 @@ def position_table(calibration: CalibrationRecord) -> list[PositionRow]:
     names = [record.position for record in records]
     # Positions of a mounting come last and were not fitted; they may bear a name that was.
     fitted = [name in fit.residuals and name not in names[:k] for k, name in enumerate(names)]
+    runs = calibration.procedure.mounting, calibration.procedure.level
+    mounted, levelled = (0 if run is None else len(run.positions) for run in runs)
+    first = len(names) - mounted - levelled
+    set_for = [as_set(calibration.procedure.set.get(name, PositionSet())) for name in names[:first]]
+    set_for += ["for the mounting"] * mounted + ["level, for the offset"] * levelled
     temperatures = column(_told(record.temperature, 2) for record in records)
     means = [column(_mean(record, channel) for record in records) for channel in channels]
     decimals = _decimals(max((abs(v) for row in fit.residuals.values() for v in row.values()), default=0.0))
@@ -54,7 +59,7 @@ def position_table(calibration: CalibrationRecord) -> list[PositionRow]:
     return [
         PositionRow(
             name,
-            as_set(calibration.procedure.set.get(name, PositionSet())) if fitted[k] else "for the mounting",
+            set_for[k],
             temperatures[k],
             "" if records[k].n is None else str(records[k].n),
             [mean[k] for mean in means],

@@ -176,6 +176,13 @@ class TestRecords:
         assert u == Decimal(f"{derived['uncertainty']['cross_axis_percent']['y']:.1e}")
         assert rows["Misalignment of x"][1] == "°"
 
+    @pytest.mark.parametrize(("name", "said"), [("mounting", "for the mounting"), ("level", "level, for the offset")])
+    def test_positions_that_were_not_fitted_say_what_they_are_for(self, name: str, said: str) -> None:
+        rows = Page(text_of(name)).below("Procedure and positions")[2:]
+        completing = as_data(name)["procedure"][name]["positions"]
+        assert [row[1] for row in rows[-len(completing) :]] == [said] * len(completing)
+        assert said not in [row[1] for row in rows[: -len(completing)]]
+
     def test_mounting_and_intrinsic_parameters(self) -> None:
         mounted, stated = Page(text_of("mounting")).below("Mounting"), as_data("mounting")
         for row, angle in zip(mounted[1:], ("roll", "pitch", "yaw"), strict=True):
