@@ -104,6 +104,20 @@ def test_a_sensor_that_fails_is_reported_and_the_others_go_on(tmp_path: Path) ->
     assert replayed.returncode == 0, replayed.stderr
 
 
+def test_a_refusal_names_its_sensor_when_all_others_are_dropped(tmp_path: Path) -> None:
+    lost = "  faults: [{kind: unplugged, start: 4.5, end: 1.0e+9}]\n"
+    stuck = "  faults: [{kind: stuck, start: 4.5, end: 1.0e+9}]\n"
+    bench(
+        tmp_path,
+        f'serial: LOST, model: sca100t-d02, address: "{twin(tmp_path, 1, lost)}"',
+        f'serial: STUCK, model: sca100t-d02, address: "{twin(tmp_path, 2, stuck)}"',
+    )
+    result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", "--samples", "5", cwd=tmp_path)
+    assert result.returncode == 130
+    _, _, after = result.stderr.partition("LOST is dropped")
+    assert "refused: STUCK: no position of this procedure reads like this" in after
+
+
 def test_a_failure_of_the_whole_bench_loses_no_sensor(tmp_path: Path) -> None:
     """Both twins are unplugged from 4.5 s on, until both have failed five times, a second apart."""
     fault = "  faults: [{kind: unplugged, start: 4.5, end: 15.0}]\n"

@@ -282,7 +282,7 @@ class PositionRunner:
                 result.position.name, seen, result.mean(sensor.serial), temperature
             )
             if why:
-                raise Unsettled(why if len(self._sensors.sensors) == 1 else f"{sensor.serial}: {why}")
+                raise Unsettled(why if len(self._plan.sensors) == 1 else f"{sensor.serial}: {why}")
 
     @property
     def _mounted(self) -> bool:
