@@ -7,6 +7,7 @@ from math import hypot, radians, sqrt
 from pathlib import Path
 
 import pytest
+from support import FIXTURES
 from support.command import measure, tiltcal
 
 
@@ -41,6 +42,16 @@ def test_a_thermometer_adds_what_the_drift_makes_of_it() -> None:
     assert 1e-4 < float(drift) < 5e-4
     found = plan(*options[:1], *options[3:], sensor="adxl202")["uncertainty"]["temperature.offset.x.1"]
     assert found == pytest.approx(sqrt(2) * hypot(0.0002 / sqrt(100), float(drift)) / 18.5, rel=0.03)
+
+
+@pytest.mark.parametrize("lean", [(), ("--table-lean", "1")])
+def test_a_level_is_proposed_no_other_direction(lean: tuple[str, ...]) -> None:
+    """`fit level` refuses a position that is not level, so plan must not propose one."""
+    found = tiltcal("plan", "level", "--base", str(FIXTURES / "cross-axis.yaml"), "--jig", "0.1", *lean)
+    assert found.returncode == 0
+    proposed = [line for line in found.stdout.splitlines() if "would bring" in line]
+    assert len(proposed) == len(lean) // 2
+    assert all("adding level with the fixture turned by 180°" in line for line in proposed)
 
 
 def test_nothing_left_over_is_said() -> None:

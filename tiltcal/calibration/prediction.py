@@ -234,6 +234,7 @@ def predict(
         drift=drift,
         adc=adc,
         sensors=sensors,
+        level=procedure.determines.level,
     )
     return PredictedUncertainty(design, prediction, scatter, drift, model.unit)
 

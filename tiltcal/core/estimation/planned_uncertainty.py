@@ -97,6 +97,7 @@ def predict_uncertainty(
     drift: float = 0.0,
     adc: float = 0.0,
     sensors: int = 1,
+    level: bool = False,
 ) -> Prediction:
     """Compute the uncertainty that a planned session will reach, at nominal coefficients.
 
@@ -115,6 +116,8 @@ def predict_uncertainty(
         Standard uncertainty that quantisation leaves in a mean, same unit as the noise.
     sensors : int
         How many alike sit on the fixture and are estimated together.
+    level : bool
+        Every position has to be level, so none in another direction is proposed.
 
     Returns
     -------
@@ -140,7 +143,7 @@ def predict_uncertainty(
         budget=own,
         dof=system.degrees_of_freedom(near.unobservable_leans),
         correlations=strong_correlations(names, own.covariance),
-        worth_adding=_worth_adding(design, positions, equations, own.u),
+        worth_adding=_worth_adding(design, positions, equations, own.u, level=level),
     )
 
 
@@ -211,6 +214,8 @@ def _worth_adding(
     positions: Sequence[PlannedPosition],
     equations: Callable[[Sequence[PlannedPosition]], tuple[System, Array]],
     before: Array,
+    *,
+    level: bool,
 ) -> tuple[tuple[str, str, float], ...]:
     """Return positions that would make some coefficient much better known."""
     found = []
@@ -218,7 +223,7 @@ def _worth_adding(
     usual = next((position.temperature for position in positions if position.temperature is not None), None)
     candidates = [
         PlannedPosition(name, gravity, temperature, positions[0].heading)
-        for name, gravity, temperature in _candidates(design, positions, usual)
+        for name, gravity, temperature in ([] if level else _candidates(design, positions, usual))
     ]
     if design.table is not None:
         first = positions[0]
