@@ -104,8 +104,8 @@ class ModbusLine:
 
     An answer on a serial line names its unit, its function and its length, but not the registers. A late one could be
     taken for the answer of the next request. So after a request without an answer only the same request is repeated,
-    and before another one the line has to be silent for as long as a late answer may take. An answer of TCP has the
-    number of its request.
+    and before the unit is asked for anything else the line has to be silent for as long as a late answer may take. An
+    answer of TCP has the number of its request.
 
     Parameters
     ----------
@@ -121,7 +121,8 @@ class ModbusLine:
         self.place = place
         self._client = client
         self._numbered = numbered
-        self._answers_may_come = False
+        self._late: set[int] = set()
+        """The units whose late answers may still come."""
 
     @property
     def settings(self) -> Any:
@@ -161,7 +162,8 @@ class ModbusLine:
         why = f"{1 + RETRIES} requests"
         self.open()
         try:
-            self._await_silence()
+            if unit in self._late:
+                self._await_silence()
             for _ in range(1 + RETRIES):
                 try:
                     answer = read(first, count=number, device_id=unit)
@@ -174,7 +176,8 @@ class ModbusLine:
                     if fits and answer.function_code & ~FAILED == function:
                         return answer
                 # Whatever answers the repetition may be the answer to this request.
-                self._answers_may_come = not self._numbered
+                if not self._numbered:
+                    self._late.add(unit)
         except (ModbusException, OSError) as error:
             cause, why = error, str(error)
         raise BusError(
@@ -186,14 +189,14 @@ class ModbusLine:
         """Discard late answers until none can come."""
         timeout = self.settings.timeout_connect
         pieces, silent = 0, 0.0
-        while self._answers_may_come:
+        while silent < max(SILENCE, 2.0 * timeout):
             if self._client.recv(None):
                 pieces, silent = pieces + 1, 0.0
                 if pieces == BABBLE:
                     raise BusError(f"{self.place} is never silent: does another master use this line?")
             else:
                 silent += timeout
-                self._answers_may_come = silent < max(SILENCE, 2.0 * timeout)
+        self._late.clear()
 
 
 class ModbusLink:

@@ -277,6 +277,28 @@ def test_a_late_answer_is_never_that_of_another_link() -> None:
             assert second.driver(link, VirtualClock()).read().values == (222.0,)
 
 
+def test_a_dead_unit_does_not_silence_the_line_for_another() -> None:
+    """Unit 2 is read at once, although a late answer of unit 1 comes before its first one."""
+
+    def answer(request: bytes, count: int) -> list[tuple[float, bytes]]:
+        late = [(0.0, frame_of(1, 111))] if count == 4 else []
+        return [*late, (0.0, frame_of(2, 222))] if request[0] == 2 else []
+
+    with late_slave(answer) as place:
+        lines: dict = {}
+        model, written = at("unit=1&timeout=0.05&columns=x@0", place)
+        other, written_too = at("unit=2&timeout=0.05&columns=x@9", place)
+        with (
+            closing(open_link(parse_address(written), model, lines)) as first,
+            closing(open_link(parse_address(written_too), other, lines)) as second,
+        ):
+            with pytest.raises(BusError, match="no answer of unit 1"):
+                model.driver(first, VirtualClock()).read()
+            begun = time.monotonic()
+            assert other.driver(second, VirtualClock()).read().values == (222.0,)
+            assert time.monotonic() - begun < modbus.SILENCE
+
+
 def test_an_answer_of_another_function_or_length_is_none() -> None:
     def answer(request: bytes, count: int) -> list[tuple[float, bytes]]:
         wrong = [bytes.fromhex("01 04 02 0001"), bytes.fromhex("01 03 04 0001 0002")]
