@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.adxl202 import SENSITIVITY_LIMIT, ZERO, Adxl202Variant
 from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges
 from tiltcal.drivers.nmea import checksum
-from tiltcal.drivers.twin.noise import normal, tolerances, uniform
+from tiltcal.drivers.twin.noise import tolerances, uniform
 from tiltcal.drivers.twin.streaming import StreamingTwin, answer_in_line
 from tiltcal.drivers.twin.truth import Truth
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.twin.fixture import HeldPose, Vector
-
-LEVEL: Vector = (0.0, 0.0, 1.0)
+    from tiltcal.drivers.twin.fixture import HeldPose
 
 PERIOD = 0.010
 """T2 with a set resistor of 1.25 MΩ, seconds: the longest period, with the finest resolution."""
@@ -46,13 +44,8 @@ class Pulses:
 
     def duty(self, channel: str, number: int) -> float:
         """Return T1/T2 of one axis in one cycle, between 0 and 1."""
-        truth = self._truth
-        fault = truth.fault(self._clock.now_ns() / 1e9)
-        if fault is not None and fault.kind == "stuck":
-            reading = truth.reading(channel, LEVEL, truth.ambient)
-        else:
-            reading = truth.reading(channel, self._fixture.gravity, self._fixture.temperature(truth.lag))
-            reading += truth.noise.get(channel, 0.0) * normal(truth.seed, f"noise {channel}", number)
+        temperature = self._fixture.temperature(self._truth.lag)
+        reading = self._truth.sample(channel, self._fixture.gravity, temperature, self._clock.now_ns(), number)
         return min(max(reading, 0.0), 1.0)
 
 

@@ -8,17 +8,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.converter import NOMINAL
-from tiltcal.drivers.twin.noise import normal, uniform
+from tiltcal.drivers.twin.noise import uniform
 from tiltcal.errors import BusError, UsageError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.analog import AnalogPart
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.converter import Supply
-    from tiltcal.drivers.twin.fixture import HeldPose, Vector
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Fault, Truth
-
-LEVEL: Vector = (0.0, 0.0, 1.0)
 
 
 class Wiring(ABC):
@@ -107,14 +105,8 @@ class SensorWiring(Wiring):
         fault = self._fault()
         if fault is not None and fault.kind == "parity":
             return 0.05 * uniform(self._truth.seed, f"parity {channel}", now_ns)
-        if fault is not None and fault.kind == "stuck":
-            # Held at its level value: a function of the fault alone, so a resumed session reads the same voltage.
-            return self._truth.reading(channel, LEVEL, self._truth.ambient) / NOMINAL
-        reading = self._truth.reading(channel, self._fixture.gravity, self._fixture.temperature(self._truth.lag))
-        noise = self._truth.noise.get(channel, 0.0)
-        if noise:
-            reading += noise * normal(self._truth.seed, f"noise {channel}", now_ns)
-        return reading / NOMINAL
+        temperature = self._fixture.temperature(self._truth.lag)
+        return self._truth.sample(channel, self._fixture.gravity, temperature, now_ns, now_ns) / NOMINAL
 
 
 class ThermistorWiring(Wiring):

@@ -6,15 +6,13 @@ import re
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.columns import TEMPERATURE, ColumnLayout
-from tiltcal.drivers.twin.noise import normal, tolerances
+from tiltcal.drivers.twin.noise import tolerances
 from tiltcal.drivers.twin.streaming import StreamingTwin
 from tiltcal.drivers.twin.truth import Truth
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.twin.fixture import HeldPose, Vector
-
-LEVEL: Vector = (0.0, 0.0, 1.0)
+    from tiltcal.drivers.twin.fixture import HeldPose
 
 PERIOD = 0.010
 """Time between two lines, s."""
@@ -39,11 +37,7 @@ def columns_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: 
             return fixture.temperature() + truth.thermometer_error
         if name not in truth.channels:
             return 0.0
-        fault = truth.fault(clock.now_ns() / 1e9)
-        if fault is not None and fault.kind == "stuck":
-            return truth.reading(name, LEVEL, truth.ambient)
-        noise = truth.noise.get(name, 0.0) * normal(truth.seed, f"noise {name}", line)
-        return truth.reading(name, fixture.gravity, fixture.temperature(truth.lag)) + noise
+        return truth.sample(name, fixture.gravity, fixture.temperature(truth.lag), clock.now_ns(), line)
 
     def line(place: int) -> bytes:
         return between.join(f"{number(name, place):.9g}".encode() for name in columns.names) + b"\r\n"

@@ -9,15 +9,13 @@ from math import cos, pi, sin
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
 from tiltcal.drivers.twin.noise import normal, tolerances, uniform
-from tiltcal.drivers.twin.truth import Truth
+from tiltcal.drivers.twin.truth import LEVEL, Truth
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.twin.fixture import HeldPose, Vector
+    from tiltcal.drivers.twin.fixture import HeldPose
     from tiltcal.drivers.twin.truth import Fault
-
-LEVEL: Vector = (0.0, 0.0, 1.0)
 
 REFERENCE = 25.0
 """Temperature of the errors of a simulated part, °C."""

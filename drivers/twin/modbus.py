@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.bus.modbus import FAILED
 from tiltcal.drivers.columns import TEMPERATURE
 from tiltcal.drivers.modbus import RegisterColumn, RegisterLayout
-from tiltcal.drivers.twin.counts import LEVEL, Conversions
-from tiltcal.drivers.twin.noise import normal
+from tiltcal.drivers.twin.counts import Conversions
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
@@ -82,10 +81,5 @@ class ModbusTwin:
     def _number(self, name: str) -> float:
         if name == TEMPERATURE:
             return self._conversions.temperature()
-        truth = self._truth
-        fault = self._conversions.fault()
-        if fault is not None and fault.kind == "stuck":
-            return truth.reading(name, LEVEL, truth.ambient)
-        noise = truth.noise.get(name, 0.0)
-        drawn = normal(truth.seed, f"noise {name}", int(self._clock.now_ns() / 1e9 * RATE)) if noise else 0.0
-        return truth.reading(name, self._fixture.gravity, self._fixture.temperature(truth.lag)) + noise * drawn
+        now_ns, temperature = self._clock.now_ns(), self._fixture.temperature(self._truth.lag)
+        return self._truth.sample(name, self._fixture.gravity, temperature, now_ns, int(now_ns / 1e9 * RATE))

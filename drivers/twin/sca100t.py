@@ -23,7 +23,7 @@ from tiltcal.drivers.sca100t import (
 from tiltcal.drivers.twin import counts
 from tiltcal.drivers.twin.counts import REFERENCE, Tolerances
 from tiltcal.drivers.twin.noise import normal, tolerances, uniform
-from tiltcal.drivers.twin.truth import Polynomial, Truth
+from tiltcal.drivers.twin.truth import LEVEL, Polynomial, Truth
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from tiltcal.drivers.sca103t import OneAxisPart
     from tiltcal.drivers.twin.fixture import HeldPose, Vector
     from tiltcal.drivers.twin.truth import Fault
-
-LEVEL: Vector = (0.0, 0.0, 1.0)
 
 RELOAD_NS = 150_000
 """Time between two reloads of the output registers."""

@@ -5,6 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from tiltcal.drivers.twin.noise import normal
+
+LEVEL = (0.0, 0.0, 1.0)
+"""Up in the frame of a level sensor, g."""
+
 Polynomial = tuple[float, ...]
 
 
@@ -92,6 +97,28 @@ class Truth:
         drift = _powers(self.drift.get(channel, ()), dt, 1)
         gain = _powers(self.gain.get(channel, ()), dt, 1)
         return self.offset[channel] + drift + (1.0 + gain) * (signal + bend)
+
+    def sample(
+        self, channel: str, gravity: tuple[float, float, float], temperature: float, now_ns: int, number: int
+    ) -> float:
+        """Return the reading of ``channel`` with the noise of a sample; of a stuck sensor what it reads when level.
+
+        Parameters
+        ----------
+        gravity, temperature
+            As in :meth:`reading`.
+        now_ns : int
+            Nanoseconds since the session began.
+        number : int
+            Of the sample, which gives its noise.
+        """
+        fault = self.fault(now_ns / 1e9)
+        if fault is not None and fault.kind == "stuck":
+            # A function of the fault alone, so a resumed session reads the same.
+            return self.reading(channel, LEVEL, self.ambient)
+        noise = self.noise.get(channel, 0.0)
+        drawn = normal(self.seed, f"noise {channel}", number) if noise else 0.0
+        return self.reading(channel, gravity, temperature) + noise * drawn
 
     def fault(self, seconds: float) -> Fault | None:
         """Return the fault that is present ``seconds`` after the session began, if any."""
