@@ -181,7 +181,8 @@ class CalibrationLibrary:
         near = get_close_matches(serial, self._files, n=1)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
         listed = ", ".join(self.serials[:12]) + (" ..." if len(self._files) > 12 else "")
-        return f"{self.folder} has no calibration of {serial!r}{hint}; it has {listed or 'none at all'}"
+        unusable = f"; left out: {self.index.problems[0]}" if self.index.problems else ""
+        return f"{self.folder} has no calibration of {serial!r}{hint}; it has {listed or 'none at all'}{unusable}"
 
 
 def open_calibrations(folder: str | Path) -> CalibrationLibrary:

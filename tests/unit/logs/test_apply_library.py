@@ -259,6 +259,13 @@ def test_the_unit_that_is_stated_for_a_frame_is_that_of_every_sensor(tmp_path: P
     assert apply_frame(library, frame, unit="count")["A_flag"].tolist() == [1]
 
 
+def test_a_calibration_without_a_date_is_named_where_it_is_missed(tmp_path: Path) -> None:
+    record = calibrated(0, (1000, 1000))
+    kept(tmp_path, replace(record, provenance=replace(record.provenance, started=None, ended=None)))
+    with pytest.raises(UsageError, match=r"has no calibration of 'S-1'; .*left out: .*the calibration has no date"):
+        tiltcal.open_calibrations(tmp_path).at("S-1", stamp(0))
+
+
 def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
     kept(tmp_path, calibrated(0, (1000, 1000), serial="A"), calibrated(0, (1010, 1020), serial="B"))
     library = tiltcal.open_calibrations(tmp_path)
