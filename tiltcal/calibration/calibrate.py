@@ -17,7 +17,13 @@ from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
 from tiltcal.calibration.ramp import calibrate_ramp
-from tiltcal.calibration.temperature import choose_order, swept, with_order, with_typical_temperature
+from tiltcal.calibration.temperature import (
+    choose_order,
+    swept,
+    with_open_order,
+    with_order,
+    with_typical_temperature,
+)
 from tiltcal.calibration.unit_gravity import directed, require_no_jig, with_verdict
 from tiltcal.core.rounding import round_to
 from tiltcal.errors import EstimateError, UsageError
@@ -119,6 +125,9 @@ def _fitted(
         return fit_jointly(sensors, procedure, bench)
     choice = choose_order(sensors, procedure, bench)
     found = fit_jointly(sensors, with_order(procedure, choice.order), bench)
+    if choice.highest > choice.order:
+        widest = fit_jointly(sensors, with_order(procedure, choice.highest), bench)
+        found = [with_open_order(record, wider) for record, wider in zip(found, widest, strict=True)]
     return [swept(record, its.measurements, choice) for record, its in zip(found, sensors, strict=True)]
 
 

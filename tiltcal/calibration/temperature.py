@@ -1,7 +1,8 @@
 """The temperature terms of a calibration: their order, the hysteresis that is left, and typical curves.
 
 A polynomial of too high an order follows the noise; one of too low an order leaves the curve. Each order is judged by
-how well it predicts a position that was left out, and a higher one must be better by more than chance would make it.
+how well it predicts a position that was left out, with the uncertainty of that prediction. Terms of a higher order are
+0 then, with the uncertainty of the highest order that was tried: what the readings do not show may still be there.
 
 Where a unit has no temperature run of its own, the mean curves of its model are a starting point: one part differs from
 the mean, and the file states by how much. A unit's own run always wins.
@@ -19,9 +20,10 @@ from numpy.polynomial import Polynomial
 from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.joint_fit import observations_of, observed_sensor
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.core.derivatives import central_differences
 from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.estimation.hysteresis import ALIKE
-from tiltcal.core.model import Array, Thermal
+from tiltcal.core.model import Array, Thermal, vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
@@ -46,6 +48,11 @@ class OrderChoice:
     order: int
     errors: Mapping[int, float]
 
+    @property
+    def highest(self) -> int:
+        """The highest order that was tried."""
+        return max(self.errors)
+
 
 def choose_order(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty) -> OrderChoice:
     """Choose the order of the drift that predicts left-out positions best.
@@ -64,21 +71,31 @@ def choose_order(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench:
 
     Notes
     -----
-    Of the orders whose mean error is within one standard error of the best one's, the lowest is taken.
+    The lowest deviance is that of the highest predictive density: minus twice the logarithm of the normal density of
+    what was left out, about its prediction, with the variances of both. Where the errors are larger than these, all
+    variances of an order are multiplied by one factor that fits. A plain mean of squared errors would refuse the order
+    of a curve because its ends, once left out, are extrapolated.
+
+    Source: A. Gelman, J. Hwang and A. Vehtari, *Understanding predictive information criteria for Bayesian models*,
+    Statistics and Computing 24 (2014) 997.
     """
-    squares: dict[int, Array] = {}
+    errors: dict[int, float] = {}
+    deviance: dict[int, float] = {}
     for order in range(1, procedure.determines.drift + 1):
         try:
-            squares[order] = _left_out(sensors, with_order(procedure, order), bench)
+            error, variance = _left_out(sensors, with_order(procedure, order), bench)
         except EstimateError:
             break
-    if not squares:
+        errors[order] = float(np.mean(error**2 / variance))
+        deviance[order] = _deviance(errors[order], variance)
+    if not errors:
         raise EstimateError("the sweep has too few temperatures to leave one out: add some between and beyond them")
-    errors = {order: float(np.mean(square)) for order, square in squares.items()}
-    best = min(errors, key=lambda order: errors[order])
-    slack = float(np.std(squares[best], ddof=1)) / np.sqrt(len(squares[best]))
-    order = next(order for order in errors if errors[order] <= errors[best] + slack)
-    return OrderChoice(order, errors)
+    return OrderChoice(min(deviance, key=lambda order: deviance[order]), errors)
+
+
+def _deviance(error: float, variance: Array) -> float:
+    factor = max(error, 1.0)
+    return float(len(variance) * (np.log(factor) + error / factor) + np.sum(np.log(variance)))
 
 
 def with_order(procedure: Procedure, order: int) -> Procedure:
@@ -98,29 +115,54 @@ def swept(
     return replace(calibration, fit=replace(calibration.fit, cross_validation=validation, hysteresis=loops))
 
 
-def _left_out(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty) -> Array:
-    """Squared error of predicting each position from the others, over its variance; over 1 where none is known."""
-    found: list[float] = []
-    noise = [_uncertainties(sensor, observed_sensor(sensor, procedure, bench).design.channels) for sensor in sensors]
+def with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) -> CalibrationRecord:
+    """Return a calibration whose drift has terms of 0 up to a higher order, and the uncertainty of that order.
+
+    Parameters
+    ----------
+    highest : CalibrationRecord
+        From the same measurements, with the higher order.
+    """
+    thermal, wider = calibration.coefficients.thermal, highest.coefficients.thermal
+    if thermal is None or wider is None or thermal.drift.shape == wider.drift.shape:
+        return calibration
+    drift = np.zeros_like(wider.drift)
+    drift[:, : thermal.drift.shape[1]] = thermal.drift
+    return replace(
+        calibration,
+        coefficients=replace(calibration.coefficients, thermal=replace(thermal, drift=drift)),
+        uncertainty=highest.uncertainty,
+        fit=replace(calibration.fit, budget=highest.fit.budget),
+    )
+
+
+def _left_out(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty) -> tuple[Array, Array]:
+    """Return the error of predicting each position from the others, and the variance of that error, unit."""
+    errors: list[float] = []
+    variances: list[float] = []
+    channels = [observed_sensor(sensor, procedure, bench).design.channels for sensor in sensors]
+    observed = [observations_of(sensor.measurements, own) for sensor, own in zip(sensors, channels, strict=True)]
     for number in range(len(sensors[0].measurements)):
         rest = [
             replace(sensor, measurements=[m for k, m in enumerate(sensor.measurements) if k != number])
             for sensor in sensors
         ]
         estimates = estimate_jointly([observed_sensor(sensor, procedure, bench) for sensor in rest])
-        for sensor, u, estimate in zip(sensors, noise, estimates, strict=True):
-            out = sensor.measurements[number]
+        for sensor, seen, estimate in zip(sensors, observed, estimates, strict=True):
+            out, coefficients = sensor.measurements[number], estimate.coefficients
             gravity, temperature = np.array([out.gravity]), np.array([out.temperature], dtype=float)
-            predicted = estimate.coefficients.predict(gravity, temperature)[0]
-            mean = [out.summaries[channel].mean for channel in estimate.coefficients.channels]
-            found.extend((((np.array(mean) - predicted) / u[number]) ** 2).tolist())
-    return np.array(found)
 
+            def predicted(values: Array) -> Array:
+                changed = with_vector(coefficients, estimate.names, values)  # noqa: B023
+                return np.asarray(changed.predict(gravity, temperature)[0])  # noqa: B023
 
-def _uncertainties(sensor: MeasuredSensor, channels: Sequence[str]) -> Array:
-    """Standard uncertainty of the mean readings, shape (positions, channels); 1 where none is known."""
-    u = np.array([observation.u for observation in observations_of(sensor.measurements, channels)])
-    return np.where(u > 0.0, u, 1.0)
+            at = vector_of(coefficients, estimate.names)
+            slopes = central_differences(predicted, at, estimate.budget.u)
+            noise = np.where(seen[number].u > 0.0, seen[number].u, estimate.estimated_noise or 1.0)
+            mean = np.array([out.summaries[channel].mean for channel in coefficients.channels])
+            errors.extend((mean - predicted(at)).tolist())
+            variances.extend((noise**2 + np.einsum("ik,kl,il->i", slopes, estimate.covariance, slopes)).tolist())
+    return np.array(errors), np.array(variances)
 
 
 def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Hysteresis]:

@@ -8,6 +8,7 @@ from math import cos, radians, sin
 import numpy as np
 import pytest
 
+from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
 from tiltcal.calibration.temperature import choose_order, swept, with_order
@@ -67,6 +68,32 @@ def test_the_chosen_coefficients_are_the_parts() -> None:
     assert thermal is not None
     u = [found.uncertainty[f"temperature.offset.x.{power}"] for power in (1, 2)]
     assert thermal.drift[0] == pytest.approx([0.2, 0.004], abs=4 * max(u))
+
+
+def test_terms_above_the_chosen_order_are_zero_with_the_uncertainty_of_a_cubic() -> None:
+    """The line is numpy's, and so is the covariance of a cubic: the noise times the inverse of the normal equations."""
+    procedure, measured = sweep((0.2,), seed=3)
+    (found,) = calibrate([MeasuredSensor(SENSOR, measured, NOMINAL)], procedure, BenchUncertainty(0.0))
+    dt = np.array([float(each.temperature or 0.0) for each in measured]) - 24.0
+    line = np.polyfit(dt, [each.summaries["x"].mean for each in measured], 1)
+    powers = np.vander(dt, 4, increasing=True)
+    expected = NOISE * np.sqrt(np.diag(np.linalg.inv(powers.T @ powers)))
+    thermal = found.coefficients.thermal
+    assert thermal is not None
+    assert found.fit.cross_validation is not None
+    assert found.fit.cross_validation.order == 1
+    assert thermal.drift[0] == pytest.approx([line[0], 0.0, 0.0], abs=1e-5)
+    names = ["offset.x", *(f"temperature.offset.x.{power}" for power in (1, 2, 3))]
+    assert [found.uncertainty[name] for name in names] == pytest.approx(expected, rel=2e-3)
+
+
+def test_an_order_is_not_refused_because_the_ends_are_extrapolated() -> None:
+    """A cubic of twice the noise at the ends: a line leaves it, and a cubic without an end predicts that end badly."""
+    chosen = []
+    for seed in range(8):
+        procedure, measured = sweep((0.2, 0.0, 1e-4), seed)
+        chosen.append(choose_order([MeasuredSensor(SENSOR, measured, NOMINAL)], procedure, BenchUncertainty()).order)
+    assert np.mean(np.array(chosen) == 3) > 0.7
 
 
 def test_hysteresis_is_reported() -> None:
