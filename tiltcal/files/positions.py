@@ -11,7 +11,7 @@ from tiltcal.errors import InputError
 from tiltcal.files.csv_tables import Table, table_rows
 from tiltcal.files.declaration import Integer, Number, Section, Text, entry
 from tiltcal.files.node import Node
-from tiltcal.files.procedure import ABSOLUTE_ZERO
+from tiltcal.files.procedure import TEMPERATURE
 from tiltcal.files.segments import Direction
 from tiltcal.frozen import frozen
 
@@ -66,7 +66,7 @@ class TabledRow(Direction):
     uy: float | None = entry(_U, "likewise", default=None)
     uz: float | None = entry(_U, "likewise", default=None)
     n: int | None = entry(Integer(minimum=1), "number of samples behind the means", default=None)
-    temperature: float | None = entry(Number("°C", minimum=ABSOLUTE_ZERO), "°C", default=None)
+    temperature: float | None = entry(TEMPERATURE, "°C", default=None)
 
 
 ROW = Section(TabledRow)

@@ -28,8 +28,8 @@ from tiltcal.frozen import frozen
 if TYPE_CHECKING:
     from tiltcal.files.rotation import Rotation
 
-ABSOLUTE_ZERO = -273.15
-"""°C."""
+ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
+"""°C: no sensor is hotter, and the powers of a number without a limit are none."""
 MOST_ASKEW = 10.0
 """A sensor that sits further askew has another mounting, degrees."""
 
@@ -40,6 +40,12 @@ def _order(order: int, node: Node, context: Context) -> int:
     if order > ORDER_LIMIT:
         raise node.error(f"an order of {order} is too high; at most {ORDER_LIMIT}")
     return order
+
+
+def _reached(temperature: float, node: Node, context: Context) -> float:
+    if temperature > HOTTEST:
+        raise node.error(f"a temperature of {temperature:g} °C is too high; at most {HOTTEST:g}")
+    return temperature
 
 
 def _bend(order: int, node: Node, context: Context) -> int:
@@ -55,7 +61,8 @@ def _distinct_axes(axes: tuple[str, ...], node: Node, context: Context) -> tuple
 
 
 _ORDER = Converted(Integer(minimum=0), _order, more={"maximum": ORDER_LIMIT})
-TEMPERATURE = Number("°C", minimum=ABSOLUTE_ZERO)
+TEMPERATURE = Converted(Number("°C", minimum=ABSOLUTE_ZERO), _reached, more={"maximum": HOTTEST})
+"""°C, of a position."""
 
 
 @frozen

@@ -149,6 +149,7 @@ def test_damaged_record_names_the_journal_line() -> None:
         ("tilt: {}", "tilt: {z: 60}", 9, "positions[0].tilt.z", "unknown key"),
         ("prompt: Level", 'prompt: "At {angel}"', 9, "positions[0].prompt", "{angle} or {temperature}"),
         ("temperature: 5.5", "temperature: -300", 10, "positions[1].temperature", "at least -273.15"),
+        ("temperature: 5.5", "temperature: 1.0e+308", 10, "positions[1].temperature", "at most 1000"),
     ],
 )
 def test_error_names_line_and_key(own: Path, old: str, new: str, line: int, key: str, about: str) -> None:
