@@ -201,11 +201,19 @@ def test_an_angle_has_an_axis(axis: str) -> None:
     assert str(refused.value).isascii()
 
 
-def test_an_answer_has_one_direction() -> None:
-    """A rig that sends the gravity of the ask back beside its own tilt lost the tilt."""
-    with pytest.raises(InputError, match="the answer has tilt and gravity"):
-        understood({"answer": "ready", "tilt": {"y": 30.02}, "gravity": [0, 0.5, 0.866]})
-    assert understood({"answer": "ready", "tilt": {}, "gravity": [0, 0.5, 0.866]}).gravity == (0, 0.5, 0.866)
+@pytest.mark.parametrize("gravity", [[0, 0.5, 0.866025404], [0, 0.500302, 0.865851]], ids=["asked", "reached"])
+def test_an_answer_may_repeat_the_direction_that_was_asked_or_reached(gravity: list[float]) -> None:
+    """By hand: sin 30.02° = 0.500302, cos 30.02° = 0.865851; the tilt counts, and was dropped beside a gravity."""
+    (asked,) = (each for each in find_procedure("plane", 30.0).positions if each.name == "y-tilt1")
+    reached = understood({"answer": "ready", "tilt": {"y": 30.02}, "gravity": gravity}).as_set(asked)
+    assert reached.gravity == pytest.approx((0.0, 0.500302, 0.865851), abs=1e-6)
+
+
+def test_an_answer_that_contradicts_itself_is_refused() -> None:
+    (asked,) = (each for each in find_procedure("plane", 30.0).positions if each.name == "y-tilt1")
+    said = understood({"answer": "ready", "tilt": {"y": 30.02}, "gravity": [0.0, 0.6, 0.8]})
+    with pytest.raises(InputError, match="a tilt and a gravity that contradict each other"):
+        said.as_set(asked)
 
 
 def test_a_sensor_is_read_by_itself() -> None:

@@ -9,17 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import dist
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
 from tiltcal.drivers.device import Model, Reading
+from tiltcal.errors import InputError
 from tiltcal.files.procedure import Position
 
 if TYPE_CHECKING:
     from tiltcal.bench.position_result import PositionResult
     from tiltcal.core.pair.matching import Matching, PairCoefficients
     from tiltcal.core.pair.model import Pair
+
+SAME = 1e-4
+"""Directions that differ by less are one, g: 0.006°."""
 
 Live = Callable[[], Mapping[str, Reading]]
 """Takes one sample of every sensor, by serial number."""
@@ -53,16 +58,20 @@ class OperatorAnswer:
         Raises
         ------
         InputError
-            No direction has these angles.
+            No direction has these angles, or they contradict the direction that was set.
         """
         if self.temperature is not None:
             position = replace(position, temperature=self.temperature if position.temperature is not None else None)
-        if self.gravity is not None:
-            return replace(position, gravity=normalised(self.gravity), tilt=None)
+        direction = None if self.gravity is None else normalised(self.gravity)
         if self.tilt:
             tilt = {**(position.tilt or {}), **self.tilt}
-            return replace(position, gravity=gravity_from_tilt(tilt), tilt=tilt)
-        return position
+            reached = gravity_from_tilt(tilt)
+            if direction is not None and min(dist(direction, reached), dist(direction, position.gravity)) > SAME:
+                raise InputError(
+                    "the answer has a tilt and a gravity that contradict each other: give the one that was reached"
+                )
+            return replace(position, gravity=reached, tilt=tilt)
+        return position if direction is None else replace(position, gravity=direction, tilt=None)
 
     def record(self) -> dict[str, Any]:
         """Return plain data for the journal."""

@@ -225,10 +225,6 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
     gravity = said.get("gravity")
     if gravity is not None and not (isinstance(gravity, list | tuple) and len(gravity) == 3):
         raise InputError("gravity is a list of three numbers")
-    if tilt and gravity is not None:
-        raise InputError(
-            "the answer has tilt and gravity, of which one would be left out: give the one that was reached"
-        )
     temperature = said.get("temperature")
     return OperatorAnswer(
         word,
