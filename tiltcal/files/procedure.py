@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tiltcal.files.rotation import Rotation
 
 ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
-"""°C: no sensor is hotter, and the powers of a number without a limit are none."""
+"""Limits of a temperature, °C; no sensor is hotter, and the square of a far larger number is infinite."""
 MOST_ASKEW = 10.0
 """A sensor that sits further askew has another mounting, degrees."""
 
@@ -42,7 +42,7 @@ def _order(order: int, node: Node, context: Context) -> int:
     return order
 
 
-def _reached(temperature: float, node: Node, context: Context) -> float:
+def _not_too_hot(temperature: float, node: Node, context: Context) -> float:
     if temperature > HOTTEST:
         raise node.error(f"a temperature of {temperature:g} °C is too high; at most {HOTTEST:g}")
     return temperature
@@ -61,7 +61,7 @@ def _distinct_axes(axes: tuple[str, ...], node: Node, context: Context) -> tuple
 
 
 _ORDER = Converted(Integer(minimum=0), _order, more={"maximum": ORDER_LIMIT})
-TEMPERATURE = Converted(Number("°C", minimum=ABSOLUTE_ZERO), _reached, more={"maximum": HOTTEST})
+TEMPERATURE = Converted(Number("°C", minimum=ABSOLUTE_ZERO), _not_too_hot, more={"maximum": HOTTEST})
 """°C, of a position."""
 
 
