@@ -45,7 +45,10 @@ class SuspectPosition:
 class CrossValidation:
     """The choice of the order of the drift."""
 
-    order: int = entry(Integer(minimum=1), "the order that was chosen")
+    order: int = entry(
+        Integer(minimum=1),
+        "the order that was chosen; terms above it are 0, with the uncertainty of the highest that was tried",
+    )
     error_by_order: Mapping[str, float] = entry(
         ByName(FROM_ZERO),
         "per order the mean square error of predicting a left-out position, over its variance",
