@@ -152,15 +152,18 @@ def propagated(
 
 
 def _standard_uncertainty(function: Callable[[Array], Array], parameters: Array, covariance: Array) -> Array:
+    # An exact parameter takes no part: the axes of another's error would move it by their rounding, on some processors.
+    uncertain = np.flatnonzero(np.diag(covariance) > 0.0)
+    covariance = covariance[np.ix_(uncertain, uncertain)]
     # A variance of 1e-12 is lost in the rounding of the axes beside one of 1e5: units of 1e-4, 1, 1e4 bring them close.
-    u = np.sqrt(np.diag(covariance))
-    unit = 1e4 ** np.round(np.log10(np.where(u > 0.0, u, 1.0)) / 4.0)
+    unit = 1e4 ** np.round(np.log10(np.sqrt(np.diag(covariance))) / 4.0)
     values, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
     middle = function(parameters)
     variance = np.zeros_like(middle)
     for value, axis in zip(values, axes.T, strict=True):
         if value <= 0.0:
             continue
-        step = np.sqrt(value) * axis * unit
+        step = np.zeros_like(parameters)
+        step[uncertain] = np.sqrt(value) * axis * unit
         variance += ((function(parameters + step) - middle) ** 2 + (function(parameters - step) - middle) ** 2) / 2.0
     return np.asarray(np.sqrt(variance))

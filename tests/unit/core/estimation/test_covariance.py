@@ -303,6 +303,19 @@ def test_propagation_is_exact_for_a_straight_function() -> None:
     np.testing.assert_allclose(u, np.sqrt(np.diag(matrix @ covariance @ matrix.T)), rtol=1e-12)
 
 
+def test_propagation_never_moves_an_exact_parameter() -> None:
+    """The eigenvectors of a covariance with rows of zeros hold numbers of 1e-17 there, on some processors."""
+    rng = np.random.default_rng(3)
+    parameters = rng.normal(size=8)
+    exact = np.array([1, 4, 5])
+    for _ in range(20):
+        factor = rng.normal(size=(8, 8))
+        factor[exact] = 0.0
+        u, _ = propagated(lambda v: v - parameters, parameters, factor @ factor.T, np.full(8, 1.96))
+        assert np.all(u[exact] == 0.0)
+        np.testing.assert_allclose(u, np.linalg.norm(factor, axis=1), rtol=1e-9)
+
+
 class TestPrediction:
     FACES = tuple(PlannedPosition(f"p{k}", tuple(g)) for k, g in enumerate(FACES.tolist()))
 
