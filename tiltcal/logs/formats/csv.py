@@ -249,15 +249,15 @@ class CsvWriter(LogWriter):
         with ThreadPoolExecutor(max_workers=1) as thread:
             written: Future[object] | None = None
             for block, table in blocks:
+                # Means of rows are no rows that could stay as they are.
+                verbatim = isinstance(block, CsvBlock) and block.counts is None
+                rows = _split(cast("CsvBlock", block)) if verbatim else block
                 if written is not None:
                     written.result()
                 else:
-                    # Means of rows are no rows that could stay as they are.
-                    verbatim = isinstance(self._log, CsvReader) and block.counts is None
-                    write = self._write_as_it_stands if verbatim else self._write_in_words
                     self._sink.write(self._header() if verbatim else self._header_of(block))
                     self._sink.flush()  # the engine writes to the file itself
-                written = thread.submit(write, block, table)
+                written = thread.submit(self._write_as_it_stands if verbatim else self._write_in_words, rows, table)
             if written is not None:
                 written.result()
 
@@ -298,6 +298,11 @@ class CsvWriter(LogWriter):
         frame = _frame(block)
         added = [pl.Series(name, column) for name, column in table.items()]
         _write_csv(self._sink, frame.with_columns(*map(_words, frame)).hstack(added))
+
+
+def _split(block: CsvBlock) -> CsvBlock:
+    """Split the text of a block into its rows, here and not in the thread that writes, which has the most to do."""
+    return block if isinstance(block.text, list) else replace(block, text=block.lines)
 
 
 def _frame(block: LogBlock) -> pl.DataFrame:
