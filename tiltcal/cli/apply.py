@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tiltcal.cli import options
-from tiltcal.cli.progress import progress_bar
-from tiltcal.cli.talk import remark, talk
+from tiltcal.cli.talk import progress_bar, remark, talk
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
 if TYPE_CHECKING:

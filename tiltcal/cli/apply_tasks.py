@@ -9,8 +9,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.cli.freed_memory import keep_freed_memory
-from tiltcal.cli.progress import progress_bar
+from tiltcal.cli.talk import progress_bar
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.frozen import frozen
@@ -72,7 +71,6 @@ class ApplyTask:
 
     def run(self, say: Callable[[str], None] = lambda line: None, progress: Progress | None = None) -> ApplySummary:
         """Compensate the log; ``say`` is called with each remark about an assumption."""
-        keep_freed_memory()
         return apply_log(
             self.calibration,
             self.log,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tiltcal.cli import options
-from tiltcal.cli.talk import remark
+from tiltcal.cli.talk import progress_bar, remark
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import check_writable, require_apart
 
@@ -65,11 +65,7 @@ Examples:
     help="Local gravity: adds the sensitivity per m/s², and for readings in m/s2 the scale error.",
 )
 @click.option("--window", type=click.IntRange(4), metavar="ROWS", help="Shortest static interval that is found.")
-@options.file_option(
-    "--segments-out",
-    metavar="FILE",
-    help="Write the static intervals that were found.",
-)
+@options.file_option("--segments-out", metavar="FILE", help="Write the static intervals that were found.")
 @options.alignment
 @options.file_option("--base", metavar="CAL", help=options.BASE)
 @options.file_option("-o", "--output", required=True, help="The calibration file to write.")
@@ -81,8 +77,6 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
     """
     from tiltcal.calibration.level import level_summary
     from tiltcal.calibration.summary import mounting_summary, summary
-    from tiltcal.cli.freed_memory import keep_freed_memory
-    from tiltcal.cli.progress import progress_bar
     from tiltcal.files.procedure_file import find_procedure
     from tiltcal.logs.fit import FOUND_ONLY, fit
 
@@ -92,7 +86,6 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
     for path in filter(None, (output, segments_out)):
         check_writable(path)
         require_apart(path, log, *filter(None, [settings["segments"]]))
-    keep_freed_memory()
     with progress_bar("fit") as progress:
         calibration = fit(procedure, log, say=remark, progress=progress, **settings)
     calibration.save(output)

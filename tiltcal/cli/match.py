@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tiltcal.cli import options
-from tiltcal.cli.talk import remark
+from tiltcal.cli.talk import progress_bar, remark
 from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
@@ -76,7 +76,6 @@ def command(
 
     With --online, Ctrl-C ends the stream, and the estimates until then are the result.
     """
-    from tiltcal.cli.progress import progress_bar
     from tiltcal.files.atomic import check_writable, require_apart
     from tiltcal.logs.match import match_log, pairs_of
     from tiltcal.report.pair_figures import draw_matching

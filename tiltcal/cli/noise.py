@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
 
 from tiltcal.cli import options
-from tiltcal.cli.talk import remark
+from tiltcal.cli.talk import progress_bar, remark
 from tiltcal.errors import INTERRUPTED, UsageError
 
 _EXAMPLES = """\b
@@ -32,12 +31,7 @@ Examples:
     metavar="HZ",
     help="Samples per second: of the recording [the rate of the sensor], or of a LOG [from its column time].",
 )
-@options.file_option(
-    "-o",
-    "--output",
-    metavar="LOG",
-    help="Keep the recording: CSV, or Parquet by its name.",
-)
+@options.file_option("-o", "--output", metavar="LOG", help="Keep the recording: CSV, or Parquet by its name.")
 @click.option(
     "--columns",
     default="",
@@ -45,22 +39,14 @@ Examples:
     help="The column of each reading of LOG [x, y, z, if present] and of time; a number without a header.",
 )
 @click.option("--skip-bad-rows", is_flag=True, help="Count rows of LOG that cannot be parsed as missing.")
-@options.file_option(
-    "--calibration",
-    metavar="CAL.yaml",
-    help="The calibration of the sensor, for results in g and °.",
-)
+@options.file_option("--calibration", metavar="CAL.yaml", help="The calibration of the sensor, for results in g and °.")
 @click.option(
     "--unit", help="The unit of the readings, without model and calibration; m/s2 and g imply the sensitivity."
 )
 @click.option(
     "--averages", metavar="N,...", default="", help="Additional sizes of averages for the table, beside 1, 10, 100."
 )
-@options.above_zero(
-    "--target",
-    metavar="DEGREES",
-    help="Standard uncertainty that the mean of a position must have.",
-)
+@options.above_zero("--target", metavar="DEGREES", help="Standard uncertainty that the mean of a position must have.")
 @options.above_zero(
     "--target-range",
     metavar="DEGREES",
@@ -94,8 +80,6 @@ def command(
     `measure --samples` is the smallest that meets --target and --target-range, or without a target the largest that is
     worth its time. Degrees are those of an axis near level.
     """
-    from tiltcal.cli.freed_memory import keep_freed_memory
-    from tiltcal.cli.progress import progress_bar
     from tiltcal.files.atomic import check_writable, require_apart
     from tiltcal.logs.noise import NoiseFacts, characterise_readings
     from tiltcal.logs.noise_summary import NoiseTarget
@@ -116,10 +100,17 @@ def command(
     with ExitStack() as stack:
         called = None
         if address is not None:
-            path = stack.enter_context(_kept(output))
-            interrupted = _recorded(str(sensor), address, rate, samples, seconds, path, output)
+            from tempfile import TemporaryDirectory
+
+            from tiltcal.bench.session_plan import single
+            from tiltcal.cli.record import missing, record_bench
+
+            path = output or Path(stack.enter_context(TemporaryDirectory(prefix="tiltcal-"))) / "recorded"
+            recorded = record_bench(single(str(sensor), "", address), rate, samples, seconds, path)
+            kept = f" in {output}" if output is not None else ""
+            remark(f"{recorded.tally.rows} samples{kept}{missing(recorded.tally)}")
+            interrupted = recorded.interrupted
             log, rate, called = str(path), None, str(output or "the record")
-        keep_freed_memory()
         progress = stack.enter_context(progress_bar("noise"))
         found = characterise_readings(
             log,
@@ -177,34 +168,3 @@ def _sizes(text: str) -> tuple[int, ...]:
     if any(size < 1 for size in sizes):
         raise UsageError(f"--averages {text!r}: write whole numbers of samples, such as 5,20")
     return sizes
-
-
-@contextmanager
-def _kept(output: Path | None) -> Iterator[Path]:
-    """Yield the path of the recording: the requested file, or a temporary one."""
-    from tempfile import TemporaryDirectory
-
-    if output is not None:
-        yield output
-        return
-    with TemporaryDirectory(prefix="tiltcal-") as folder:
-        yield Path(folder) / "recorded"
-
-
-def _recorded(
-    sensor: str,
-    address: str,
-    rate: float | None,
-    samples: int | None,
-    seconds: float | None,
-    path: Path,
-    output: Path | None,
-) -> bool:
-    """Record the sensor, and return whether it was interrupted."""
-    from tiltcal.bench.session_plan import single
-    from tiltcal.cli.recording import capture
-
-    captured = capture(single(sensor, "", address), rate, samples, seconds, path)
-    kept = f" in {output}" if output is not None else ""
-    remark(f"{captured.tally.rows} samples{kept}{captured.missing}")
-    return captured.interrupted

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import click
-
-Option = Callable[[Any], Any]
-"""What adds an option to a command."""
 
 FILE = click.Path(path_type=Path)
 OPERATORS = click.Choice(["terminal", "json", "sim"])
@@ -34,23 +31,11 @@ class FiniteRange(click.FloatRange):
         return found
 
 
-def at_least_zero(*names: str, metavar: str | None = None, help: str) -> Option:
-    """Return an option that takes a number from 0."""
-    return click.option(*names, type=FiniteRange(0.0), metavar=metavar, help=help)
-
-
-def above_zero(*names: str, metavar: str | None = None, help: str) -> Option:
-    """Return an option that takes a number above 0."""
-    return click.option(*names, type=FiniteRange(0.0, min_open=True), metavar=metavar, help=help)
-
-
-def file_option(*names: str, metavar: str | None = None, help: str, required: bool = False) -> Option:
-    """Return an option that takes a path."""
-    return click.option(*names, type=FILE, metavar=metavar, help=help, required=required)
-
-
+file_option = partial(click.option, type=FILE)
+at_least_zero = partial(click.option, type=FiniteRange(0.0))
+above_zero = partial(click.option, type=FiniteRange(0.0, min_open=True))
 degrees = partial(at_least_zero, metavar="DEGREES")
-"""Return an option that takes an angle, degrees."""
+"""Options that take a path, a number from 0, a number above 0, an angle in degrees."""
 
 jig = degrees("--jig", help="Standard uncertainty of a set angle; without it, it is estimated from the residuals.")
 table_lean = degrees("--table-lean", help="Standard uncertainty of the lean of the table that all positions share.")

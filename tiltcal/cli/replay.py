@@ -18,9 +18,7 @@ from tiltcal.files.atomic import check_writable, require_apart, whole_file, writ
 @click.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")
 @click.argument("journal", type=click.Path(path_type=Path))
 @options.file_option(
-    "-o",
-    "--output",
-    help="The calibration file to write [standard output]; for several sensors a folder.",
+    "-o", "--output", help="The calibration file to write [standard output]; for several sensors a folder."
 )
 @click.option(
     "--golden",

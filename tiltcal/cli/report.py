@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tiltcal.cli import options
-from tiltcal.cli.talk import remark
+from tiltcal.cli.talk import progress_bar, remark
 from tiltcal.errors import EstimateError, UsageError
 
 if TYPE_CHECKING:
@@ -63,7 +63,6 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
     InputError
         A file is wrong; the message names file and line.
     """
-    from tiltcal.cli.freed_memory import keep_freed_memory
     from tiltcal.files.atomic import check_writable, require_apart, write_whole
     from tiltcal.files.calibration_folder import SUFFIXES
     from tiltcal.report.page import require_extra
@@ -71,7 +70,6 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
     require_extra()
     check_writable(output)
     require_apart(output, *files)
-    keep_freed_memory()
     if len(files) == 1 and os.path.isdir(files[0]):
         from tiltcal.cli.history import read_history
         from tiltcal.report.fleet_page import fleet_page
@@ -131,7 +129,6 @@ def _tilt_page(
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:
     """Return the overview of a log; apply the calibration if the log is raw."""
     from tiltcal.calibration.calibration import Calibration
-    from tiltcal.cli.progress import progress_bar
     from tiltcal.logs.apply import CompensatedLog
     from tiltcal.logs.columns import TIME, parse_columns
     from tiltcal.logs.formats import open_log
@@ -163,7 +160,6 @@ def _pair_page(calibration: PairRecord, source: FileRecord, logs: Sequence[str],
 
 def _spectrum(log: str, number: int, calibration: PairRecord, skip_bad_rows: bool) -> Spectrum:
     """Return the spectra of the first pair in a log."""
-    from tiltcal.cli.progress import progress_bar
     from tiltcal.logs.formats import open_log
     from tiltcal.logs.pair_matching import demodulate_log
     from tiltcal.logs.pair_observers import SpectrumObserver

@@ -1,11 +1,16 @@
-"""Messages on standard error: where its reader has ended or its disk is full, a command goes on without them."""
+"""Messages and progress on standard error: where its reader has ended or its disk is full, a command goes on."""
 
 from __future__ import annotations
 
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
 
 from tiltcal.printable import printable
+
+if TYPE_CHECKING:
+    from tiltcal.logs.log import Progress
 
 
 def talk(text: str) -> None:
@@ -33,3 +38,17 @@ def wrapped(text: str) -> str:
         else line
         for line in text.split("\n")
     )
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Progress | None]:
+    """Show a progress bar on a terminal, for a log with a known size."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    with Bar(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None, visible=False)
+        yield lambda done, size: bar.update(task, completed=done, total=size, visible=size is not None)

@@ -25,28 +25,20 @@ if TYPE_CHECKING:
 @click.option(
     "--procedure", default="verify", show_default=True, help="The positions to measure: a name, or your own file."
 )
-@click.option(
+@options.above_zero(
     "--limit",
-    type=options.FiniteRange(0.0, min_open=True),
     default=0.5,
     show_default=True,
     metavar="DEGREES",
     help="The largest tilt error that passes.",
 )
-@options.degrees(
-    "--jig",
-    help="Standard uncertainty of a set angle. Not stated, the positions count as exact.",
-)
+@options.degrees("--jig", help="Standard uncertainty of a set angle. Not stated, the positions count as exact.")
 @options.tilt
 @click.option(
     "--operator", type=options.OPERATORS, default="terminal", show_default=True, help="Who sets the positions."
 )
 @options.samples
-@options.above_zero(
-    "--settle",
-    metavar="SECONDS",
-    help="How long a reading must be still; overrides the procedure.",
-)
+@options.above_zero("--settle", metavar="SECONDS", help="How long a reading must be still; overrides the procedure.")
 @options.file_option("--journal", help="The journal of the session [beside the calibration].")
 @options.resume
 @options.plain

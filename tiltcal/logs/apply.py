@@ -28,7 +28,7 @@ from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare, prepare_file
-from tiltcal.logs.streams import STANDARD, keep_freed_memory, log_sink, with_writeback
+from tiltcal.logs.streams import STANDARD, log_sink, with_writeback
 
 NO_TIME = (
     "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "
@@ -317,7 +317,6 @@ class CompensatedLog:
         count : bool
             Add the rows to :attr:`summary`.
         """
-        keep_freed_memory()
         needs_time = time is not None or self._needs_time()
         time = self.roles.get(TIME, time)
         wanted = {*self.channels, *self.roles.values(), *chain(*self.vectors.values())}

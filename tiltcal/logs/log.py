@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
 from tiltcal.frozen import frozen
-from tiltcal.logs.streams import ByteReader, HashingReader, read_ahead, sha256_of
+from tiltcal.logs.streams import ByteReader, HashingReader, keep_freed_memory, read_ahead, sha256_of
 
 if TYPE_CHECKING:
     import polars as pl
@@ -154,6 +154,7 @@ class LogReader(ABC):
             A row cannot be parsed, a needed column holds no numbers, or the file is damaged; once the iterator comes
             to it.
         """
+        keep_freed_memory()
         blocks = self._blocks(tuple(columns), time, frames)
         for block in read_ahead(blocks) if self._reads_ahead else blocks:
             if needs_time and block.wrong_time is not None:

@@ -6,7 +6,7 @@ import resource
 import numpy as np
 import pytest
 
-from tiltcal.cli.freed_memory import keep_freed_memory
+from tiltcal.logs.streams import keep_freed_memory
 
 
 def faults_of_a_block() -> int:

@@ -57,7 +57,7 @@ def test_the_bar_ends_at_the_size_of_the_log(
     def bar(_what: str) -> Iterator[Progress]:
         yield lambda done, size: shown.append((done, size))
 
-    monkeypatch.setattr("tiltcal.cli.progress.progress_bar", bar)
+    monkeypatch.setattr(f"tiltcal.cli.{command[0]}.progress_bar", bar)
     completed = tiltcal(*command, cwd=folder)
     assert completed.returncode == 0, completed.stderr
     size = (folder / log).stat().st_size
