@@ -50,24 +50,16 @@ _DRIFT_MEMORY = 16 * SECTORS
 """Sectors over which the drift of the readings is averaged."""
 _FARTHEST = 0.9
 _LEAST_QUADRATURE = 0.1
-
-
-@dataclass(frozen=True)
-class LoopGains:
-    """Of a PID controller; error to correction, time in turns."""
-
-    proportional: float = 0.1
-    integral: float = 0.9
-    derivative: float = 0.0
+_PROPORTIONAL, _INTEGRAL = 0.1, 0.9
+"""Full gains of a loop, from error to correction, time in turns; the derivative has none."""
+_STEP = 1.0 / SECTORS
 
 
 class Controller:
-    """A PID controller in its velocity form: what it gives is added to what it controls."""
+    """A PID controller in its velocity form: what it gives is added to what it controls, once a sector."""
 
-    def __init__(self, gains: LoopGains, step: float) -> None:
-        self._gains = gains
-        self._step = step
-        self._errors: deque[float] = deque(maxlen=2)
+    def __init__(self) -> None:
+        self._last: float | None = None
         self._settled = 0.0
 
     def __call__(self, error: float) -> float:
@@ -79,25 +71,17 @@ class Controller:
         if abs(error) > _LOST:
             self._settled = 0.0
         elif self._settled or abs(error) < _SETTLED:
-            self._settled += self._step
-        integral = self._gains.integral
-        averaged = min(integral * self._settled - _CALM, integral * _LOOP_MEMORY - 1.0)
-        average = 1.0 / (1.0 + max(averaged, 0.0))
-        return average * self._correction(error)
-
-    def _correction(self, error: float) -> float:
-        gains = self._gains
-        correction = gains.integral * self._step * error
-        if self._errors:
-            correction += gains.proportional * (error - self._errors[-1])
-        if len(self._errors) == 2:
-            correction += gains.derivative / self._step * (error - 2.0 * self._errors[1] + self._errors[0])
-        self._errors.append(error)
-        return correction
+            self._settled += _STEP
+        averaged = min(_INTEGRAL * self._settled - _CALM, _INTEGRAL * _LOOP_MEMORY - 1.0)
+        correction = _INTEGRAL * _STEP * error
+        if self._last is not None:
+            correction += _PROPORTIONAL * (error - self._last)
+        self._last = error
+        return 1.0 / (1.0 + max(averaged, 0.0)) * correction
 
     def forget(self) -> None:
-        """Drop the errors so far; called after a gap."""
-        self._errors.clear()
+        """Drop the last error; called after a gap."""
+        self._last = None
 
 
 class TrimmingLoops:
@@ -107,8 +91,6 @@ class TrimmingLoops:
     ----------
     channels : sequence of str
         Of the stream.
-    gains : LoopGains
-        Of both loops.
 
     Attributes
     ----------
@@ -121,10 +103,10 @@ class TrimmingLoops:
     it leaves is demodulated.
     """
 
-    def __init__(self, pair: Pair, channels: Sequence[str], gains: LoopGains | None = None) -> None:
+    def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
         self.p = self.q = 0.0
         self.in_phase = self.quadrature = float("nan")
-        self._trims = [Controller(gains or LoopGains(), 1.0 / SECTORS) for _ in range(2)]
+        self._trims = Controller(), Controller()
         self._where = [READINGS + channels.index(channel) for channel in pair.channels]
         self._pair = pair
         self._turn: deque[tuple[Array, int, Array]] = deque(maxlen=SECTORS)
@@ -197,36 +179,24 @@ class Recursive:
     ----------
     channels : sequence of str
         Of the stream.
-    memory : float
-        Turns.
     """
 
-    def __init__(self, pair: Pair, channels: Sequence[str], memory: float = MEMORY) -> None:
+    def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
         self.p = self.q = 0.0
         self._white = (float("inf"), float("inf"))
         self._pair = pair
         self._channels = tuple(channels)
-        self._fade = exp(-1.0 / (SECTORS * memory))
+        self._fade = exp(-1.0 / (SECTORS * MEMORY))
         self._products: Array | None = None
         self._end = 0
         self._sectors = 0
         self._squared_weights = 0.0
         self._turn: Array | None = None
-        self._turns: deque[tuple[Array, int]] = deque(maxlen=round(2 * memory))
+        self._turns: deque[tuple[Array, int]] = deque(maxlen=round(2 * MEMORY))
         self._refusal: EstimateError | None = None
 
-    @property
-    def u_p(self) -> float:
-        """Standard uncertainty of p; infinite before the first estimate."""
-        return self.uncertainty()[0]
-
-    @property
-    def u_q(self) -> float:
-        """Standard uncertainty of q."""
-        return self.uncertainty()[1]
-
     def uncertainty(self) -> tuple[float, float]:
-        """Return the standard uncertainties of p and q."""
+        """Return the standard uncertainties of p and q; infinite before the first estimate."""
         colour = sqrt(self._colour())
         return self._white[0] * colour, self._white[1] * colour
 
@@ -306,10 +276,6 @@ class Online:
     ----------
     channels : sequence of str
         Of the stream.
-    gains : LoopGains, optional
-        Of the loops.
-    memory : float
-        Of the recursive estimator, turns.
 
     Attributes
     ----------
@@ -319,12 +285,10 @@ class Online:
         Why the last sector could not be used by the estimators; empty where it could.
     """
 
-    def __init__(
-        self, pair: Pair, channels: Sequence[str], gains: LoopGains | None = None, memory: float = MEMORY
-    ) -> None:
+    def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
         self.stream = SectorStream(len(channels))
-        self.loops = TrimmingLoops(pair, channels, gains)
-        self.recursive = Recursive(pair, channels, memory)
+        self.loops = TrimmingLoops(pair, channels)
+        self.recursive = Recursive(pair, channels)
         self.course: list[OnlineHistory] = []
         self.refused = ""
         self._sectors = 0

@@ -11,7 +11,7 @@ import pytest
 from support import accelerometer_disk as disk
 
 from tiltcal.core.pair.model import Pair, matching_coefficients
-from tiltcal.core.pair.online import LoopGains, Online, Recursive
+from tiltcal.core.pair.online import Online, Recursive
 from tiltcal.core.pair.sectors import SECTORS, Sector, SectorStream
 from tiltcal.drivers.twin.gradiometer import CHANNELS, Disk, Gradiometer
 
@@ -19,8 +19,8 @@ PAIR = Pair("a1", "a2", "a4")
 TRUTH = disk.truth()
 
 
-def pushed(taken: disk.Record, gains: LoopGains | None = None, block: int = 5000) -> tuple[Online, list[str]]:
-    online, said = Online(PAIR, disk.NAMES, gains), []
+def pushed(taken: disk.Record, block: int = 5000) -> tuple[Online, list[str]]:
+    online, said = Online(PAIR, disk.NAMES), []
     for start in range(0, len(taken.theta), block):
         part = taken.rows(slice(start, start + block))
         said += [str(notice) for notice in online.push(part.theta, part.readings)]
@@ -82,7 +82,7 @@ class TestLaboratoryRecord:
         errors = []
         for seed in range(16):
             found = recursive(disk.record(seconds=240, rate=5, noise=3e-3, seed=seed))
-            errors += [(found.p - TRUTH[0]) / found.u_p, (found.q - TRUTH[1]) / found.u_q]
+            errors += ((np.array([found.p, found.q]) - TRUTH) / found.uncertainty()).tolist()
         assert 0.65 < float(np.std(errors)) < 1.45
 
     def test_1_over_f_noise_counts_with_what_it_has_at_the_turning(self) -> None:
@@ -91,7 +91,7 @@ class TestLaboratoryRecord:
         for seed in range(16):
             taken = disk.record(seconds=240, rate=5, corner=0.1, noise=3e-3, seed=seed)
             found = recursive(taken)
-            covered += [abs(found.p - TRUTH[0]) < 1.96 * found.u_p, abs(found.q - TRUTH[1]) < 1.96 * found.u_q]
+            covered += (np.abs(np.array([found.p, found.q]) - TRUTH) < 1.96 * np.array(found.uncertainty())).tolist()
         assert float(np.mean(covered)) > 0.88
 
     def test_readings_that_drift_far_away_do_not_reach_the_loops(self) -> None:
@@ -151,28 +151,20 @@ def quick(twin: disk.Record) -> Online:
     return pushed(twin)[0]
 
 
-@pytest.fixture(scope="module")
-def quiet(twin: disk.Record) -> Online:
-    """The same with loops of small gains."""
-    return pushed(twin, LoopGains(0.02, 0.06, 0.0))[0]
-
-
-@pytest.mark.parametrize("loops", ["quick", "quiet"])
-def test_the_recursive_estimator_needs_at_most_half_the_turns(loops: str, request: pytest.FixtureRequest) -> None:
-    online: Online = request.getfixturevalue(loops)
-    trimmed, recursive = (distances(online, kind) for kind in ("loops", "recursive"))
+def test_the_recursive_estimator_needs_at_most_half_the_turns(quick: Online) -> None:
+    trimmed, recursive = (distances(quick, kind) for kind in ("loops", "recursive"))
     floor = float(np.max(trimmed[-30:]))
     assert turns_until(recursive, floor) <= turns_until(trimmed, floor) / 2
 
 
-def test_at_the_papers_noise_both_reach_their_figures(twin: disk.Record, quiet: Online) -> None:
+def test_at_the_papers_noise_both_reach_their_figures(twin: disk.Record, quick: Online) -> None:
     assert len(CHANNELS) == 4
     a1, a2, _, _ = twin.readings.T
-    after_p = np.hypot(*disk.judged(twin, a1 + a2 / (1 - quiet.loops.p)))
+    after_p = np.hypot(*disk.judged(twin, a1 + a2 / (1 - quick.loops.p)))
     assert np.hypot(*disk.judged(twin, a1)) / after_p > 1e3
     noise_floor = 1.5e-7 * np.sqrt(2 / 1600.0) / 1.5e-3 * np.sqrt(2)  # amplitude of the sum's noise over the record
     for kind in ("loops", "recursive"):
-        found = getattr(quiet, kind)
+        found = getattr(quick, kind)
         assert disk.suppression(twin, found.p, found.q) > min(1e5, 0.3 / noise_floor)
 
 
