@@ -18,12 +18,11 @@ from math import cos, degrees, radians
 import numpy as np
 
 from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor, welch_satterthwaite
-from tiltcal.core.derivatives import central_differences
 from tiltcal.core.instrumental_drift import RandomWalk
 from tiltcal.core.model import Array, Coefficients, Limits, Mounting, overlap, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
 from tiltcal.core.named_coefficients import referred, values
-from tiltcal.core.uncertainty_budget import Budget, Part
+from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, require_same_sensor

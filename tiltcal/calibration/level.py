@@ -24,14 +24,13 @@ from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
 from tiltcal.calibration.verdict import judge
 from tiltcal.core.coverage_factor import COVERAGE, coverage_factor
-from tiltcal.core.derivatives import central_differences
 from tiltcal.core.estimation.design import Observation
 from tiltcal.core.estimation.joint_equations import ADC, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import CoefficientChange
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.uncertainty_budget import Budget, Part
+from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord

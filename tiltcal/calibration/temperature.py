@@ -20,11 +20,11 @@ from numpy.polynomial import Polynomial
 from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.joint_fit import observations_of, observed_sensor
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.derivatives import central_differences
 from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.estimation.hysteresis import ALIKE
 from tiltcal.core.model import Array, Thermal, vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.uncertainty_budget import central_differences
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.fit_record import CrossValidation, Hysteresis

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tiltcal.core.compensation import Compensated, Compensation
-from tiltcal.core.flags import Bytes
 from tiltcal.core.model import Array, Coefficients
-from tiltcal.core.uncertainty_columns import uncertainty_columns
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.core.uncertainty_propagation import Propagation
 from tiltcal.frozen import frozen
@@ -29,16 +27,6 @@ class AngleUncertainty:
     compensated: Compensated
     standard: Array
     expanded: Array
-
-    @property
-    def flag(self) -> Bytes:
-        """1 pass, 3 suspect, 4 fail, 9 missing; shape (n,)."""
-        return self.compensated.flag
-
-    @property
-    def reason(self) -> Bytes:
-        """Bit mask; shape (n,)."""
-        return self.compensated.reason
 
 
 class CompensationWithUncertainty:
@@ -67,24 +55,8 @@ class CompensationWithUncertainty:
 
     @property
     def expanded(self) -> tuple[str, ...]:
-        """Names of the columns that hold half widths of 95 % intervals, in the order of the angles."""
+        """Names of the columns of a log that hold half widths of 95 % intervals, in the order of the angles."""
         return tuple(f"U95_{angle}" for angle in self._angles)
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns that :meth:`table` gives."""
-        return (*self._compensation.columns, *self.added)
-
-    @property
-    def added(self) -> tuple[str, ...]:
-        """Names of the columns behind those of the compensation."""
-        return uncertainty_columns(self._angles)
-
-    def table(self, found: AngleUncertainty) -> dict[str, NDArray[np.float64] | Bytes]:
-        """Return the columns of a result under the names that :attr:`columns` lists."""
-        added = (*found.standard.T, *found.expanded.T)
-        own = self._compensation.table(found.compensated)
-        return own | dict(zip(self.columns[len(own) :], added, strict=True))
 
     def __call__(self, readings: ArrayLike, temperature: ArrayLike | None = None) -> AngleUncertainty:
         """Compensate rows; the arguments are those of :class:`Compensation`."""

@@ -22,10 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.coverage_factor import coverage_factor, welch_satterthwaite
-from tiltcal.core.derivatives import central_differences
 from tiltcal.core.model import Array, Coefficients, polynomial_slope, vector_of, with_vector
 from tiltcal.core.named_coefficients import CoefficientChange, DeterminedCoefficients, referred
-from tiltcal.core.uncertainty_budget import Budget, Part
+from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
 

@@ -7,13 +7,12 @@ from math import radians
 
 import numpy as np
 
-from tiltcal.core.averaged_uncertainty import with_shares
 from tiltcal.core.compensation import CLIP_LIMIT, Compensation, KernelChunk
 from tiltcal.core.earth_uncertainty import EarthUncertainty
 from tiltcal.core.flags import CLIPPED, FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, SUSPECT, mark
 from tiltcal.core.heading import HEADING, VELOCITY, EarthFrame, full_circle, length_of
 from tiltcal.core.model import Array
-from tiltcal.core.uncertainty_columns import round_up, uncertainty_columns
+from tiltcal.core.uncertainty_columns import round_up, uncertainty_columns, with_shares
 from tiltcal.errors import EstimateError
 
 

@@ -151,6 +151,22 @@ def propagated(
     return u, NORMAL_FACTOR * np.divide(wide, u, out=np.ones_like(u), where=u > 0.0)
 
 
+def central_differences(function: Callable[[Array], Array], at: Array, steps: Array) -> Array:
+    """Return the derivatives of a function by its parameters, from its values on both sides; shape (m, k).
+
+    Parameters
+    ----------
+    function : callable
+        From the parameters, shape (k,), to values, shape (m,).
+    at : ndarray, shape (k,)
+    steps : ndarray, shape (k,)
+        How far to either side; a parameter whose step is 0 counts as certain, and its column is 0.
+    """
+    moves = np.diag(np.where(steps > 0.0, steps, 0.0))
+    columns = [(function(at + move) - function(at - move)) / (2.0 * (move.sum() or 1.0)) for move in moves]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(function(at)), 0))
+
+
 def _standard_uncertainty(function: Callable[[Array], Array], parameters: Array, covariance: Array) -> Array:
     # An exact parameter takes no part: the axes of another's error would move it by their rounding, on some processors.
     uncertain = np.flatnonzero(np.diag(covariance) > 0.0)

@@ -1,4 +1,4 @@
-"""The columns of an uncertainty in a log: their names and their digits."""
+"""The columns of an uncertainty in a log: their names, their digits, and the shares of that of a mean."""
 
 from __future__ import annotations
 
@@ -37,6 +37,25 @@ def round_up(room: Array, unit: float = 1.0) -> None:
         room *= scale
     np.ceil(room, out=room)
     room /= scale
+
+
+def with_shares(total: Array, common: Array) -> Array:
+    """Return what means add to the standard uncertainty: the share of independent readings, then the common one.
+
+    Parameters
+    ----------
+    total, common : ndarray, shape (2, k, n)
+        Standard and expanded uncertainty of k quantities: of the means, and without the noise of readings.
+
+    Returns
+    -------
+    ndarray, shape (4 k, n)
+        Rounded up: standard and expanded uncertainty, then both shares of the standard one.
+    """
+    random = np.sqrt(np.maximum(total[0] ** 2 - common[0] ** 2, 0.0))
+    found = np.concatenate([total[0], total[1], random, common[0]])
+    round_up(found)
+    return found
 
 
 def _scales(numbers: Array) -> Array:

@@ -22,9 +22,8 @@ import numpy as np
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.coverage_factor import NEGLIGIBLE, NORMAL_FACTOR, coverage_factors
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE
-from tiltcal.core.matrix_product import columns_of_one_thread, product
+from tiltcal.core.matrix_product import columns_of_one_thread, form, pairs_of, product, products_of
 from tiltcal.core.model import AXES, Array, Coefficients
-from tiltcal.core.quadratic_forms import form, pairs_of, products_of
 from tiltcal.core.signal_derivatives import SignalDerivatives
 from tiltcal.core.tilt_angles import DIRECTIONS
 from tiltcal.core.uncertainty_columns import round_up

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration
     from tiltcal.calibration.calibration_library import CalibrationLibrary
     from tiltcal.calibration.pair_calibration import PairCalibration
-    from tiltcal.core.magnetic_field_length import FieldLength
+    from tiltcal.core.heading import FieldLength
     from tiltcal.logs.averaging import Means
 
 
@@ -371,7 +371,7 @@ class CompensatedLog:
 def _field_length(there: bool) -> FieldLength | None:
     if not there:
         return None
-    from tiltcal.core.magnetic_field_length import FieldLength
+    from tiltcal.core.heading import FieldLength
 
     return FieldLength()
 

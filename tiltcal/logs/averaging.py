@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.flags import FAIL, MAGNETIC, RAIL, SUSPECT, mark_columns
-from tiltcal.core.heading import full_circle
-from tiltcal.core.magnetic_field_length import FIELD_TOLERANCE
+from tiltcal.core.heading import FIELD_TOLERANCE, full_circle
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
 from tiltcal.frozen import frozen

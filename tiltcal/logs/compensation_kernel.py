@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.averaged_uncertainty import with_shares
 from tiltcal.core.compensation import Compensated, Compensation
 from tiltcal.core.flags import MISSING, NO_TEMPERATURE, SUSPECT, Mask, mark
 from tiltcal.core.model import Array
 from tiltcal.core.thermal_lag import ThermalLag
-from tiltcal.core.uncertainty_columns import uncertainty_columns
+from tiltcal.core.uncertainty_columns import uncertainty_columns, with_shares
 from tiltcal.frozen import frozen
 from tiltcal.logs.log import Table
 

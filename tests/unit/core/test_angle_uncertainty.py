@@ -301,7 +301,7 @@ class TestRows:
         level = known.offset
         readings = np.array([level, [np.nan, level[1]], [2047.0, level[1]], level, level])
         found = kernel(readings, np.array([20.0, 20.0, 20.0, np.nan, 40.0]))
-        assert found.flag.tolist() == [1, 9, 4, 3, 3]
+        assert found.compensated.flag.tolist() == [1, 9, 4, 3, 3]
         assert np.isfinite(found.standard).all(axis=1).tolist() == [True, False, False, False, True]
         assert np.isfinite(found.expanded).all(axis=1).tolist() == [True, False, False, False, True]
 

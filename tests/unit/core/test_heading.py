@@ -15,7 +15,7 @@ from tiltcal.core.compensation import Compensation
 from tiltcal.core.earth_compensation import EarthFrameCompensation
 from tiltcal.core.earth_uncertainty import EarthUncertainty
 from tiltcal.core.flags import CLIPPED, FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, PASS, SUSPECT
-from tiltcal.core.magnetic_field_length import FieldLength
+from tiltcal.core.heading import FieldLength
 from tiltcal.core.model import Array, Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs

@@ -68,7 +68,7 @@ def table_1_record() -> Demodulator:
     a1 = 3.3830 * np.sin(phase) - 0.0747 * np.cos(phase) + common + noise(own)
     a2 = -3.4150 * np.sin(phase) + 0.0753 * np.cos(phase) - common + noise(own)
     a4 = 0.04 * np.sin(phase) - 3.39 * np.cos(phase) + noise(own)
-    demodulator = Demodulator(("a1", "a2", "a4"), harmonics=1)
+    demodulator = Demodulator(("a1", "a2", "a4"))
     demodulator.add(angle, np.stack([a1, a2, a4], axis=1))
     return demodulator
 

@@ -70,17 +70,10 @@ def harmonic_columns(angle: Array, harmonics: int) -> Array:
 
 
 class Demodulator:
-    """Takes the rows of a record and keeps what the regression needs of them.
+    """Takes the rows of a record and keeps what the regression needs of them."""
 
-    Parameters
-    ----------
-    harmonics : int
-        Of the stage angle, from the first on.
-    """
-
-    def __init__(self, channels: Sequence[str], harmonics: int = HARMONICS) -> None:
+    def __init__(self, channels: Sequence[str]) -> None:
         self._channels = tuple(channels)
-        self._harmonics = harmonics
         self._size = 1.0
         self._blocks: dict[int, Array] = {}
         self._pilot: Array | None = None
@@ -93,7 +86,7 @@ class Demodulator:
         Parameters
         ----------
         angle : ndarray, shape (n,)
-            Turns that do not wrap, see :class:`~tiltcal.core.pair.stage.Stage`; finite.
+            Turns that do not wrap, see :class:`tiltcal.core.pair.encoder.AngleTracker`; finite.
         readings : ndarray, shape (n, channels)
             Finite.
         row : ndarray, shape (n,), optional
@@ -108,7 +101,7 @@ class Demodulator:
             # A large offset would take the digits that the noise needs in the sums of squares.
             self._pilot = readings.mean(axis=0)
             self._step, self._places = common_step(readings), len(np.unique(np.round(angle % 1.0 * _PLACES)))
-        columns = harmonic_columns(angle, self._harmonics)
+        columns = harmonic_columns(angle, HARMONICS)
         table = np.concatenate([columns, row[None, :] / _DRIFT_UNIT, (readings - self._pilot).T])
         block = np.maximum.accumulate(np.floor(angle / self._size).astype(np.int64))
         cuts = [0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]
@@ -139,7 +132,7 @@ class Demodulator:
             One of both cannot determine its components; this one is left as it was.
         """
         mine, its = self.result(), other.result()
-        transform = _brought(its, mine, self._harmonics)
+        transform = _brought(its, mine)
         while other._size < self._size:
             other._merge()
         while self._size < other._size:
@@ -160,7 +153,7 @@ class Demodulator:
         if not self._blocks:
             raise EstimateError("no row of the record has an angle and all readings")
         blocks = np.stack([self._blocks[number] for number in sorted(self._blocks)])
-        found = regress(blocks, self._channels, self._harmonics)
+        found = regress(blocks, self._channels, HARMONICS)
         return replace(found, rounding=self._rounding(found)) if self._step else found
 
     def _rounding(self, found: Demodulation) -> Array:
@@ -294,14 +287,14 @@ def regress(blocks: Array, channels: Sequence[str], harmonics: int) -> Demodulat
     )
 
 
-def _brought(its: Demodulation, mine: Demodulation, harmonics: int) -> Array:
+def _brought(its: Demodulation, mine: Demodulation) -> Array:
     """Return the map from the columns and readings of one record to phase, offsets and drifts of another."""
     signal, wanted = (found.coefficients[0] + 1j * found.coefficients[1] for found in (its, mine))
     # S sin (θ + φ) + C cos (θ + φ) has the components S + iC times exp iφ.
     off = float(np.angle(np.sum(signal * np.conj(wanted))))
-    columns = 2 * harmonics + 2
+    columns = 2 * HARMONICS + 2
     transform = np.eye(columns + len(mine.channels))
-    for h in range(1, harmonics + 1):
+    for h in range(1, HARMONICS + 1):
         sine, cosine = np.sin(h * off), np.cos(h * off)
         transform[2 * h - 2 : 2 * h, 2 * h - 2 : 2 * h] = [[cosine, sine], [-sine, cosine]]
     transform[columns:, columns - 2 : columns] = (mine.coefficients[-2:] - its.coefficients[-2:]).T

@@ -24,8 +24,8 @@ PAIR = Pair("a1", "a2", "a4")
 OTHER = Pair("a3", "a4", "a1")
 
 
-def demodulated(taken: disk.Record, harmonics: int = 4, block: int = 10_000) -> Demodulation:
-    stage, demodulator = AngleTracker(), Demodulator(disk.NAMES, harmonics)
+def demodulated(taken: disk.Record, block: int = 10_000) -> Demodulation:
+    stage, demodulator = AngleTracker(), Demodulator(disk.NAMES)
     for start in range(0, len(taken.theta), block):
         part = taken.rows(slice(start, start + block))
         demodulator.add(stage.follow(part.theta), part.readings)
@@ -37,7 +37,7 @@ def solved(records: Iterable[disk.Record], together: int = 25) -> Iterator[PairC
     """p and q of each record; records of one stage are demodulated together, as channels of one record."""
     for some in batched(records, together):
         names = tuple(f"{name}/{number}" for number in range(len(some)) for name in disk.NAMES)
-        stage, demodulator = AngleTracker(), Demodulator(names, 4)
+        stage, demodulator = AngleTracker(), Demodulator(names)
         demodulator.add(stage.follow(some[0].theta), np.concatenate([one.readings for one in some], axis=1))
         found = demodulator.result()
         for number in range(len(some)):

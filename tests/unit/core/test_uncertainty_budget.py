@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tiltcal.core.derivatives import central_differences
+from tiltcal.core.uncertainty_budget import central_differences
 
 
 def test_the_derivatives_of_a_quadratic_are_exact() -> None:
