@@ -57,6 +57,7 @@ TILTED = 0.1
 _SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
 _SIGMA_OF_NEAREST = 1.267  # and over the root mean square of the nearest 90 % of them
 _CHUNK = 1 << 14
+_MANY, _SAMPLE = 1 << 13, 1 << 11  # values of which a sample is taken first, and those of the sample
 
 
 def run_bounds(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -290,8 +291,20 @@ def distances(values: Array) -> tuple[Array, float, float]:
 
 
 def _median(values: Array) -> float:
-    """Return the median of numbers without a missing one, in a third of the time of ``numpy.median``."""
+    """Return the median of numbers without a missing one; of many, it is sought among those near that of a sample."""
     middle = len(values) // 2
-    parted = np.partition(values, middle)
-    upper = float(parted[middle])
-    return upper if len(values) % 2 else (float(parted[:middle].max()) + upper) / 2.0
+    if len(values) >= _MANY:
+        few = np.sort(values[:: len(values) // _SAMPLE])
+        lower, upper = few[[int(share * len(few)) for share in (0.45, 0.55)]]
+        below = int(np.count_nonzero(values < lower))
+        near = values[(values >= lower) & (values <= upper)]
+        if below < middle < below + len(near):
+            return _middle(near, middle - below, even=len(values) % 2 == 0)
+    return _middle(values, middle, even=len(values) % 2 == 0)
+
+
+def _middle(values: Array, place: int, *, even: bool) -> float:
+    """Return the value of a place by size; of an even number, the mean of it and the one before."""
+    parted = np.partition(values, place)
+    upper = float(parted[place])
+    return (float(parted[:place].max()) + upper) / 2.0 if even else upper

@@ -7,6 +7,7 @@ from functools import cache
 from math import exp, pi, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 
@@ -22,8 +23,11 @@ MOST_VALUES = 4096
 _NOISES = np.geomspace(0.005, 1.0, 80)
 """Of readings before they are rounded, in steps; beyond them rounding leaves nothing."""
 
-_ENOUGH_VALUES, _FEW_VALUES = 1 << 18, 1 << 16
-"""Different values among which two neighbours are a step apart, and those that are worth joining to the others."""
+_ENOUGH_VALUES = 1 << 16
+"""Different values among which two neighbours are a step apart."""
+
+_MOST_STEPS = 1 << 18
+"""From the smallest value to the largest, where the values are tabulated."""
 
 _WHOLE = 0.01
 """By how many steps rounded readings are off a whole number of them, at most."""
@@ -67,22 +71,35 @@ class DifferentValues:
 
     def __init__(self) -> None:
         self._values = np.empty(0)
-        self._waiting: list[Array] = []
+        self._table, self._per_step = np.full(1, np.nan), 0.0
 
     def add(self, samples: Array) -> None:
         """Take the next samples, shape (n,)."""
-        if len(self._values) < _ENOUGH_VALUES:
-            self._waiting.append(np.unique(samples))
-            if sum(map(len, self._waiting)) >= max(len(self._values), _FEW_VALUES):
-                self._join()
+        if len(self._values) >= _ENOUGH_VALUES:
+            return
+        first = self._values[0] if len(self._values) else 0.0
+        new = samples[self._table[self._places(samples, first)] != samples]
+        new = new[np.isfinite(new)]
+        if len(new):
+            self._values = np.unique(np.concatenate([self._values, new]))
+            self._tabulate()
 
     def step(self) -> float:
         """Return the :func:`resolution` of the channel."""
-        self._join()
         return resolution([self._values])
 
-    def _join(self) -> None:
-        self._values, self._waiting = np.unique(np.concatenate([self._values, *self._waiting])), []
+    def _tabulate(self) -> None:
+        """Put each value at its whole number of steps, where it is found at once."""
+        first, last, step = float(self._values[0]), float(self._values[-1]), self.step()
+        self._table, self._per_step = np.full(1, np.nan), 0.0
+        if step and last - first < _MOST_STEPS * step:
+            self._table, self._per_step = np.full(round((last - first) / step) + 1, np.nan), 1.0 / step
+            self._table[self._places(self._values, first)] = self._values
+
+    def _places(self, samples: Array, first: float) -> NDArray[np.intp]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            places = np.rint((samples - first) * self._per_step)
+        return np.fmin(np.fmax(places, 0.0), len(self._table) - 1.0).astype(np.intp)
 
 
 def common_step(readings: Array) -> float:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import chain, pairwise
-from math import fsum, inf, sqrt
+from math import frexp, fsum, inf, ldexp, sqrt
 from operator import mul
 
 import numpy as np
@@ -19,8 +19,8 @@ from tiltcal.frozen import frozen
 BLOCKS = 10
 """Number of blocks whose means show correlation that std/sqrt(n) does not see."""
 
-_COLUMNS, _FEWEST_ROWS = 4096, 8
-"""Of long runs of samples that are summed as tables: the columns of all, and the rows from which on they are tables."""
+_MANY, _HUGE = 4096, 1e150
+"""Samples from which on they are summed up as arrays, and the readings beyond which they are not."""
 
 
 @frozen
@@ -127,14 +127,15 @@ def moments_of(values: NDArray[np.float64], first: int = 0, edges: Sequence[int]
     """
     n, size = len(values), len(values) // BLOCKS
     edges = edges or range(0, BLOCKS * size + 1, max(size, 1))
-    runs = [_summands(values[start:end]) for start, end in pairwise(edges)]
-    total = fsum(chain(values[: edges[0]].tolist(), *runs, values[edges[-1] :].tolist()))
-    low, high = float(values.min()), float(values.max())
+    runs, low, high = list(pairwise((0, *edges, n))), float(values.min()), float(values.max())
+    summands = _summands(values, runs, max(-low, high))
+    total = fsum(chain.from_iterable(summands))
     # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
     mean = low if low == high else total / n
-    blocks = [(fsum(run), end - start) for run, (start, end) in zip(runs, pairwise(edges), strict=True)]
+    blocks = [(fsum(run), end - start) for run, (start, end) in zip(summands, runs, strict=True)]
     off = values - mean
-    return Moments(n, total, mean, fsum(_summands(np.square(off, out=off))), low, high, first, blocks)
+    (squares,) = _summands(np.square(off, out=off), [(0, n)], max(high - mean, mean - low) ** 2)
+    return Moments(n, total, mean, fsum(squares), low, high, first, blocks[1:-1])
 
 
 def summary_of(parts: Sequence[Moments], resolution: float = 0.0) -> SampleSummary:
@@ -187,27 +188,29 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
 
 
-def _summands(values: NDArray[np.float64]) -> list[float]:
-    """Return numbers that have the sum of others, to be rounded once; few of them where those are many.
+def _summands(values: NDArray[np.float64], runs: Sequence[tuple[int, int]], largest: float) -> list[list[float]]:
+    """Return numbers that have the sum of each run, to be rounded once; few of them where the values are many.
 
     Parameters
     ----------
     values : ndarray, shape (n,)
+    largest : float
+        No value is farther from zero.
     """
-    rows = len(values) // _COLUMNS
-    if rows < _FEWEST_ROWS:
-        few: list[float] = values.tolist()
-        return few
-    total, longer, lost, added, error = np.zeros((5, _COLUMNS))
-    for row in values[: rows * _COLUMNS].reshape(rows, _COLUMNS):
-        # Knuth, The Art of Computer Programming, vol. 2, 4.2.2, theorem B: the error of a sum, exactly.
-        np.add(total, row, out=longer)
-        np.subtract(longer, total, out=added)
-        np.subtract(total, np.subtract(longer, added, out=error), out=error)
-        lost += np.add(error, np.subtract(row, added, out=added), out=error)
-        total, longer = longer, total
-    left: list[float] = np.concatenate([total, lost, values[rows * _COLUMNS :]]).tolist()
-    return left
+    if len(values) < _MANY or not largest < _HUGE:
+        return [values[start:end].tolist() for start, end in runs]
+    parts: list[list[float]] = [[] for _ in runs]
+    while largest:
+        # Rump, Ogita and Oishi (2008), Accurate floating-point summation I, lemma 3.2: the leading digits of each
+        # value, so few that all sums of them are exact, and the digits that are left.
+        sigma = ldexp(1.0, frexp(largest)[1] + len(values).bit_length())
+        leading = values + sigma
+        leading -= sigma
+        for part, (start, end) in zip(parts, runs, strict=True):
+            part.append(float(leading[start:end].sum()))
+        values = np.subtract(values, leading, out=leading)
+        largest = max(-float(values.min()), float(values.max()))
+    return parts
 
 
 def _type_a(means: Sequence[float], n: int, std: float) -> tuple[float, float, float | None]:

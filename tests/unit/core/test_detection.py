@@ -10,6 +10,7 @@ import scipy
 
 from tiltcal.core.detection import (
     bursts,
+    distances,
     identical_by_chance,
     is_still,
     jumps,
@@ -93,6 +94,16 @@ def test_one_sample_of_a_hundred_that_is_off() -> None:
     assert len(outliers(samples, step=1.0)) == 0
     samples[37] += 578.0
     assert outliers(samples, step=1.0).tolist() == [37]
+
+
+@pytest.mark.parametrize("decimals", [0, 1, 9])
+@pytest.mark.parametrize("n", [9, 8192, 20_001])
+def test_the_median_is_that_of_numpy(n: int, decimals: int) -> None:
+    """Of noise on a drift, and of blocks that lie apart, of which a sample shows the wrong half."""
+    noise = np.random.default_rng(n).normal(size=n)
+    for samples in (noise + np.arange(n) / n, np.where(np.arange(n) % (n // 2048 or 1) == 0, 50.0, noise)):
+        rounded = np.round(samples, decimals)
+        assert distances(rounded)[2] == np.median(rounded)
 
 
 def test_the_scatter_of_a_long_log_takes_little_memory() -> None:
