@@ -107,11 +107,11 @@ def _errors(model: Model, compensated: Path) -> tuple[dict[str, Array], dict[str
 
 def _draw(compensated: Path, before: Mapping[str, Array], after: Mapping[str, Array], picture: Path) -> None:
     """Draw the errors before and after."""
-    from tiltcal.report.log_error_figure import draw_tilt_error
+    from tiltcal.report.tilt_figure import draw_tilt_error
 
     column = _columns(compensated)
     title = f"{MODEL} on the virtual bench, tilts within ±{REACH:g}°"
-    draw_tilt_error(picture, column["time"], column["temperature"], before, after, ("x", "y"), title)
+    draw_tilt_error(picture, column["time"], column["temperature"], before, after, title)
 
 
 def _columns(log: Path) -> dict[str, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,8 @@ from tiltcal.errors import UsageError
 if TYPE_CHECKING:
     from tiltcal.core.pair.matching import Matching
     from tiltcal.logs.match import MatchedLog
+    from tiltcal.logs.pair_matching import Demodulated
+    from tiltcal.logs.pair_observers import SpectrumObserver
     from tiltcal.report.pair_figures import PairDrawing
 
 _EXAMPLES = """\b
@@ -110,20 +113,29 @@ def command(
 
 def _drawing(matched: MatchedLog) -> PairDrawing | None:
     """Return the figure of the first pair, if spectra were requested."""
-    from tiltcal.report.pair_figures import PairDrawing
-
     if matched.spectra is None:
         return None
-    matching, found = matched.calibration.matchings[0], matched.demodulated
-    frequency, densities = matched.spectra.densities(matching.pair, matching.p, matching.q, found)
-    return PairDrawing(
-        frequency,
-        densities,
-        found.frequency or found.turns / (found.rows + found.missing),
-        "Hz" if found.rate else "1/row",
-        matched.online.course(matching.pair) if matched.online else (),
-        max(matching.u_p, matching.u_q),
+    matching = matched.calibration.matchings[0]
+    return replace(
+        spectra_of(matching, matched.demodulated, matched.spectra),
+        course=matched.online.course(matching.pair) if matched.online else (),
+        uncertainty=max(matching.u_p, matching.u_q),
     )
+
+
+def spectra_of(matching: Matching, found: Demodulated, spectra: SpectrumObserver) -> PairDrawing:
+    """Return the spectra of a pair in a log, before and after.
+
+    Raises
+    ------
+    EstimateError
+        The record is too short for them.
+    """
+    from tiltcal.report.pair_figures import PairDrawing
+
+    frequency, densities = spectra.densities(matching.pair, matching.p, matching.q, found)
+    turning = found.frequency or found.turns / (found.rows + found.missing)
+    return PairDrawing(frequency, densities, turning, "Hz" if found.rate else "1/row")
 
 
 def _triples(pairs: tuple[str, ...], orthogonals: tuple[str, ...]) -> list[tuple[str, str, str]]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tiltcal.files.pair import PairRecord
     from tiltcal.files.provenance_record import FileRecord
     from tiltcal.report.log_section import ReportedLog
-    from tiltcal.report.pair_page import Spectrum
+    from tiltcal.report.pair_figures import PairDrawing
 
 _EXAMPLES = """\b
 Examples:
@@ -154,31 +154,24 @@ def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: st
 def _pair_page(calibration: PairRecord, source: FileRecord, logs: Sequence[str], skip_bad_rows: bool) -> str:
     from tiltcal.report.pair_page import pair_page
 
-    spectra = [_spectrum(log, number, calibration, skip_bad_rows) for number, log in enumerate(logs, start=1)]
-    return pair_page(calibration, source, spectra)
+    return pair_page(calibration, source, [_spectra(log, calibration, skip_bad_rows) for log in logs])
 
 
-def _spectrum(log: str, number: int, calibration: PairRecord, skip_bad_rows: bool) -> Spectrum:
-    """Return the spectra of the first pair in a log."""
+def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[str, PairDrawing]:
+    """Return the name of a log, and the spectra of the first pair in it."""
+    from tiltcal.cli.match import spectra_of
     from tiltcal.logs.formats import open_log
     from tiltcal.logs.pair_matching import demodulate_log
     from tiltcal.logs.pair_observers import SpectrumObserver
-    from tiltcal.report.pair_figures import PairDrawing
-    from tiltcal.report.pair_page import spectrum
 
     matching = calibration.matchings[0]
     observer = SpectrumObserver(matching.pair.channels)
     with progress_bar("report") as progress, open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows:
-        name = rows.name
         try:
             found = demodulate_log(rows, matching.pair.channels, calibration.phase, observers=[observer])
-            frequency, densities = observer.densities(matching.pair, matching.p, matching.q, found)
+            return Path(rows.name).name, spectra_of(matching, found, observer)
         except EstimateError as refusal:
-            raise EstimateError(f"{name}: {refusal}") from refusal
-    turning = found.frequency or found.turns / (found.rows + found.missing)
-    return spectrum(
-        Path(name).name, number, PairDrawing(frequency, densities, turning, "Hz" if found.rate else "1/row")
-    )
+            raise EstimateError(f"{rows.name}: {refusal}") from refusal
 
 
 def _source(name: str) -> FileRecord:

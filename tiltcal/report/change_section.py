@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.labels import symbol, unit_of, words
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.report.number_format import AlignedNumber, column, measured, plain
+from tiltcal.report.number_format import AlignedNumber, column, measured
 from tiltcal.report.provenance import period
 
 
@@ -45,9 +45,9 @@ def change_section(before: CalibrationRecord, name: str, after: CalibrationRecor
     """Return every coefficient that both files have, the earlier ones at the later one's reference temperature."""
     comparison = compare_records(before, after)
     found, verdict = comparison.changes, comparison.verdict
-    old = column(_told(change.before, before.uncertainty.get(change.name)) for change in found)
-    new = column(_told(change.after, after.uncertainty.get(change.name)) for change in found)
-    moved = column(_told(change.difference, change.u) for change in found)
+    old = column(measured(change.before, before.uncertainty.get(change.name)) for change in found)
+    new = column(measured(change.after, after.uncertainty.get(change.name)) for change in found)
+    moved = column(measured(change.difference, change.u) for change in found)
     ratios = column("" if change.ratio is None else f"{change.ratio:.2f}" for change in found)
     unit = after.sensor.unit
     rows = [
@@ -58,10 +58,6 @@ def change_section(before: CalibrationRecord, name: str, after: CalibrationRecor
     ]
     when = period(before.provenance)
     return ChangeSection(f"{name}, {when}" if when else name, _sentence(str(verdict)), rows)
-
-
-def _told(value: float, u: float | None) -> str:
-    return measured(value, u) if u else plain(value, 6)
 
 
 def _sentence(verdict: str) -> str:

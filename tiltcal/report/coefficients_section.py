@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from math import degrees, sqrt
 from typing import NamedTuple
 
@@ -127,12 +128,9 @@ def budget(calibration: CalibrationRecord) -> list[Shares]:
     known = list(values(calibration.coefficients))
     for name in sorted(stated_of, key=lambda name: known.index(name) if name in known else len(known)):
         stated = stated_of[name]
-        order = [*(source for source in SOURCES if source in stated), *(name for name in stated if name not in SOURCES)]
-        before, total = {}, 0.0
-        for source in order:
-            before[source] = total
-            total += stated[source]
-        found.append(Shares(words(name), symbol(name), {source: stated[source] for source in order}, before))
+        shares = {source: stated[source] for source in SOURCES if source in stated} | dict(stated)
+        before = dict(zip(shares, accumulate(shares.values(), initial=0.0), strict=False))
+        found.append(Shares(words(name), symbol(name), shares, before))
     return found
 
 
@@ -249,7 +247,7 @@ def _by_channel(
 
 
 def _quantities(rows: Sequence[Row]) -> list[CoefficientRow]:
-    printed = column(measured(row.value, row.u) if row.u else plain(row.value, 6) for row in rows)
+    printed = column(measured(row.value, row.u) for row in rows)
     widths = column(half_width(row.factor * row.u) if row.u and row.factor else "" for row in rows)
     return [
         CoefficientRow(

@@ -8,7 +8,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
 from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
+
+from tiltcal.files.atomic import whole_file
+from tiltcal.report.number_format import SUPERSCRIPT
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,8 +24,6 @@ INK, GREY, BLUE, RED = "#000000", "#8a8a8a", "#1f6f8b", "#c0504d"
 
 CHANNELS = {"x": (BLUE, "o", "-"), "y": (RED, "s", "--"), "z": ("#4f6228", "^", ":")}
 """Colour, mark and line of a channel, distinguishable without colour."""
-
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -87,7 +89,23 @@ def _label_decades(figure: Figure) -> None:
 def in_characters(label: str) -> str:
     """Return ``$\\mathdefault{4\\times10^{-3}}$`` as ``4×10⁻³``."""
     plain = re.sub(r"^\$\\mathdefault\{(.*)\}\$$", r"\1", label).replace(r"\times", "×")
-    return re.sub(r"\^\{([-0-9]+)\}", lambda power: power[1].translate(_RAISED), plain)
+    return re.sub(r"\^\{([-0-9]+)\}", lambda power: power[1].translate(SUPERSCRIPT), plain)
+
+
+def write_figure(path: Path, size: tuple[float, float], plot: Callable[[Figure], None]) -> None:
+    """Draw a figure of this size, inches, into an SVG file.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be written there.
+    """
+    from matplotlib.figure import Figure
+
+    with figure_style(), whole_file(path) as stream:
+        figure = Figure(figsize=size, layout="constrained")
+        plot(figure)
+        save(figure, stream)
 
 
 def picture(

@@ -83,11 +83,6 @@ def as_set(position: PositionSet) -> str:
     return ", ".join(said)
 
 
-def verdict(calibration: CalibrationRecord) -> list[str]:
-    """Return the verdict on the fit, in sentences."""
-    return list(_sentences(calibration.fit, calibration.sensor.unit))
-
-
 def remarks(calibration: CalibrationRecord) -> list[str]:
     """Return the notes and warnings of the file, word for word."""
     fit = calibration.fit
@@ -95,7 +90,8 @@ def remarks(calibration: CalibrationRecord) -> list[str]:
     return [*fit.notes, *warned, *(f"assumed: {name}" for name in calibration.derived.assumed)]
 
 
-def _sentences(fit: FitRecord, unit: str) -> Iterator[str]:
+def verdict(fit: FitRecord, unit: str) -> Iterator[str]:
+    """Yield the verdict on the fit, in sentences."""
     yield from _judged(fit)
     for objection in objections(fit):
         yield f"{objection[:1].upper()}{objection[1:]}."
@@ -183,7 +179,7 @@ def _mean(record: PositionRecord, channel: str) -> str:
     mean, u = record.mean.get(channel), (record.u or {}).get(channel)
     if mean is None:
         return ""
-    return measured(mean, u) if u else plain(mean, 7)
+    return measured(mean, u, 7)
 
 
 def _decimals(scale: float) -> int:

@@ -16,19 +16,6 @@ from tiltcal.report.provenance import Fact
 
 
 @dataclass(frozen=True)
-class SensorRow:
-    """One sensor of the table."""
-
-    serial: str
-    model: str
-    calibrations: int
-    first: str
-    last: str
-    due: str
-    is_due: bool
-
-
-@dataclass(frozen=True)
 class CalibrationChangeRow:
     """One calibration beside the one before it."""
 
@@ -69,19 +56,16 @@ def fleet_page(history: FleetHistory) -> str:
     UsageError
         The libraries of the extra ``report`` are not installed.
     """
-    rows = [_sensor_row(history, known) for known in history.histories]
-    days = history.interval.days
     return render(
         "fleet.html.j2",
-        folder=history.folder,
+        history=history,
         facts=[
             Fact("Folder", history.folder),
-            Fact("Sensors", str(len(rows))),
-            Fact("Calibrations", str(sum(row.calibrations for row in rows))),
-            Fact("Interval", f"{days} days"),
-            Fact("Due", f"{sum(row.is_due for row in rows)} on {history.now:%Y-%m-%d}"),
+            Fact("Sensors", str(len(history.histories))),
+            Fact("Calibrations", str(sum(len(known.calibrations) for known in history.histories))),
+            Fact("Interval", f"{history.interval.days} days"),
+            Fact("Due", f"{sum(map(history.is_due, history.histories))} on {history.now:%Y-%m-%d}"),
         ],
-        sensors=rows,
         changes=[row for known in history.histories for row in _change_rows(known)],
         models=[_model_section(model, number) for number, model in enumerate(history.models, start=1)],
         remarks=[
@@ -92,19 +76,6 @@ def fleet_page(history: FleetHistory) -> str:
                 for a, b in known.gaps(history.interval)
             ),
         ],
-        problems=history.problems,
-    )
-
-
-def _sensor_row(history: FleetHistory, known: SensorHistory) -> SensorRow:
-    return SensorRow(
-        known.sensor.serial,
-        known.sensor.model,
-        len(known.calibrations),
-        f"{known.calibrations[0].date:%Y-%m-%d}",
-        f"{known.calibrations[-1].date:%Y-%m-%d}",
-        f"{known.due(history.interval):%Y-%m-%d}",
-        history.is_due(known),
     )
 
 

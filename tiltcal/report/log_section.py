@@ -122,15 +122,15 @@ def _percent(count: int, rows: int) -> str:
 
 
 def _angle_rows(overview: ColumnStatistics) -> list[AngleRow]:
-    columns = []
-    for values in (overview.low, overview.high):
-        reach = [column_of[np.isfinite(column_of)] for column_of in values.T]
-        columns.append(reach)
-    least = column(at_place(float(np.min(v)), 3) if len(v) else "" for v in columns[0])
-    most = column(at_place(float(np.max(v)), 3) if len(v) else "" for v in columns[1])
+    least = column(_told(min(low[np.isfinite(low)], default=np.nan)) for low in overview.low.T)
+    most = column(_told(max(high[np.isfinite(high)], default=np.nan)) for high in overview.high.T)
     means = zip(overview.angles, overview.mean.tolist(), strict=True)
-    mean = column(at_place(value, 3) if np.isfinite(value) and name != ROUND else "" for name, value in means)
+    mean = column(_told(np.nan if name == ROUND else value) for name, value in means)
     return [AngleRow(words_of(name), *row) for name, *row in zip(overview.angles, least, mean, most, strict=True)]
+
+
+def _told(angle: float) -> str:
+    return at_place(angle, 3) if np.isfinite(angle) else ""
 
 
 def words_of(angle: str) -> str:
@@ -140,7 +140,7 @@ def words_of(angle: str) -> str:
 
 def _figure(log: ReportedLog, number: int) -> SvgFigure:
     overview = log.overview
-    said = "; ".join(f"{row.name} from {text(row.least)}° to {text(row.most)}°" for row in _angle_rows(overview))
+    said = "; ".join(f"{row.name} from {row.least}° to {row.most}°" for row in _angle_rows(overview))
     return picture(
         f"log{number}",
         0.55 + 1.15 * len(overview.angles),
@@ -150,11 +150,6 @@ def _figure(log: ReportedLog, number: int) -> SvgFigure:
         caption="Left: smallest and largest angle of groups of rows over time; below, red marks rows that fail or are "
         "missing, grey marks suspect rows. Right: histogram of the angle.",
     )
-
-
-def text(number: AlignedNumber) -> str:
-    """Return an aligned number as one text."""
-    return number.whole + number.rest
 
 
 def _plot(figure: Figure, log: ReportedLog) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,13 +12,11 @@ import numpy as np
 
 from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.scale import NoiseScale
-from tiltcal.files.atomic import whole_file
-from tiltcal.report.figure import figure_style, save
+from tiltcal.report.figure import BLUE, GREY, RED, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-MEASURED, MODEL, PART = "#1f6f8b", "#c0504d", "#8a8a8a"
+    from matplotlib.figure import Figure
 
 _NAMES = {"N": "white noise", "B": "flicker noise", "K": "random walk", "R": "drift"}
 
@@ -26,15 +25,14 @@ _DASHES = {"N": "--", "B": ":", "K": "-.", "R": (0, (8, 3))}
 
 def draw_noise(path: Path, noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> None:
     """Write the Allan deviation of every channel with its kinds of noise, as SVG."""
-    from matplotlib.figure import Figure
+    write_figure(path, (8.0, 1.0 + 3.6 * len(noises)), partial(_draw, noises=noises, scale=scale))
 
-    with figure_style(), whole_file(path) as stream:
-        figure = Figure(figsize=(8.0, 1.0 + 3.6 * len(noises)), layout="constrained")
-        panels = figure.subplots(len(noises), 1, squeeze=False)[:, 0]
-        for panel, (channel, noise) in zip(panels, noises.items(), strict=True):
-            _draw_channel(panel, channel, noise, scale)
-        panels[-1].set_xlabel("averaging time [s]")
-        save(figure, stream)
+
+def _draw(figure: Figure, noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> None:
+    panels = figure.subplots(len(noises), 1, squeeze=False)[:, 0]
+    for panel, (channel, noise) in zip(panels, noises.items(), strict=True):
+        _draw_channel(panel, channel, noise, scale)
+    panels[-1].set_xlabel("averaging time [s]")
 
 
 def _draw_channel(panel: Axes, channel: str, noise: ChannelNoise, scale: NoiseScale) -> None:
@@ -42,15 +40,13 @@ def _draw_channel(panel: Axes, channel: str, noise: ChannelNoise, scale: NoiseSc
     described = np.geomspace(tau[noise.terms.first], tau[-1], 200)
     parts = noise.terms.parts(described)
     for name, part in parts.items() if len(parts) > 1 else ():
-        panel.plot(described, part, color=PART, linewidth=0.9, linestyle=_DASHES[name], label=_NAMES[name])
+        panel.plot(described, part, color=GREY, linewidth=0.9, linestyle=_DASHES[name], label=_NAMES[name])
     label = ("sum, " if len(parts) > 1 else f"{_NAMES[next(iter(parts))]}, ") + (
         "fitted" if noise.terms.follows else "which does not follow it"
     )
-    panel.plot(described, np.sqrt(noise.terms.variance(described)), color=MODEL, linewidth=1.2, label=label)
+    panel.plot(described, np.sqrt(noise.terms.variance(described)), color=RED, linewidth=1.2, label=label)
     within = [deviation - noise.low, noise.high - deviation]
-    panel.errorbar(
-        tau, deviation, within, fmt="o", markersize=3.5, elinewidth=0.9, color=MEASURED, label="measured, 95 %"
-    )
+    panel.errorbar(tau, deviation, within, fmt="o", markersize=3.5, elinewidth=0.9, color=BLUE, label="measured, 95 %")
     panel.set_xscale("log")
     panel.set_yscale("log")
     panel.set_ylim(float(noise.low.min()) / 1.6, float(noise.high.max()) * 1.6)

@@ -12,21 +12,24 @@ from tiltcal.core.rounding import bracketed
 LABORATORY = 2
 """Digits of an uncertainty on the page (GUM, 7.2.6)."""
 
-MINUS, POINT, TIMES = "−", ".", " × 10"
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+MINUS, TIMES = "−", " × 10"
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _MOST_DECIMALS = 9
 """Largest number of digits before a power of ten is used."""
 
 
-def measured(value: float, uncertainty: float) -> str:
-    """Return a value with two digits of its standard uncertainty in brackets, a true minus, and powers of ten."""
-    if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
-        return plain(value, 6)
+def measured(value: float, uncertainty: float | None, digits: int = 6) -> str:
+    """Return a value with two digits of its standard uncertainty in brackets, a true minus, and powers of ten.
+
+    Where it has none, it has this number of significant digits.
+    """
+    if uncertainty is None or not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
+        return plain(value, digits)
     if Decimal(f"{uncertainty:.{LABORATORY - 1}e}").adjusted() - (LABORATORY - 1) >= -_MOST_DECIMALS:
         return signed(bracketed(value, uncertainty, LABORATORY))
     power = max(Decimal(abs(value)).adjusted(), Decimal(uncertainty).adjusted())
     mantissa = bracketed(value * 10.0**-power, uncertainty * 10.0**-power, LABORATORY)
-    return signed(mantissa) + TIMES + str(power).translate(_SUPERSCRIPT)
+    return signed(mantissa) + TIMES + str(power).translate(SUPERSCRIPT)
 
 
 def plain(value: float, digits: int) -> str:
@@ -35,7 +38,7 @@ def plain(value: float, digits: int) -> str:
         return str(value)
     exact = Decimal(f"{value:.{digits - 1}e}")
     if exact and exact.adjusted() - digits < -2 * _MOST_DECIMALS:
-        return signed(f"{exact.scaleb(-exact.adjusted()):f}") + TIMES + str(exact.adjusted()).translate(_SUPERSCRIPT)
+        return signed(f"{exact.scaleb(-exact.adjusted()):f}") + TIMES + str(exact.adjusted()).translate(SUPERSCRIPT)
     text = f"{exact:f}"
     return signed(text.rstrip("0").rstrip(".") if "." in text else text)
 
@@ -46,7 +49,7 @@ def half_width(value: float) -> str:
         return ""
     rounded = Decimal(f"{value:.{LABORATORY - 1}e}")
     if rounded.adjusted() - (LABORATORY - 1) < -_MOST_DECIMALS:
-        return f"{rounded.scaleb(-rounded.adjusted()):f}{TIMES}{str(rounded.adjusted()).translate(_SUPERSCRIPT)}"
+        return f"{rounded.scaleb(-rounded.adjusted()):f}{TIMES}{str(rounded.adjusted()).translate(SUPERSCRIPT)}"
     return f"{rounded:f}" if rounded.adjusted() < LABORATORY else f"{rounded:.0f}"
 
 
@@ -82,6 +85,9 @@ class AlignedNumber:
     rest: str
     before: int
     behind: int
+
+    def __str__(self) -> str:
+        return self.whole + self.rest
 
 
 def column(texts: Iterable[str]) -> list[AlignedNumber]:

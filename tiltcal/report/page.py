@@ -10,8 +10,6 @@ from tiltcal.errors import UsageError
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-EXTRA = "a report needs {}, which is not installed: pip install 'tiltcal[report]'"
-
 KEPT = 16
 """Largest number of rows of a table that is kept on one page."""
 
@@ -28,7 +26,7 @@ def require_extra() -> None:
 
     for module, name in (("jinja2", "Jinja2"), ("matplotlib", "matplotlib")):
         if find_spec(module) is None:
-            raise UsageError(EXTRA.format(name))
+            raise UsageError(f"a report needs {name}, which is not installed: pip install 'tiltcal[report]'")
 
 
 def render(template: str, **content: Any) -> str:

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiltcal.core.model import Array
-from tiltcal.files.atomic import whole_file
-from tiltcal.report.figure import figure_style, save
+from tiltcal.report.figure import BLUE, GREY, RED, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from tiltcal.core.pair.online import OnlineHistory
 
-COLOURS = ("#8a8a8a", "#c0504d", "#1f6f8b")
+COLOURS = (GREY, RED, BLUE)
 
 
 @dataclass(frozen=True)
@@ -55,18 +56,17 @@ def draw_matching(path: Path, drawing: PairDrawing) -> None:
     UsageError
         The file cannot be written there.
     """
-    from matplotlib.figure import Figure
+    write_figure(path, (8.0, 8.0 if drawing.course else 4.5), partial(_draw, drawing=drawing))
 
-    with figure_style(), whole_file(path) as stream:
-        figure = Figure(figsize=(8.0, 8.0 if drawing.course else 4.5), layout="constrained")
-        panels = figure.subplots(2 if drawing.course else 1, 1, squeeze=False)[:, 0]
-        draw_spectra(panels[0], drawing)
-        if drawing.course:
-            _draw_course(panels[1], drawing)
-        for panel in panels:
-            panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.1, columnspacing=1.2)
-            panel.margins(x=0.01)
-        save(figure, stream)
+
+def _draw(figure: Figure, drawing: PairDrawing) -> None:
+    panels = figure.subplots(2 if drawing.course else 1, 1, squeeze=False)[:, 0]
+    draw_spectra(panels[0], drawing)
+    if drawing.course:
+        _draw_course(panels[1], drawing)
+    for panel in panels:
+        panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.1, columnspacing=1.2)
+        panel.margins(x=0.01)
 
 
 def draw_spectra(panel: Axes, drawing: PairDrawing) -> None:

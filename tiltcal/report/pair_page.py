@@ -30,24 +30,8 @@ BINS = 400
 """Number of intervals of a spectrum on a logarithmic scale."""
 
 
-@dataclass(frozen=True)
-class Spectrum:
-    """The drawn spectra of a log."""
-
-    name: str
-    figure: SvgFigure
-
-
-def spectrum(name: str, number: int, drawing: PairDrawing) -> Spectrum:
-    """Return the spectra of a log, drawn with few points that keep all peaks and troughs.
-
-    Parameters
-    ----------
-    name : str
-        Of the log.
-    number : int
-        Counts the logs of the page.
-    """
+def _spectra(name: str, number: int, drawing: PairDrawing) -> SvgFigure:
+    """Return the spectra of a log, drawn with few points that keep all peaks and troughs."""
     shown = _outstanding(drawing.frequency, list(drawing.densities.values()))
     densities = {said: density[shown] for said, density in drawing.densities.items()}
     thinned = replace(drawing, frequency=drawing.frequency[shown], densities=densities)
@@ -58,7 +42,7 @@ def spectrum(name: str, number: int, drawing: PairDrawing) -> Spectrum:
         panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.1)
         panel.margins(x=0.01)
 
-    figure = picture(
+    return picture(
         f"spectra{number}",
         3.1,
         plot,
@@ -66,7 +50,6 @@ def spectrum(name: str, number: int, drawing: PairDrawing) -> Spectrum:
         description=f"Amplitude densities over frequency of {', '.join(densities)}.",
         caption="Amplitude density of one accelerometer, and of the sum after p and after p and q.",
     )
-    return Spectrum(name, figure)
 
 
 def _outstanding(frequency: Array, densities: Sequence[Array]) -> NDArray[np.intp]:
@@ -114,8 +97,8 @@ def write_pair_page(path: str | Path, calibration: PairRecord) -> None:
     write_whole(path, pair_page(calibration, FileRecord.of_text(name, dump_pair(calibration))))
 
 
-def pair_page(calibration: PairRecord, source: FileRecord, spectra: Sequence[Spectrum] = ()) -> str:
-    """Return one HTML page that needs no other file; the same input gives the same page.
+def pair_page(calibration: PairRecord, source: FileRecord, spectra: Sequence[tuple[str, PairDrawing]] = ()) -> str:
+    """Return one HTML page that needs no other file, with the spectra of logs; the same input gives the same page.
 
     Raises
     ------
@@ -129,7 +112,7 @@ def pair_page(calibration: PairRecord, source: FileRecord, spectra: Sequence[Spe
         facts=_facts(calibration, source),
         pairs=[_section(matching) for matching in calibration.matchings],
         stages=[HEADINGS[stage].capitalize() for stage in STAGES],
-        logs=spectra,
+        logs=[(name, _spectra(name, number, drawing)) for number, (name, drawing) in enumerate(spectra, start=1)],
     )
 
 

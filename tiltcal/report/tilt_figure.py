@@ -1,11 +1,12 @@
-"""The figure of the tilt error over its range, with the coefficients of the data sheet and after calibration."""
+"""The tilt error with the coefficients of the data sheet and after calibration: over its range, and along a log."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import degrees, radians
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,11 +14,10 @@ import numpy as np
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Limits
-from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.uncertainty import stated_uncertainty
-from tiltcal.report.figure import CHANNELS, GREY, INK, SvgFigure, picture
+from tiltcal.report.figure import BLUE, CHANNELS, GREY, INK, RED, SvgFigure, picture, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,9 +95,8 @@ def _curves(calibration: CalibrationRecord) -> dict[str, Curves]:
     """Return the curves by axis; raise EstimateError if the file has no uncertainty of the coefficients."""
     coefficients, nominal = _unmounted(calibration.coefficients), _nominal(calibration)
     compensation = Compensation(coefficients)
-    kernels = [
-        CompensationWithUncertainty(compensation, coefficients, _doubt(calibration, noise)) for noise in (0.0, None)
-    ]
+    stated = (stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise) for noise in (0.0, None))
+    kernels = [CompensationWithUncertainty(compensation, coefficients, u.inputs.without_turn) for u in stated]
     found = {}
     for axis, tilt in _reaches(calibration, compensation.axes).items():
         readings = coefficients.predict(_attitudes(axis, tilt))
@@ -107,12 +106,6 @@ def _curves(calibration: CalibrationRecord) -> dict[str, Curves]:
         before = None if nominal is None else nominal(readings).tilt[:, nominal.axes.index(axis)] - tilt
         found[axis] = Curves(tilt, before, alone, reading)
     return found
-
-
-def _doubt(calibration: CalibrationRecord, noise: float | None) -> UncertaintyInputs:
-    """Return the uncertainty of the tilt in the sensor frame."""
-    coefficients = _unmounted(calibration.coefficients)
-    return stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise).inputs.without_turn
 
 
 def _reaches(calibration: CalibrationRecord, axes: Sequence[str]) -> dict[str, Array]:
@@ -159,3 +152,36 @@ def _nominal(calibration: CalibrationRecord) -> Compensation | None:
 def _unmounted(coefficients: Coefficients) -> Coefficients:
     """Return the coefficients in the sensor frame, to which the range of tilts refers."""
     return replace(coefficients, mounting=None)
+
+
+def draw_tilt_error(
+    path: Path, time: Array, temperature: Array, before: Mapping[str, Array], after: Mapping[str, Array], title: str
+) -> None:
+    """Write the errors along a log with known true tilt as SVG.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Seconds.
+    temperature : ndarray, shape (n,)
+        °C.
+    before, after : mapping of str to ndarray, shape (n,)
+        Tilt error per axis, degrees.
+    """
+
+    def plot(figure: Figure) -> None:
+        panels = figure.subplots(len(before) + 1, 1, sharex=True, height_ratios=[*([2.0] * len(before)), 1.0])
+        for panel, axis in zip(panels, before, strict=False):
+            panel.axhline(0.0, color="black", linewidth=0.6)
+            panel.plot(time / 60, before[axis], color=RED, linewidth=0.9, label="data sheet's coefficients")
+            panel.plot(time / 60, after[axis], color=BLUE, linewidth=0.9, label="calibrated")
+            panel.set_ylabel(f"error of {axis} tilt [°]")
+        figure.suptitle(title, x=0.08, ha="left", fontsize=11)
+        panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
+        panels[-1].plot(time / 60, temperature, color=GREY, linewidth=1.2)
+        panels[-1].set_ylabel("T [°C]")
+        panels[-1].set_xlabel("time [min]")
+        for panel in panels:
+            panel.margins(x=0.01)
+
+    write_figure(path, (8.0, 2.0 + 1.7 * len(before)), plot)

@@ -80,7 +80,7 @@ def tilt_page(
         shaded=tuple(SOURCES),
         derived=derived_groups(calibration),
         positions=position_table(calibration),
-        verdict=verdict(calibration),
+        verdict=list(verdict(calibration.fit, calibration.sensor.unit)),
         remarks=remarks(calibration),
         correlations=correlations(calibration),
         covered=covered(calibration),

@@ -32,12 +32,8 @@ def covered(calibration: CalibrationRecord) -> list[Fact]:
     return found
 
 
-def not_covered(calibration: CalibrationRecord) -> list[str]:
-    """Return what the calibration does not cover, in sentences."""
-    return list(_open(calibration))
-
-
-def _open(calibration: CalibrationRecord) -> Iterator[str]:
+def not_covered(calibration: CalibrationRecord) -> Iterator[str]:
+    """Yield what the calibration does not cover, in sentences."""
     coefficients, limits = calibration.coefficients, calibration.limits
     if notice(calibration.provenance):
         yield "Any real sensor: the readings are those of a virtual one."
