@@ -128,11 +128,11 @@ def table(draw: Random) -> None:
 
 @target(share=100)
 def columns(draw: Random) -> None:
-    from tiltcal.logs.columns import locate_columns, parse_columns
+    from tiltcal.logs.columns import locate_columns, named_columns
     from tiltcal.logs.frames import FrameReader
 
     log = FrameReader({name: [0.0] for name in ("VoutX", "VoutY", "T", "when")}, name="log.csv")
-    named = parse_columns(damaged_text(draw, "x=VoutX,y=VoutY,temperature=T,time=when"), "xy")
+    named = named_columns(damaged_text(draw, "x=VoutX,y=VoutY,temperature=T,time=when"), "xy")
     locate_columns(log, "xy", named)
 
 

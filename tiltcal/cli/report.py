@@ -129,10 +129,9 @@ def _tilt_page(
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:
     """Return the overview of a log; apply the calibration if the log is raw."""
     from tiltcal.calibration.calibration import Calibration
-    from tiltcal.logs.apply import CompensatedLog
-    from tiltcal.logs.columns import TIME, parse_columns
+    from tiltcal.logs.columns import TIME, named_columns
     from tiltcal.logs.formats import open_log
-    from tiltcal.logs.overview import is_compensated, look_over, look_over_compensated
+    from tiltcal.logs.overview import look_over
     from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
     from tiltcal.report.log_section import ReportedLog
 
@@ -141,13 +140,9 @@ def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: st
         progress_bar("report") as progress,
         open_log(log, skip_bad_rows=skip_bad_rows, digest=True, progress=progress) as rows,
     ):
-        clock = parse_columns(columns, prepared.channels).get(TIME, TIME)
+        clock = named_columns(columns, prepared.channels).get(TIME, TIME)
         time = rows.names.index(clock) if clock in rows.names else None
-        compensated = is_compensated(rows, prepared.angles)
-        if compensated:
-            overview = look_over_compensated(rows, prepared.angles, time)
-        else:
-            overview = look_over(CompensatedLog.of(rows, prepared, columns), prepared.angles, time)
+        overview, compensated = look_over(rows, prepared, columns, time)
         return ReportedLog(Path(rows.name).name, rows.sha256, overview, compensated, time is not None)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
@@ -48,36 +48,14 @@ class SensorColumns:
 def named_columns(
     columns: Mapping[str, str] | str, channels: Sequence[str], others: Sequence[str] = ()
 ) -> dict[str, str]:
-    """Return the column of each role that was named, as a mapping or as the text of ``--columns``.
-
-    Raises
-    ------
-    UsageError
-        There is no such role, or the text is no list of pairs.
-    """
-    if isinstance(columns, str):
-        return parse_columns(columns, channels, others)
-    roles = tuple(dict.fromkeys((*channels, TEMPERATURE, TIME, *others)))
-    for role in columns:
-        if role not in roles:
-            raise UsageError(f"--columns: there is no role {role!r}{_suggestion(role, roles)}")
-    return {role: str(name) for role, name in columns.items()}
-
-
-def parse_columns(text: str, channels: Sequence[str], others: Sequence[str] = ()) -> dict[str, str]:
-    """Parse the text of ``--columns``, such as ``x=VoutX,y=VoutY,temperature=T``.
+    """Return the column of each role that was named.
 
     Parameters
     ----------
-    text : str
-        Pairs of role and column name, parted by commas; empty for none.
+    columns : mapping of str to str, or str
+        Column name by role; as the text of ``--columns`` pairs such as ``x=VoutX,y=VoutY,temperature=T``.
     channels, others : sequence of str
         The roles that a log may have besides temperature and time.
-
-    Returns
-    -------
-    dict of str to str
-        Column name by role, for the roles that the text names.
 
     Raises
     ------
@@ -86,16 +64,21 @@ def parse_columns(text: str, channels: Sequence[str], others: Sequence[str] = ()
     """
     roles = tuple(dict.fromkeys((*channels, TEMPERATURE, TIME, *others)))
     named: dict[str, str] = {}
-    for pair in filter(None, (part.strip() for part in text.split(","))):
-        role, equals, column = (part.strip() for part in pair.partition("="))
-        if not equals or not column:
-            raise UsageError(f"--columns: {pair!r} is no pair; write role=column, such as {roles[0]}=VoutX")
+    for role, column in _pairs(columns, roles[0]) if isinstance(columns, str) else columns.items():
         if role not in roles:
             raise UsageError(f"--columns: there is no role {role!r}{_suggestion(role, roles)}")
         if role in named:
             raise UsageError(f"--columns: {role} is named twice")
-        named[role] = column
+        named[role] = str(column)
     return named
+
+
+def _pairs(text: str, example: str) -> Iterator[tuple[str, str]]:
+    for pair in filter(None, (part.strip() for part in text.split(","))):
+        role, equals, column = (part.strip() for part in pair.partition("="))
+        if not equals or not column:
+            raise UsageError(f"--columns: {pair!r} is no pair; write role=column, such as {example}=VoutX")
+        yield role, column
 
 
 def locate_columns(
@@ -115,7 +98,7 @@ def locate_columns(
     channels : sequence of str
         The readings that are needed.
     named : mapping of str to str
-        Column name by role, from :func:`parse_columns`.
+        Column name by role, from :func:`named_columns`.
     others : sequence of str
         Further roles that are needed, such as time.
     option : str

@@ -10,7 +10,6 @@ from typing import Any
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.channel_checks import OF_G
 from tiltcal.core.model import AXES
-from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.scale import NoiseScale
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
@@ -20,8 +19,8 @@ from tiltcal.files.calibration import read_calibration
 from tiltcal.logs.columns import locate_readings, named_columns
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import Progress
-from tiltcal.logs.noise_log import NoiseLog, characterise_log
-from tiltcal.logs.noise_summary import NoiseTarget, as_data, summary
+from tiltcal.logs.noise_log import characterise_log
+from tiltcal.logs.noise_summary import NoiseTarget, SensorNoise
 from tiltcal.logs.uniform_sampling import UniformLog
 from tiltcal.stated_numbers import require_above_zero, require_whole
 
@@ -93,42 +92,6 @@ def noise(
         averages=averages,
         skip_bad_rows=skip_bad_rows,
     )
-
-
-@dataclass(frozen=True)
-class SensorNoise:
-    """The noise of a sensor at rest.
-
-    Attributes
-    ----------
-    log : NoiseLog
-        How the readings follow each other, and what disturbed them.
-    scale : NoiseScale
-        How much of the readings' unit a g is, where that is known.
-    target : NoiseTarget
-        How good the mean of a position should be.
-    """
-
-    log: NoiseLog
-    scale: NoiseScale
-    target: NoiseTarget
-
-    @property
-    def channels(self) -> Mapping[str, ChannelNoise]:
-        """Averages, Allan deviation and kinds of noise of each channel, in its unit."""
-        return self.log.channels
-
-    @property
-    def remarks(self) -> list[str]:
-        """What limits the numbers, in words."""
-        return self.log.remarks()
-
-    def as_data(self) -> dict[str, Any]:
-        """Everything as plain data."""
-        return {**self.log.as_data(), **as_data(self.channels, self.log.pace.interval, self.scale, self.target)}
-
-    def __str__(self) -> str:
-        return f"{self.log.as_text()}\n{summary(self.channels, self.log.pace.interval, self.scale, self.target)}"
 
 
 @dataclass(frozen=True)

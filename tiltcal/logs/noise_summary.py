@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 from typing import Any
 
@@ -15,6 +16,7 @@ from tiltcal.core.noise.characterise import ChannelNoise
 from tiltcal.core.noise.sample_size import Limit, SampleSize, advise, uncertainty
 from tiltcal.core.noise.scale import NoiseScale
 from tiltcal.core.rounding import bracketed
+from tiltcal.logs.noise_log import NoiseLog
 from tiltcal.stated_numbers import require_above_zero
 
 _SHOWS = 0.1
@@ -88,72 +90,82 @@ class NoisePositions:
     met: Mapping[str, bool]
 
 
-def positions(
-    noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: NoiseTarget
-) -> NoisePositions:
-    """Return how many samples a position needs.
+@dataclass(frozen=True)
+class SensorNoise:
+    """The noise of a sensor at rest.
 
-    Parameters
+    Attributes
     ----------
-    interval : float
-        Seconds from sample to sample.
+    log : NoiseLog
+        How the readings follow each other, and what disturbed them.
+    scale : NoiseScale
+        How much of the readings' unit a g is, where that is known.
+    target : NoiseTarget
+        How good the mean of a position should be.
     """
-    targets = {channel: scale.from_degrees(channel, target.degrees) for channel in noises}
-    advice = {channel: advise(noise, interval, targets[channel]) for channel, noise in noises.items()}
-    # A channel that misses the target is what settles it, whatever the others need.
-    settles = max(advice, key=lambda channel: (advice[channel].met is False, advice[channel].samples))
-    samples = max(_FEWEST_SAMPLES, advice[settles].samples)
-    tau = np.array([samples * interval])
-    u = {channel: float(uncertainty(noise, tau)[0]) for channel, noise in noises.items()}
-    met = {channel: u[channel] <= wanted for channel, wanted in targets.items() if wanted is not None}
-    return NoisePositions(advice, settles, samples, u, met)
 
+    log: NoiseLog
+    scale: NoiseScale
+    target: NoiseTarget
 
-def summary(noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: NoiseTarget) -> str:
-    """Table, kinds of noise and advice, for people; parameters as of :func:`positions`."""
-    return "\n".join(
-        [
-            *_table(noises, scale),
-            "",
-            *(line for channel, noise in noises.items() for line in _kinds(channel, noise, scale)),
-            "",
-            *_advice(positions(noises, interval, scale, target), interval, scale, target),
-        ]
-    )
+    @property
+    def channels(self) -> Mapping[str, ChannelNoise]:
+        """Averages, Allan deviation and kinds of noise of each channel, in its unit."""
+        return self.log.channels
 
+    @property
+    def remarks(self) -> list[str]:
+        """What limits the numbers, in words."""
+        return self.log.remarks()
 
-def as_data(
-    noises: Mapping[str, ChannelNoise], interval: float, scale: NoiseScale, target: NoiseTarget
-) -> dict[str, Any]:
-    """Return the same as plain data, with the whole Allan deviation; parameters as of :func:`positions`."""
-    found = positions(noises, interval, scale, target)
-    worst = found.advice[found.channel]
-    return {
-        "unit": scale.unit,
-        "sensitivity": {"source": scale.source, **scale.per_g} if scale.per_g else None,
-        "channels": {channel: _channel_data(channel, noise, scale) for channel, noise in noises.items()},
-        "recommendation": {
-            "samples": found.samples,
-            "seconds": found.samples * interval,
-            "channel": found.channel,
-            "limit": worst.limit,
-            "target_degrees": target.uncertainty,
-            "target_range_degrees": target.range,
-            "met": all(found.met.values()) if found.met else None,
-            "channels": {
-                channel: {
-                    "samples": advice.samples,
-                    "limit": advice.limit,
-                    **_both("uncertainty", channel, found.uncertainty[channel], scale),
-                    **_both("range_of_100", channel, RANGE_OF_100 * found.uncertainty[channel], scale),
-                    "met": found.met.get(channel),
-                    "useful": advice.useful,
-                    "predicted": advice.predicted,
-                }
-                for channel, advice in found.advice.items()
+    @cached_property
+    def positions(self) -> NoisePositions:
+        """How many samples a position needs."""
+        interval = self.log.pace.interval
+        targets = {channel: self.scale.from_degrees(channel, self.target.degrees) for channel in self.channels}
+        advice = {channel: advise(noise, interval, targets[channel]) for channel, noise in self.channels.items()}
+        # A channel that misses the target is what settles it, whatever the others need.
+        settles = max(advice, key=lambda channel: (advice[channel].met is False, advice[channel].samples))
+        samples = max(_FEWEST_SAMPLES, advice[settles].samples)
+        tau = np.array([samples * interval])
+        u = {channel: float(uncertainty(noise, tau)[0]) for channel, noise in self.channels.items()}
+        met = {channel: u[channel] <= wanted for channel, wanted in targets.items() if wanted is not None}
+        return NoisePositions(advice, settles, samples, u, met)
+
+    def __str__(self) -> str:
+        kinds = (line for channel, noise in self.channels.items() for line in _kinds(channel, noise, self.scale))
+        return "\n".join([self.log.as_text(), *_table(self.channels, self.scale), "", *kinds, "", *_advice(self)])
+
+    def as_data(self) -> dict[str, Any]:
+        """Everything as plain data, with the whole Allan deviation."""
+        found, scale, target = self.positions, self.scale, self.target
+        return {
+            **self.log.as_data(),
+            "unit": scale.unit,
+            "sensitivity": {"source": scale.source, **scale.per_g} if scale.per_g else None,
+            "channels": {channel: _channel_data(channel, noise, scale) for channel, noise in self.channels.items()},
+            "recommendation": {
+                "samples": found.samples,
+                "seconds": found.samples * self.log.pace.interval,
+                "channel": found.channel,
+                "limit": found.advice[found.channel].limit,
+                "target_degrees": target.uncertainty,
+                "target_range_degrees": target.range,
+                "met": all(found.met.values()) if found.met else None,
+                "channels": {
+                    channel: {
+                        "samples": advice.samples,
+                        "limit": advice.limit,
+                        **_both("uncertainty", channel, found.uncertainty[channel], scale),
+                        **_both("range_of_100", channel, RANGE_OF_100 * found.uncertainty[channel], scale),
+                        "met": found.met.get(channel),
+                        "useful": advice.useful,
+                        "predicted": advice.predicted,
+                    }
+                    for channel, advice in found.advice.items()
+                },
             },
-        },
-    }
+        }
 
 
 def _channel_data(channel: str, noise: ChannelNoise, scale: NoiseScale) -> dict[str, Any]:
@@ -268,20 +280,20 @@ def _in_g(channel: str, value: float, scale: NoiseScale, per: str = "") -> str:
     return f" ({1e3 * value / scale.per_g[channel]:.3g} mg{per}, {scale.degrees(channel, value):.3g} °{per})"
 
 
-def _advice(found: NoisePositions, interval: float, scale: NoiseScale, target: NoiseTarget) -> Iterator[str]:
-    worst = found.advice[found.channel]
+def _advice(noise: SensorNoise) -> Iterator[str]:
+    found, scale, interval = noise.positions, noise.scale, noise.log.pace.interval
     uncertain, ranging = (
         ", ".join(_in_degrees(channel, factor * u, scale) for channel, u in found.uncertainty.items())
         for factor in (1.0, RANGE_OF_100)
     )
     yield f"measure --samples {found.samples}: a position takes {found.samples * interval:.4g} s at this pace"
     yield f"  its mean is uncertain by {uncertain}"
-    if target.range is not None:
+    if noise.target.range is not None:
         yield f"  100 such means range over {ranging}"
-    yield f"  {found.channel}: {_WHY[worst.limit]}"
+    yield f"  {found.channel}: {_WHY[found.advice[found.channel].limit]}"
     for channel, met in found.met.items():
         if not met:
-            yield f"  {channel} does not meet {target}{_foretold(found.advice[channel], interval)}"
+            yield f"  {channel} does not meet {noise.target}{_foretold(found.advice[channel], interval)}"
     if scale.source:
         yield f"  degrees of an axis near level, by the {scale.source}"
 

@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.flags import MISSING, NOT_A_NUMBER
 from tiltcal.core.model import Array
 from tiltcal.logs.apply import CompensatedLog
-from tiltcal.logs.log import LogReader
+from tiltcal.logs.log import LogBlock, LogReader, Table
+from tiltcal.logs.prepared_calibration import PreparedCalibration
 
-FLAG, REASON = "flag", "reason"
-
-_ABSENT = {FLAG: MISSING, REASON: NOT_A_NUMBER}
-
-
-def is_compensated(log: LogReader, angles: Sequence[str]) -> bool:
-    """Return whether a log has the columns that a calibration would add."""
-    return {*angles, FLAG, REASON} <= set(log.names)
+_ABSENT = {"flag": MISSING, "reason": NOT_A_NUMBER}
+"""What a cell counts as that holds no flag or no reason."""
 
 
-def look_over(log: CompensatedLog, angles: Sequence[str], time: int | None = None) -> ColumnStatistics:
-    """Compensate a raw log, and keep what a report shows of it.
+def look_over(
+    log: LogReader, prepared: PreparedCalibration, columns: str = "", time: int | None = None
+) -> tuple[ColumnStatistics, bool]:
+    """Return what a report shows of a log, and whether it has the columns that the calibration would add.
 
     Parameters
     ----------
-    angles : sequence of str
-        The columns that are angles.
+    columns : str
+        The column of each reading of a raw log.
     time : int, optional
         Where the time stands, in seconds or ISO 8601; rows are counted where there is none.
 
@@ -37,31 +35,24 @@ def look_over(log: CompensatedLog, angles: Sequence[str], time: int | None = Non
     InputError
         A row cannot be parsed, or the log is damaged.
     """
-    overview = ColumnStatistics(angles)
-    for block, table in log.blocks(time):
-        shown = np.stack([np.asarray(table[angle], float) for angle in angles], axis=1)
-        flag, reason = (np.asarray(table[name], np.uint8) for name in (FLAG, REASON))
-        overview.add(_clock(overview, len(flag), None if time is None else block.values[time]), shown, flag, reason)
-    return overview
+    wanted = (*prepared.angles, *_ABSENT)
+    compensated = set(wanted) <= set(log.names)
+    tables: Iterable[tuple[LogBlock, Table]]
+    if compensated:
+        where = {name: log.names.index(name) for name in wanted}
+        blocks = log.rows(sorted({*where.values(), *(() if time is None else (time,))}), time, needs_time=True)
+        tables = ((block, {name: block.values[index] for name, index in where.items()}) for block in blocks)
+    else:
+        tables = CompensatedLog.of(log, prepared, columns).blocks(time)
+    overview = ColumnStatistics(prepared.angles)
+    for block, table in tables:
+        shown = np.stack([np.asarray(table[angle], float) for angle in prepared.angles], axis=1)
+        flag, reason = (_small(np.asarray(table[name], float), absent) for name, absent in _ABSENT.items())
+        times = overview.rows + np.arange(float(len(flag))) if time is None else block.values[time]
+        overview.add(times, shown, flag, reason)
+    return overview, compensated
 
 
-def look_over_compensated(log: LogReader, angles: Sequence[str], time: int | None = None) -> ColumnStatistics:
-    """Keep what a report shows of a log that was compensated before; see :func:`is_compensated`."""
-    overview = ColumnStatistics(angles)
-    where = {name: log.names.index(name) for name in (*angles, FLAG, REASON)}
-    for block in log.rows(sorted({*where.values(), *(() if time is None else (time,))}), time, needs_time=True):
-        shown = np.stack([block.values[where[angle]] for angle in angles], axis=1)
-        flag, reason = (_small(block.values[where[name]], absent) for name, absent in _ABSENT.items())
-        overview.add(_clock(overview, len(flag), None if time is None else block.values[time]), shown, flag, reason)
-    return overview
-
-
-def _small(column: Array, absent: int) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
-    """Flags or reasons as numbers of one byte; a cell that holds none counts as ``absent``."""
-    fits = (column >= 0) & (column <= 255)
-    return np.where(fits, column, absent).astype(np.uint8)
-
-
-def _clock(overview: ColumnStatistics, rows: int, times: Array | None) -> Array:
-    """Return the times of some rows, or their numbers from 0 where the log has none."""
-    return overview.rows + np.arange(float(rows)) if times is None else times
+def _small(column: Array, absent: int) -> NDArray[np.uint8]:
+    """Return flags or reasons as numbers of one byte."""
+    return np.where((column >= 0) & (column <= 255), column, absent).astype(np.uint8)

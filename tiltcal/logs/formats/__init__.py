@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from tiltcal.errors import UsageError
 from tiltcal.frozen import frozen
@@ -23,32 +23,24 @@ class LogFormat:
 
     Attributes
     ----------
-    module : str
-        Where its reader and its writer are; it is imported when a log of the format is opened.
     name : str
-        The classes' first half, such as ``Csv`` for ``CsvReader`` and ``CsvWriter``.
+        The classes' first half, such as ``Csv`` for ``CsvReader`` and ``CsvWriter`` of the module ``csv`` here; it is
+        imported when a log of the format is opened.
     kept : bool
         Whether a log of the format can be written in no other format, and no other log in this one.
     """
 
-    module: str
     name: str
     kept: bool = False
 
-    def reader(self) -> type[LogReader]:
-        """Import the reader."""
-        reader: type[LogReader] = getattr(import_module(self.module), f"{self.name}Reader")
-        return reader
-
-    def writer(self) -> type[LogWriter]:
-        """Import the writer."""
-        writer: type[LogWriter] = getattr(import_module(self.module), f"{self.name}Writer")
-        return writer
+    def imported(self, half: str) -> Any:
+        """Return the ``Reader`` or the ``Writer``."""
+        return getattr(import_module(f"{__name__}.{self.name.lower()}"), self.name + half)
 
 
-_CSV = LogFormat("tiltcal.logs.formats.csv", "Csv")
-_PARQUET = LogFormat("tiltcal.logs.formats.parquet", "Parquet")
-_NETCDF = LogFormat("tiltcal.logs.formats.netcdf", "Netcdf", kept=True)
+_CSV = LogFormat("Csv")
+_PARQUET = LogFormat("Parquet")
+_NETCDF = LogFormat("Netcdf", kept=True)
 
 FORMATS: Mapping[str, LogFormat] = {
     ".csv": _CSV,
@@ -125,10 +117,10 @@ def open_log(
         yield FrameReader(log, name=name or "the frame")
         return
     path = str(log)
-    reader = log_format(path).reader()
+    reader = log_format(path).imported("Reader")
     called = name or ("standard input" if path == STANDARD else path)
     with log_source(path, live=live) as (stream, size):
-        opened = reader(LogSource(stream, path, called, size, skip_bad_rows, digest, progress))
+        opened: LogReader = reader(LogSource(stream, path, called, size, skip_bad_rows, digest, progress))
         try:
             yield opened
         finally:
@@ -145,19 +137,7 @@ def create_log(
 ) -> LogWriter:
     """Return what writes the rows of a log, in the format that the output's name selects.
 
-    Parameters
-    ----------
-    output : str or Path
-        A file, or ``-`` for CSV on standard output.
-    sink : BinaryIO
-        Where the rows go; see :func:`tiltcal.logs.streams.log_sink`.
-    log : LogReader
-        Where they come from.
-    added : sequence of str
-        Names of the columns behind the log's own.
-    origin : mapping of str to str, optional
-        What these were made with.
-    units : mapping of str to str or None, optional
-        The unit of those of them that have that of a column of the log.
+    The other arguments are those of :class:`LogWriter`; ``-`` is CSV on standard output.
     """
-    return log_format(output).writer()(sink, log, added, origin, units)
+    writer: LogWriter = log_format(output).imported("Writer")(sink, log, added, origin, units)
+    return writer
