@@ -24,7 +24,7 @@ from tiltcal.files.declaration import (
 from tiltcal.files.derived_record import DerivedRecord
 from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.journal_header import Header
-from tiltcal.files.pair import PairFile
+from tiltcal.files.pair import PairRecord
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.positions import TabledRow
 from tiltcal.files.procedure_file import PositionsProcedure
@@ -46,7 +46,7 @@ TABLES: dict[str, type[Any]] = {
     "procedure-run": ProcedureRecord,
     "positions-measured": PositionRecord,
     "provenance": Provenance,
-    "pair": PairFile,
+    "pair": PairRecord,
     "procedure": PositionsProcedure,
     "rotation": Rotation,
     "bench": BenchFile,

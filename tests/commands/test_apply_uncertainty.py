@@ -15,12 +15,13 @@ from click.testing import CliRunner, Result
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
 import tiltcal
+from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.estimate_record import rounded, uncertainty_of
 from tiltcal.cli.apply import command
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, write_calibration
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.logs.apply_summary import ColumnWidths
 
 SILENT = """\
@@ -215,7 +216,7 @@ def test_the_truth_is_inside_in_95_of_100(stated: bool) -> None:
     inside, ratios = [], []
     for _ in range(60):
         calibration, _, truth = calibrated(rng, stated=stated)
-        write_calibration("drawn.yaml", calibration)
+        Calibration(calibration).save("drawn.yaml")
         x, y = rng.uniform(-40.0, 40.0, (2, 20))
         gravity = np.array([gravity_from_tilt({"x": a, "y": b}) for a, b in zip(x, y, strict=True)])
         readings = truth.reading(gravity, np.zeros(20)) + 1e-3 * rng.standard_normal((20, 3))

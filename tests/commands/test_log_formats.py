@@ -13,7 +13,8 @@ import xarray
 from support import FIXTURES
 from support.command import tiltcal
 
-from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 
 FORMATS = ("csv", "parquet", "nc")
 
@@ -58,7 +59,7 @@ def test_match(folder: Path) -> None:
 
 def test_report(folder: Path) -> None:
     known, pages = read_calibration(FIXTURES / "mavs.yaml"), []
-    write_calibration(folder / "bare.yaml", CalibrationRecord(known.sensor, known.coefficients))
+    Calibration(CalibrationRecord(known.sensor, known.coefficients)).save(folder / "bare.yaml")
     for end in FORMATS:
         printed(folder, "report", "bare.yaml", f"rest.{end}", "-o", f"{end}.html")
         page = (folder / f"{end}.html").read_text(encoding="utf-8")

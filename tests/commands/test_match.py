@@ -17,12 +17,13 @@ import pytest
 from click.testing import CliRunner, Result
 from support import accelerometer_disk as disk
 from support.command import tiltcal
+from support.pair_files import read_pair
 from support.warm_start import WarmStart
 
 from tiltcal.cli.apply import command as apply_command
 from tiltcal.cli.match import command as match_command
 from tiltcal.errors import EstimateError, InputError, TiltcalError, UsageError
-from tiltcal.files.pair import dump_pair, read_pair
+from tiltcal.files.pair import dump_pair
 
 PAIR = ("--pair", "a1,a2", "--orthogonal", "a4")
 BOTH = (*PAIR, "--pair", "a3,a4", "--orthogonal", "a1")
@@ -171,14 +172,14 @@ class TestTimes:
         path.write_text("\n".join([header, *rows]) + "\n")
         found = as_json(match(path, *PAIR, *phase, "--json", "-o", tmp_path / "p.yaml"))
         assert found["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
-        assert read_pair(tmp_path / "p.yaml").frequency == pytest.approx(0.125, rel=1e-5)
+        assert read_pair(tmp_path / "p.yaml").spin.frequency == pytest.approx(0.125, rel=1e-5)
 
     def test_what_is_no_time_is_needed_only_without_an_encoder(self, tmp_path: Path) -> None:
         path = small(tmp_path)
         header, *rows = path.read_text().splitlines()
         path.write_text("\n".join([header, *(f"noon,{row.partition(',')[2]}" for row in rows)]) + "\n")
         assert match(path, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
-        assert read_pair(tmp_path / "p.yaml").frequency is None
+        assert read_pair(tmp_path / "p.yaml").spin.frequency is None
         assert "no row has a time: write it in seconds, or in ISO 8601" in refused(match(path, *PAIR), EstimateError)
 
 
@@ -369,8 +370,8 @@ class TestPairFile:
         path.write_text("".join(line.partition(",")[2] + "\n" for line in path.read_text().splitlines()))
         assert match(path, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
         known = read_pair(tmp_path / "p.yaml")
-        assert known.frequency is None
-        assert known.turns == pytest.approx(10.0, abs=0.01)
+        assert known.spin.frequency is None
+        assert known.spin.turns == pytest.approx(10.0, abs=0.01)
 
     def test_reads_back_what_was_written(self, log: Path, tmp_path: Path) -> None:
         path = tmp_path / "both.yaml"
@@ -378,8 +379,8 @@ class TestPairFile:
         known = read_pair(path)
         assert dump_pair(known) == path.read_text(encoding="utf-8")
         assert [one.pair.channels for one in known.matchings] == [("a1", "a2", "a4"), ("a3", "a4", "a1")]
-        assert known.frequency == pytest.approx(0.125, abs=1e-6)
-        assert known.turns == pytest.approx(100, abs=0.01)
+        assert known.spin.frequency == pytest.approx(0.125, abs=1e-6)
+        assert known.spin.turns == pytest.approx(100, abs=0.01)
         assert (known.matchings[0].p, known.matchings[0].q) == pytest.approx(disk.truth(), abs=2e-5)
         assert tiltcal("check", path).stdout == f"{path}: pair calibration, good\n"
 

@@ -15,8 +15,9 @@ from support import FIXTURES
 from support.command import TILTCAL
 from support.html_page import Page
 
+from tiltcal.calibration.calibration import Calibration
 from tiltcal.cli.main import run
-from tiltcal.files.calibration import read_calibration, write_calibration
+from tiltcal.files.calibration import read_calibration
 
 PAIR = FIXTURES / "rotation.yaml"
 """Its page has figures with a log alone."""
@@ -136,9 +137,9 @@ def test_what_is_refused(files: list[str], why: str, tmp_path: Path, capsys: pyt
 def test_several_calibrations_of_one_sensor(tmp_path: Path) -> None:
     spring, autumn, output = tmp_path / "spring.yaml", tmp_path / "autumn.yml", tmp_path / "report.html"
     known = read_calibration(FIXTURES / "plane.yaml")
-    write_calibration(spring, known)
+    Calibration(known).save(spring)
     offset = known.coefficients.offset + np.array([0.0, 3.0])
-    write_calibration(autumn, replace(known, coefficients=replace(known.coefficients, offset=offset)))
+    Calibration(replace(known, coefficients=replace(known.coefficients, offset=offset))).save(autumn)
     assert run(["report", str(spring), str(autumn), "-o", str(output)]) == 0
     page = Page(output.read_text(encoding="utf-8"))
     assert page.facts["Calibration file"] == "autumn.yml"

@@ -11,9 +11,10 @@ import pytest
 from support import FIXTURES
 from support.html_page import Page
 
+from tiltcal.calibration.calibration import Calibration
 from tiltcal.cli import apply_tasks
 from tiltcal.cli.main import run
-from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 
 CALIBRATION = str(FIXTURES / "complete.yaml")
 
@@ -22,7 +23,7 @@ CALIBRATION = str(FIXTURES / "complete.yaml")
 def bare(tmp_path: Path) -> str:
     """The same calibration without its records: the only figures of its page are those of logs."""
     known, path = read_calibration(CALIBRATION), tmp_path / "bare.yaml"
-    write_calibration(path, CalibrationRecord(known.sensor, known.coefficients))
+    Calibration(CalibrationRecord(known.sensor, known.coefficients)).save(path)
     return str(path)
 
 

@@ -13,10 +13,10 @@ import pytest
 from support import FIXTURES
 from support import accelerometer_disk as disk
 from support.command import tiltcal
+from support.pair_files import read_pair
 
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
-from tiltcal.files.pair import read_pair
 from tiltcal.files.procedure_file import shipped_procedures
 from tiltcal.files.twin import read_twin
 

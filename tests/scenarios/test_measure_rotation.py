@@ -15,10 +15,9 @@ from support import FIXTURES
 from support import accelerometer_disk as disk
 from support.command import tiltcal
 from support.json_program import Event, ProgramSession, lead
+from support.pair_files import read_pair
 from support.stage_part import on_a_pty, printed
 from support.warm_start import WarmStart, wait_until_grown
-
-from tiltcal.files.pair import read_pair
 
 # 50 lines a turn: 60 turns and more.
 RECORD = disk.record(seconds=125.0, rate=25.0, spin=0.5, noise=3e-4, wander=0.01)
@@ -107,7 +106,7 @@ def test_a_real_line_led_by_a_program(tmp_path: Path) -> None:
     require_truth(tmp_path / "pair.yaml")
     require_replay(tmp_path)
     written = read_pair(tmp_path / "pair.yaml")
-    assert written.phase == "theta"
+    assert written.spin.phase == "theta"
     assert written.provenance.made_by == "measurement"
     assert written.provenance.bench.sensors[0].serial == "G-1"
     assert written.provenance.journal.name == JOURNAL
@@ -329,7 +328,7 @@ def test_several_devices_of_a_bench_are_named_as_record_names_them(tmp_path: Pat
     assert done.returncode == 0, done.stderr
     written = read_pair(tmp_path / "pair.yaml")
     assert [matching.pair.channels for matching in written.matchings] == [("S1_a1", "S2_a2", "S4_a4")]
-    assert written.phase == "table_theta"
+    assert written.spin.phase == "table_theta"
     assert written.provenance.operator == "A. Person"
     recorded = tiltcal("record", "--bench", "bench.yaml", "--rows", "9", "-o", "log.csv", cwd=tmp_path)
     assert recorded.returncode == 0, recorded.stderr

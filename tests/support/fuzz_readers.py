@@ -53,7 +53,8 @@ def calibration(draw: Random) -> None:
 
 @target(share=40)
 def pair(draw: Random) -> None:
-    from tiltcal.files.pair import dump_pair, read_pair
+    from support.pair_files import read_pair
+    from tiltcal.files.pair import dump_pair
 
     Path("p.yaml").write_bytes(damaged_yaml(draw, golden("rotation.yaml")))
     dump_pair(read_pair("p.yaml"))

@@ -23,7 +23,7 @@ from tiltcal.core.pair.matching import Matching, match
 from tiltcal.drivers.bus.link import Interruption
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import EstimateError, SensorError
-from tiltcal.files.pair import PairRecord
+from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.provenance_record import BenchRecord, BenchSensorRecord, PairProvenance, SamplesRecord
 from tiltcal.files.rotation import Rotation
 
@@ -295,4 +295,5 @@ def pair_calibration(plan: SessionPlan, channels: ChannelMap, result: RotationRe
         stopped=result.ended,
         not_matched=(*channels.left_out, *result.unmatched),
     )
-    return PairRecord(result.matchings, channels.phase.column, result.turns, result.frequency, provenance=provenance)
+    spin = SpinRecord(turns=result.turns, frequency=result.frequency, phase=channels.phase.column)
+    return PairRecord(spin=spin, matchings=result.matchings, provenance=provenance)

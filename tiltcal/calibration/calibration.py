@@ -12,13 +12,13 @@ from tiltcal.calibration.summary import mounting_lines, summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
 from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.files.atomic import write_whole
 from tiltcal.files.calibration import (
+    TILT,
     UNKNOWN_MODEL,
     CalibrationRecord,
     SensorIdentity,
-    calibration_of,
     dump_calibration,
-    write_calibration,
 )
 from tiltcal.files.derived_record import DerivedRecord
 from tiltcal.files.document import checked_kind, read_document
@@ -245,7 +245,7 @@ class Calibration:
         UsageError
             The file cannot be written there.
         """
-        write_calibration(path, self.record)
+        write_whole(path, dump_calibration(self.record))
 
     def report(self, path: str | Path) -> None:
         """Write the HTML page that is filed with the sensor; it needs no other file, and prints on A4.
@@ -293,10 +293,10 @@ def calibration_in(document: Node) -> Calibration | PairCalibration:
     kind = document.entries().get("kind")
     if kind is not None and kind.names("pair"):
         from tiltcal.calibration.pair_calibration import PairCalibration
-        from tiltcal.files.pair import pair_of
+        from tiltcal.files.pair import PAIR
 
-        return PairCalibration(pair_of(checked_kind(document, "pair")))
-    calibration = Calibration(calibration_of(checked_kind(document, "tilt")))
+        return PairCalibration(PAIR.read(checked_kind(document, "pair")))
+    calibration = Calibration(TILT.read(checked_kind(document, "tilt")))
     try:
         calibration.compensation()
     except EstimateError as failure:

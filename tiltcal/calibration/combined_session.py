@@ -18,7 +18,7 @@ from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs, is_turn
 from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, calibration_of, dump_calibration
+from tiltcal.files.calibration import TILT, CalibrationRecord, dump_calibration
 from tiltcal.files.document import checked_kind, parse_document, read_text
 from tiltcal.files.fit_record import NOISE_ALONE
 from tiltcal.files.uncertainty import stated_uncertainty
@@ -43,7 +43,7 @@ class CombinedSession:
         if not isinstance(given, str | Path):
             raise UsageError(f"combine takes tilt calibrations or their files, not {given!r:.40}")
         text = read_text(given)
-        return cls(Path(given).name, _sha(text), calibration_of(checked_kind(parse_document(text, str(given)), "tilt")))
+        return cls(Path(given).name, _sha(text), TILT.read(checked_kind(parse_document(text, str(given)), "tilt")))
 
     @property
     def coefficients(self) -> Coefficients:

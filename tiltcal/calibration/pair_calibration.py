@@ -10,7 +10,8 @@ from typing import Any
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed
-from tiltcal.files.pair import PairRecord, dump_pair, write_pair
+from tiltcal.files.atomic import write_whole
+from tiltcal.files.pair import PairRecord, dump_pair
 from tiltcal.files.provenance_record import PairProvenance
 
 HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
@@ -36,12 +37,12 @@ class PairCalibration:
     @property
     def phase(self) -> str | None:
         """The column of the stage angle; None where the spin was estimated."""
-        return self.record.phase
+        return self.record.spin.phase
 
     @property
     def frequency(self) -> float | None:
         """Spin frequency, Hz; None where the data have no time."""
-        return self.record.frequency
+        return self.record.spin.frequency
 
     @property
     def provenance(self) -> PairProvenance:
@@ -84,7 +85,7 @@ class PairCalibration:
         UsageError
             The file cannot be written there.
         """
-        write_pair(path, self.record)
+        write_whole(path, dump_pair(self.record))
 
     def report(self, path: str | Path) -> None:
         """Write the HTML page that is filed with the accelerometers; it needs no other file, and prints on A4.

@@ -84,9 +84,9 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
 
 
 def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows: bool) -> str:
-    from tiltcal.files.calibration import calibration_of, require_same_sensor
+    from tiltcal.files.calibration import TILT, require_same_sensor
     from tiltcal.files.document import checked_kind, read_document
-    from tiltcal.files.pair import pair_of
+    from tiltcal.files.pair import PAIR
 
     documents = [read_document(name) for name in names]
     kinds = [document.entries().get("kind") for document in documents]
@@ -95,8 +95,8 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
             raise UsageError("a report of pairs is about one file; give it alone, with its LOG if there is one")
         if columns:
             raise UsageError("--columns is for tilt calibrations; the columns of pairs are named in their file")
-        return _pair_page(pair_of(checked_kind(documents[0], "pair")), _source(names[0]), logs, skip_bad_rows)
-    calibrations = [calibration_of(checked_kind(document, "tilt")) for document in documents]
+        return _pair_page(PAIR.read(checked_kind(documents[0], "pair")), _source(names[0]), logs, skip_bad_rows)
+    calibrations = [TILT.read(checked_kind(document, "tilt")) for document in documents]
     for earlier in calibrations[:-1]:
         require_same_sensor(earlier, calibrations[-1])
     return _tilt_page(calibrations, names, logs, columns, skip_bad_rows)
@@ -163,7 +163,7 @@ def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[st
     observer = SpectrumObserver(matching.pair.channels)
     with progress_bar("report") as progress, open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows:
         try:
-            found = demodulate_log(rows, matching.pair.channels, calibration.phase, observers=[observer])
+            found = demodulate_log(rows, matching.pair.channels, calibration.spin.phase, observers=[observer])
             return Path(rows.name).name, spectra_of(matching, found, observer)
         except EstimateError as refusal:
             raise EstimateError(f"{rows.name}: {refusal}") from refusal

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, calibration_of
+from tiltcal.files.calibration import TILT, CalibrationRecord, SensorIdentity
 from tiltcal.files.declaration import Section, Text, entry
 from tiltcal.files.document import checked_kind, parse_document, read_text
 from tiltcal.files.procedure import Procedure
@@ -32,7 +32,7 @@ class BaseFile:
         InputError
             Anything in it is wrong; the message names file, line and key.
         """
-        return calibration_of(checked_kind(parse_document(self.text, self.name or "the base calibration"), "tilt"))
+        return TILT.read(checked_kind(parse_document(self.text, self.name or "the base calibration"), "tilt"))
 
     @property
     def origin(self) -> FileRecord | None:

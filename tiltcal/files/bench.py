@@ -17,8 +17,7 @@ from __future__ import annotations
 import re
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
-from tiltcal.errors import InputError
-from tiltcal.files.declaration import Context, Converted, ListOf, Number, Section, Text, entry
+from tiltcal.files.declaration import FROM_ZERO, Context, Converted, ListOf, Section, Text, entry
 from tiltcal.files.node import Node
 from tiltcal.frozen import frozen
 
@@ -32,13 +31,6 @@ def _file_name(serial: str, node: Node, context: Context) -> str:
     return serial
 
 
-def _orientation(names: tuple[str, ...], node: Node, context: Context) -> Orientation:
-    try:
-        return orientation(names)
-    except InputError as error:
-        raise node.error(error.message) from None
-
-
 @frozen
 class BenchSensor:
     """One sensor of a bench."""
@@ -50,7 +42,7 @@ class BenchSensor:
     model: str = entry(Text(), "as `--sensor`")
     address: str = entry(Text(), "as `--address`")
     orientation: Orientation = entry(
-        Converted(ListOf(Text()), _orientation, more=_SIGNED_AXES),
+        Converted(ListOf(Text()), lambda names, node, _: node.converted(orientation, names), more=_SIGNED_AXES),
         "which axis of the fixture each sensor axis points along, such as `[-y, x]` or three of them; a third one that "
         "is left out completes a right-handed frame",
         default=STRAIGHT,
@@ -65,9 +57,7 @@ class BenchThermometer:
 
     model: str = entry(Text(), "any device that reports a temperature, which stands for that of every sensor")
     address: str = entry(Text(), "its address")
-    uncertainty: float | None = entry(
-        Number("°C", minimum=0.0), "standard uncertainty of a temperature, °C", default=None
-    )
+    uncertainty: float | None = entry(FROM_ZERO, "standard uncertainty of a temperature, °C", default=None)
 
 
 def _unique(sensors: tuple[BenchSensor, ...], node: Node, context: Context) -> tuple[BenchSensor, ...]:
@@ -91,17 +81,17 @@ class BenchFile:
     )
     operator: str | None = entry(Text(), "the name of who stands there, for the files", default=None)
     jig: float | None = entry(
-        Number("degrees", minimum=0.0),
+        FROM_ZERO,
         "standard uncertainty of a set angle, degrees; `--jig` takes its place",
         default=None,
     )
     table: float | None = entry(
-        Number("degrees", minimum=0.0),
+        FROM_ZERO,
         "standard uncertainty of the table's lean, which all positions share, degrees; `--table-lean` takes its place",
         default=None,
     )
     heading: float | None = entry(
-        Number("degrees", minimum=0.0),
+        FROM_ZERO,
         "standard uncertainty of a heading, degrees; `--heading-uncertainty` takes its place",
         default=None,
     )

@@ -19,7 +19,6 @@ from tiltcal.core.mounting_rotation import rotation_vector
 from tiltcal.core.named_coefficients import CoefficientChange, changes, difference_of, values
 from tiltcal.core.uncertainty_inputs import TURN
 from tiltcal.errors import UsageError
-from tiltcal.files.atomic import write_whole
 from tiltcal.files.coefficients import COEFFICIENTS, in_degrees
 from tiltcal.files.declaration import (
     ANY,
@@ -175,11 +174,11 @@ def read_calibration(path: str | Path) -> CalibrationRecord:
     InputError
         Anything in it is wrong; the message names file, line and key.
     """
-    return calibration_of(read_tiltcal_file(path, "tilt"))
+    return TILT.read(read_tiltcal_file(path, "tilt"))
 
 
-def write_calibration(path: str | Path, calibration: CalibrationRecord) -> None:
-    """Write a calibration file, whole or not at all.
+def dump_calibration(calibration: CalibrationRecord) -> str:
+    """Return the text of a calibration file; the same calibration gives the same text.
 
     Parameters
     ----------
@@ -188,28 +187,10 @@ def write_calibration(path: str | Path, calibration: CalibrationRecord) -> None:
 
     Raises
     ------
-    UsageError
-        The file cannot be written there.
     InputError
         A record holds NaN, an infinity or data that is not plain.
     """
-    write_whole(path, dump_calibration(calibration))
-
-
-def dump_calibration(calibration: CalibrationRecord) -> str:
-    """Return the text of a calibration file; the same calibration gives the same text."""
     return yaml_text(TILT.write(calibration), _comments(calibration.sensor.unit))
-
-
-def calibration_of(document: Node) -> CalibrationRecord:
-    """Return the calibration that a checked document of ``kind: tilt`` holds.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
-    """
-    return TILT.read(document)
 
 
 def require_same_sensor(

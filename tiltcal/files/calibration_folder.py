@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, calibration_of
+from tiltcal.files.calibration import TILT, CalibrationRecord
 from tiltcal.files.document import checked_kind, read_document
 from tiltcal.files.moments import moment
 from tiltcal.frozen import frozen
@@ -162,6 +162,6 @@ def _read(path: str) -> CalibrationFile | None:
     kind = document.entries().get("kind") if isinstance(document.content, dict) else None
     if kind is None or not kind.names("tilt"):
         return None
-    record = calibration_of(checked_kind(document, "tilt"))
+    record = TILT.read(checked_kind(document, "tilt"))
     started, ended = date_of(record, path)
     return CalibrationFile(record.sensor.serial, ended, started, record.sensor.model, path)

@@ -46,7 +46,7 @@ def polynomials(item: Number = Number()) -> ByChannel[tuple[float, ...]]:  # noq
 class ThermalSection:
     """``calibration.temperature`` as it stands in a file."""
 
-    reference: float = entry(Number("°C"), "reference temperature, °C")
+    reference: float = entry(Number(), "reference temperature, °C")
     range: tuple[float, float] | None = entry(
         Range(), "`[low, high]`, the temperatures that were measured, °C", default=None
     )
@@ -57,7 +57,7 @@ class ThermalSection:
         polynomials(), "per channel the coefficients of dT, dT², …, 1/°C, 1/°C², …", default={}
     )
     lag: float = entry(
-        Number("s"),
+        Number(),
         "by how much the sensing element is later than the thermometer, s; negative where it is earlier",
         default=0.0,
     )

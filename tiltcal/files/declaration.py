@@ -192,17 +192,26 @@ class Flag(Format[bool]):
 
 @frozen
 class Number(Format[float]):
-    """A finite number, at least ``minimum`` or more than ``above``."""
+    """A finite number, at least ``minimum``, more than ``above``, and at most ``maximum``.
 
-    unit: str = ""
+    Attributes
+    ----------
+    says : str
+        The message for a larger number, in which ``{found}`` stands for it.
+    """
+
     minimum: float | None = None
     above: float | None = None
+    maximum: float | None = None
+    says: str = ""
 
     def read(self, node: Node, context: Context = ANY) -> float:
-        return node.number(minimum=self.minimum, above=self.above)
+        found = node.number(minimum=self.minimum, above=self.above)
+        _require_at_most(found, self.maximum, self.says, node)
+        return found
 
     def schema(self) -> dict[str, Any]:
-        bounds = {"minimum": self.minimum, "exclusiveMinimum": self.above}
+        bounds = {"minimum": self.minimum, "exclusiveMinimum": self.above, "maximum": self.maximum}
         return {"type": "number", **{name: bound for name, bound in bounds.items() if bound is not None}}
 
 
@@ -211,22 +220,30 @@ FROM_ZERO = Number(minimum=0.0)
 
 @frozen
 class Integer(Format[int]):
-    """A whole number of at least ``minimum``."""
+    """A whole number, at least ``minimum`` and at most ``maximum``; ``says`` is as in :class:`Number`."""
 
     minimum: int | None = None
+    maximum: int | None = None
+    says: str = ""
 
     def read(self, node: Node, context: Context = ANY) -> int:
-        return node.integer(minimum=self.minimum)
+        found = node.integer(minimum=self.minimum)
+        _require_at_most(found, self.maximum, self.says, node)
+        return found
 
     def schema(self) -> dict[str, Any]:
-        return {"type": "integer", **({} if self.minimum is None else {"minimum": self.minimum})}
+        bounds = {"minimum": self.minimum, "maximum": self.maximum}
+        return {"type": "integer", **{name: bound for name, bound in bounds.items() if bound is not None}}
+
+
+def _require_at_most(found: float, maximum: float | None, says: str, node: Node) -> None:
+    if maximum is not None and found > maximum:
+        raise node.error(says.format(found=found))
 
 
 @frozen
 class Range(Format[tuple[float, float]]):
     """Two numbers ``[low, high]`` in that order."""
-
-    unit: str = ""
 
     def read(self, node: Node, context: Context = ANY) -> tuple[float, float]:
         return node.interval()
@@ -289,7 +306,7 @@ class ByName(Format[Mapping[str, T]]):
 
 
 @frozen
-class ByKey(Format[Mapping[str, T]]):
+class ByKey(ByName[T]):
     """A mapping with a few fixed keys, whose values are of one kind.
 
     Attributes
@@ -298,15 +315,11 @@ class ByKey(Format[Mapping[str, T]]):
         Whether none may be left out.
     """
 
-    item: Format[T]
     keys: Sequence[str]
     complete: bool = False
 
     def read(self, node: Node, context: Context = ANY) -> dict[str, T]:
         return self._read(node, self.keys, context)
-
-    def write(self, value: Mapping[str, T]) -> dict[str, Any]:
-        return {name: self.item.write(member) for name, member in value.items()}
 
     def schema(self) -> dict[str, Any]:
         item = self.item.schema()

@@ -440,11 +440,9 @@ def _is_event(found: Any) -> bool:
     match kind:
         case "live" | "resumed":
             return not payload
-        case "end":
-            return len(payload) == 1 and isinstance(payload[0], dict)
         case "a":
             return len(payload) == 1 and _is_answer(payload[0])
-        case "p":
+        case "p" | "end":
             return len(payload) == 1 and isinstance(payload[0], dict)
         case "!":
             return _is_transaction(payload) and isinstance(payload[1], str)

@@ -8,7 +8,7 @@ from shlex import quote
 from typing import Any
 
 from tiltcal.files.base_calibration import BASE, BaseFile
-from tiltcal.files.declaration import Anything, ByName, Flag, Integer, ListOf, Number, Section, Text, entry
+from tiltcal.files.declaration import FROM_ZERO, Anything, ByName, Flag, Integer, ListOf, Number, Section, Text, entry
 from tiltcal.frozen import frozen
 
 
@@ -32,14 +32,12 @@ class SettingsHeader:
     samples: int = entry(Integer(minimum=2), "samples a position")
     settle: float = entry(Number(above=0.0), "seconds over which the reading must hold still")
     soak: float = entry(Number(above=0.0), "seconds of the window at a new temperature")
-    jig: float | None = entry(Number(minimum=0.0), "standard uncertainty of a set angle, degrees", default=None)
-    thermometer: float | None = entry(Number(minimum=0.0), "standard uncertainty of a temperature, °C", default=None)
+    jig: float | None = entry(FROM_ZERO, "standard uncertainty of a set angle, degrees", default=None)
+    thermometer: float | None = entry(FROM_ZERO, "standard uncertainty of a temperature, °C", default=None)
     angle: float | None = entry(Number(), "the angle that the procedure leaves free, degrees", default=None)
     turns: int | None = entry(Integer(minimum=1), "the most turns of a rotation", default=None)
-    table: float | None = entry(
-        Number("degrees", minimum=0.0), "uncertainty of the table's lean, degrees", default=None
-    )
-    heading: float | None = entry(Number("degrees", minimum=0.0), "uncertainty of a heading, degrees", default=None)
+    table: float | None = entry(FROM_ZERO, "uncertainty of the table's lean, degrees", default=None)
+    heading: float | None = entry(FROM_ZERO, "uncertainty of a heading, degrees", default=None)
 
 
 @frozen(kw_only=True)

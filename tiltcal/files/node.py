@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, TypeVar
 from unicodedata import normalize
 
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import InputError, TiltcalError, UsageError
+
+S = TypeVar("S")
+T = TypeVar("T")
 
 DEPTH_LIMIT = 32
 
@@ -62,6 +65,13 @@ class Node:
     def error(self, message: str) -> InputError:
         """Return an error with this location, to be raised."""
         return InputError(message, file=self.file, line=self.line, key=self.key)
+
+    def converted(self, convert: Callable[[S], T], value: S) -> T:
+        """Return what a function makes of a value that was read here; its error gets this location."""
+        try:
+            return convert(value)
+        except TiltcalError as failure:
+            raise self.error(str(failure)) from None
 
     @property
     def is_null(self) -> bool:

@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
-from pathlib import Path
-from typing import Any
 
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.files.atomic import write_whole
 from tiltcal.files.declaration import (
-    ANY,
     FROM_ZERO,
     ByKey,
     ByName,
     Context,
     Converted,
     Flag,
-    Format,
     ListOf,
     Number,
     Section,
     Text,
     entry,
 )
-from tiltcal.files.document import read_tiltcal_file
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
 from tiltcal.files.provenance_record import PairProvenance
@@ -38,31 +31,15 @@ _DIGITS = 4
 _NAMES = ListOf(Text(), 2, 2, says="a pair has two channels, found {found}")
 
 
-@frozen
-class SinCos(Format[tuple[float, float]]):
-    """The two components ``[sin, cos]`` at the turning."""
-
-    item: Number = Number()
-
-    def read(self, node: Node, context: Context = ANY) -> tuple[float, float]:
-        items = node.items()
-        if len(items) != 2:
-            raise node.error(f"two numbers [sin, cos] are needed here, found {len(items)}")
-        return self.item.read(items[0]), self.item.read(items[1])
-
-    def write(self, value: tuple[float, float]) -> list[float]:
-        return list(value)
-
-    def schema(self) -> dict[str, Any]:
-        return {"type": "array", "items": self.item.schema(), "minItems": 2, "maxItems": 2}
+_ABOVE_ZERO = Converted(Number(above=0.0), lambda value, node, context: value, lambda value: significant(value, 9))
 
 
 @frozen(kw_only=True)
-class SpinSection:
-    """The section ``spin``."""
+class SpinRecord:
+    """The spin of the stage."""
 
-    turns: float = entry(Number(above=0.0), "turns of the stage in the record")
-    frequency: float | None = entry(Number("Hz", above=0.0), "Hz; absent where the record has no time", default=None)
+    turns: float = entry(_ABOVE_ZERO, "turns of the stage in the record")
+    frequency: float | None = entry(_ABOVE_ZERO, "Hz; absent where the record has no time", default=None)
     phase: str | None = entry(
         Text(),
         "the column of the stage angle, degrees; absent where the spin was estimated. `apply` demodulates the gradient "
@@ -87,8 +64,10 @@ class Suppression:
     pq: float = entry(FROM_ZERO, "after p and q")
 
 
-def _by_stage(item: Format[tuple[float, float]]) -> ByKey[Mapping[str, tuple[float, float]]]:
-    return ByKey(ByName(item), STAGES, complete=True)
+def _by_stage(item: Number) -> ByKey[Mapping[str, tuple[float, ...]]]:
+    """Return the declaration of two components at the turning for each channel before and after the matching."""
+    components = ListOf(item, 2, 2, says="two numbers [sin, cos] are needed here, found {found}")
+    return ByKey(ByName(components), STAGES, complete=True)
 
 
 @frozen(kw_only=True)
@@ -108,13 +87,13 @@ class PairEntry:
         "that is more",
         default=None,
     )
-    components: Mapping[str, Mapping[str, tuple[float, float]]] = entry(
-        _by_stage(SinCos()),
+    components: Mapping[str, Mapping[str, tuple[float, ...]]] = entry(
+        _by_stage(Number()),
         "`before`, `after_p`, `after_pq`: per channel and for their `sum` the components `[sin, cos]` at the turning, "
         "unit of the readings",
     )
-    component_uncertainty: Mapping[str, Mapping[str, tuple[float, float]]] = entry(
-        _by_stage(SinCos(FROM_ZERO)), "the same for their standard uncertainties"
+    component_uncertainty: Mapping[str, Mapping[str, tuple[float, ...]]] = entry(
+        _by_stage(FROM_ZERO), "the same for their standard uncertainties"
     )
 
 
@@ -168,14 +147,14 @@ def _distinct(found: tuple[Matching, ...], node: Node, context: Context) -> tupl
 
 
 @frozen(kw_only=True)
-class PairFile:
-    """A pair file as it stands."""
+class PairRecord:
+    """The content of a pair file."""
 
-    spin: SpinSection = entry(Section(SpinSection), "how the stage turned")
+    spin: SpinRecord = entry(Section(SpinRecord), "how the stage turned")
     online: bool = entry(
         Flag(), "whether p and q are what the online estimator ended with", default=False, usual="`false`", kept=True
     )
-    pairs: tuple[Matching, ...] = entry(
+    matchings: tuple[Matching, ...] = entry(
         Converted(
             ListOf(
                 Converted(Section(PairEntry), _matching_of, _section_of),
@@ -186,88 +165,19 @@ class PairFile:
             _distinct,
         ),
         "one or two pairs",
+        key="pairs",
     )
     provenance: PairProvenance = entry(Section(PairProvenance), "how it was made", default=PairProvenance(), kept=True)
 
 
-PAIR = Section(PairFile, kind="pair")
+PAIR = Section(PairRecord, kind="pair")
 """The pair file."""
-
-
-@frozen
-class PairRecord:
-    """The content of a pair file.
-
-    Attributes
-    ----------
-    matchings : tuple of Matching
-        One or two pairs.
-    phase : str or None
-        The column of the stage angle; None where the spin was estimated.
-    turns : float
-        Of the stage, in the record.
-    frequency : float or None
-        Of the spin, Hz; None where the record has no time.
-    online : bool
-        Whether p and q are what the online estimator ended with.
-    """
-
-    matchings: tuple[Matching, ...]
-    phase: str | None
-    turns: float
-    frequency: float | None = None
-    online: bool = False
-    provenance: PairProvenance = field(default_factory=PairProvenance)
-
-
-def read_pair(path: str | Path) -> PairRecord:
-    """Read and check a pair file.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
-    """
-    return pair_of(read_tiltcal_file(path, "pair"))
-
-
-def write_pair(path: str | Path, calibration: PairRecord) -> None:
-    """Write a pair file, whole or not at all.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be written there.
-    """
-    write_whole(path, dump_pair(calibration))
 
 
 def dump_pair(calibration: PairRecord) -> str:
     """Return the text of a pair file; numbers have the digits that their uncertainty warrants."""
-    frequency = calibration.frequency
-    spin = SpinSection(
-        turns=significant(calibration.turns, 9),
-        frequency=None if frequency is None else significant(frequency, 9),
-        phase=calibration.phase,
-    )
-    content = PairFile(
-        spin=spin, online=calibration.online, pairs=calibration.matchings, provenance=calibration.provenance
-    )
     comments = {"spin.frequency": "Hz", "pairs": "the sum is first + (second + q orthogonal) / (1 - p)"}
-    return yaml_text(PAIR.write(content), comments)
-
-
-def pair_of(document: Node) -> PairRecord:
-    """Return the pairs that a checked document of ``kind: pair`` holds.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
-    """
-    found = PAIR.read(document)
-    spin = found.spin
-    return PairRecord(found.pairs, spin.phase, spin.turns, spin.frequency, found.online, found.provenance)
+    return yaml_text(PAIR.write(calibration), comments)
 
 
 def _rounded(matching: Matching) -> Matching:

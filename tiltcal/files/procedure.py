@@ -36,32 +36,16 @@ MOST_ASKEW = 10.0
 _NAME = re.compile(r"[^\W\d_][\w.-]*")
 
 
-def _order(order: int, node: Node, context: Context) -> int:
-    if order > ORDER_LIMIT:
-        raise node.error(f"an order of {order} is too high; at most {ORDER_LIMIT}")
-    return order
-
-
-def _not_too_hot(temperature: float, node: Node, context: Context) -> float:
-    if temperature > HOTTEST:
-        raise node.error(f"a temperature of {temperature:g} °C is too high; at most {HOTTEST:g}")
-    return temperature
-
-
-def _bend(order: int, node: Node, context: Context) -> int:
-    if order > 2:
-        raise node.error("a nonlinearity is 1, the square, or 2, the square and the cube")
-    return order
-
-
 def _distinct_axes(axes: tuple[str, ...], node: Node, context: Context) -> tuple[str, ...]:
     if len(set(axes)) < len(axes):
         raise node.error("an axis is named twice")
     return tuple(sorted(axes))
 
 
-_ORDER = Converted(Integer(minimum=0), _order, more={"maximum": ORDER_LIMIT})
-TEMPERATURE = Converted(Number("°C", minimum=ABSOLUTE_ZERO), _not_too_hot, more={"maximum": HOTTEST})
+_ORDER = Integer(0, ORDER_LIMIT, f"an order of {{found}} is too high; at most {ORDER_LIMIT}")
+TEMPERATURE = Number(
+    ABSOLUTE_ZERO, maximum=HOTTEST, says=f"a temperature of {{found:g}} °C is too high; at most {HOTTEST:g}"
+)
 """°C, of a position."""
 
 
@@ -76,7 +60,9 @@ class Determines:
     drift: int = entry(_ORDER, "order of the temperature polynomial of the offset, up to 6", default=0)
     gain: int = entry(_ORDER, "order of the temperature polynomial of the sensitivity, up to 6", default=0)
     nonlinearity: int = entry(
-        Converted(Integer(minimum=0), _bend, more={"maximum": 2}), "1 for the square, 2 for square and cube", default=0
+        Integer(0, 2, "a nonlinearity is 1, the square, or 2, the square and the cube"),
+        "1 for the square, 2 for square and cube",
+        default=0,
     )
     mounting: bool = entry(
         Flag(),

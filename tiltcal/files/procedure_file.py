@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.core.gravity_direction import Vector, gravity_from_tilt, normalised
-from tiltcal.errors import InputError, UsageError
+from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
+from tiltcal.errors import UsageError
 from tiltcal.files.declaration import (
     ANY,
+    FROM_ZERO,
     ByKey,
     Context,
     Converted,
@@ -93,14 +94,14 @@ class PositionSection:
         default=None,
     )
     heading: float | None = entry(
-        Number("degrees"),
+        Number(),
         "how far the fixture is turned about the vertical, degrees; where headings differ, the table's own lean is "
         "estimated too and does not end up in the offset",
         default=None,
     )
     temperature: float | None = entry(TEMPERATURE, "°C", default=None)
     stage: float | None = entry(
-        Number("degrees"),
+        Number(),
         "angle of the rotary stage, degrees; no estimate uses it",
         default=None,
     )
@@ -114,9 +115,9 @@ def _position_of(section: PositionSection, node: Node, context: Context) -> Posi
     return Position(
         name=section.name,
         prompt=_filled_in(section.prompt, entries["prompt"], known),
-        gravity=_located(entries["gravity"], normalised, section.gravity or ())
+        gravity=entries["gravity"].converted(normalised, section.gravity or ())
         if tilt is None
-        else _located(entries["tilt"], gravity_from_tilt, tilt),
+        else entries["tilt"].converted(gravity_from_tilt, tilt),
         tilt=tilt,
         heading=section.heading,
         temperature=section.temperature,
@@ -132,12 +133,6 @@ def _distinct(positions: tuple[Position, ...], node: Node, context: Context) -> 
     return positions
 
 
-def _right_angle(angle: float, node: Node, context: Context) -> float:
-    if angle > 90.0:
-        raise node.error(f"an angle of {angle:g}° is more than 90°")
-    return angle
-
-
 @frozen(kw_only=True)
 class PositionsProcedure:
     """A procedure of positions as it stands in a file."""
@@ -150,12 +145,12 @@ class PositionsProcedure:
     )
     reference: float | None = entry(TEMPERATURE, "reference temperature, °C; needed with drift or gain", default=None)
     angle: float | None = entry(
-        Converted(Number(above=0.0), _right_angle, more={"maximum": 90}),
+        Number(above=0.0, maximum=90, says="an angle of {found:g}° is more than 90°"),
         "the angle that positions may call `angle` or `-angle`, degrees; `--tilt` takes its place",
         default=None,
     )
     alignment: float = entry(
-        Number("degrees", minimum=0.0),
+        FROM_ZERO,
         "with `level`: by how much at most the sensor may sit askew since its calibration, degrees about each axis; "
         "`--alignment` takes its place",
         default=0.0,
@@ -338,15 +333,6 @@ PROCEDURE: Format[Procedure] = Either(
     Converted(Section(RotationProcedure, kind="procedure"), _of_rotation),
 )
 """The procedure file."""
-
-
-def _located(node: Node, direction: Any, given: Mapping[str, float] | Sequence[float]) -> Vector:
-    """Return the direction of a position; an error names its key."""
-    try:
-        vector: Vector = direction(given)
-    except InputError as failure:
-        raise node.error(failure.message) from None
-    return vector
 
 
 def _filled_in(prompt: str, node: Node, values: Mapping[str, float | None]) -> str:

@@ -49,13 +49,6 @@ def _pair_of(found: PairSelection, node: Node, context: Context) -> Pair:
     return Pair(*channels)
 
 
-def _turns(turns: int, node: Node, context: Context) -> int:
-    try:
-        return require_turns(turns)
-    except UsageError as refusal:
-        raise node.error(str(refusal)) from None
-
-
 def _distinct(pairs: tuple[Pair, ...], node: Node, context: Context) -> tuple[Pair, ...]:
     if len({pair.name for pair in pairs}) < len(pairs):
         raise node.error("the same pair is there twice")
@@ -84,7 +77,11 @@ class Rotation:
         Text(), "the operator's sentence", default="Let the stage turn steadily, with its axis inclined."
     )
     turns: int = entry(
-        Converted(Integer(), _turns, more={"minimum": FEWEST_WHOLE_TURNS, "maximum": MOST}),
+        Converted(
+            Integer(),
+            lambda turns, node, _: node.converted(require_turns, turns),
+            more={"minimum": FEWEST_WHOLE_TURNS, "maximum": MOST},
+        ),
         "the most that are made; `--turns` takes its place",
         default=100,
     )

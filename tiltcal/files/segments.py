@@ -64,10 +64,7 @@ class Direction:
         if len(given) < len(parts):
             missing = ", ".join(name for name, value in parts.items() if value is None)
             raise row.error(f"{missing} is missing; a direction has all of gx, gy and gz")
-        try:
-            return normalised(given)
-        except InputError as failure:
-            raise row.error(failure.message) from None
+        return row.converted(normalised, given)
 
 
 @frozen(kw_only=True)

@@ -132,7 +132,7 @@ def _own_axis(
 class ThermalTruth:
     """``truth.temperature`` as it stands in a file."""
 
-    reference: float = entry(Number("°C"), "reference temperature, °C")
+    reference: float = entry(Number(), "reference temperature, °C")
     offset: Mapping[str, Polynomial] = entry(polynomials(), "as in a calibration file", default={})
     sensitivity: Mapping[str, Polynomial] = entry(polynomials(), "as in a calibration file", default={})
 
@@ -160,7 +160,7 @@ class TruthSection:
         usual="0",
     )
     thermometer_error: float = entry(
-        Number("°C"), "what the sensor's thermometer reads too high, °C", default=Truth.thermometer_error
+        Number(), "what the sensor's thermometer reads too high, °C", default=Truth.thermometer_error
     )
     lag: float = entry(
         FROM_ZERO, "by how much the sensing element is later than chamber and thermometer, s", default=Truth.lag
@@ -170,7 +170,7 @@ class TruthSection:
         "standard deviation of each set angle, degrees; jig and chamber are those of the bench's first virtual sensor",
         default=Truth.jig,
     )
-    ambient: float = entry(Number("°C"), "temperature at the start, °C", default=Truth.ambient)
+    ambient: float = entry(Number(), "temperature at the start, °C", default=Truth.ambient)
     time_constant: float = entry(FROM_ZERO, "of the chamber, seconds", default=Truth.time_constant)
     faults: tuple[Fault, ...] = entry(_FAULTS, "a list of `{kind, start, end}`", default=())
 
@@ -213,25 +213,15 @@ def _channels(key: str, found: Mapping[str, Any], context: Context) -> Context:
     return Context(channels=[axis for axis in AXES if axis in found["offset"]])
 
 
-def _rate(rate: float, node: Node, context: Context) -> float:
-    if rate > FASTEST:
-        raise node.error(f"more than {FASTEST:g} lines a second do not fit on the virtual line")
-    return rate
-
-
-def _radians(degrees: float, node: Node, context: Context) -> float:
-    return radians(degrees)
-
-
-_ANGLE = Converted(Number("degrees"), _radians)
+_ANGLE = Converted(Number(), lambda degrees, node, context: radians(degrees))
 
 
 @frozen(kw_only=True)
 class Gradient:
     """``disk.gradient`` as it stands in a file."""
 
-    differential: float = entry(Number("g"), "R (Γxx − Γyy), g")
-    cross: float = entry(Number("g"), "R Γxy, g")
+    differential: float = entry(Number(), "R (Γxx − Γyy), g")
+    cross: float = entry(Number(), "R Γxy, g")
 
 
 @frozen(kw_only=True)
@@ -253,9 +243,11 @@ class DiskSection:
     inclination: float | None = entry(
         _ANGLE, "of the spin axis, degrees; its sine is the common acceleration in g", default=None, usual="0.086"
     )
-    spin: float = entry(Number("Hz"), "turns a second", default=Disk.spin)
+    spin: float = entry(Number(), "turns a second", default=Disk.spin)
     rate: float = entry(
-        Converted(Number(minimum=SLOWEST), _rate, more={"maximum": FASTEST}), "lines a second", default=Disk.rate
+        Number(SLOWEST, maximum=FASTEST, says=f"more than {FASTEST:g} lines a second do not fit on the virtual line"),
+        "lines a second",
+        default=Disk.rate,
     )
     wander: float = entry(FROM_ZERO, "of the common acceleration, its largest excursion, relative", default=Disk.wander)
     gradient: Gradient | None = entry(

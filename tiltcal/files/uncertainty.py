@@ -20,7 +20,7 @@ from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import KnownCoefficient, degrees_of_freedom, known, values
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
-from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
+from tiltcal.files.coefficients import ANGLES, polynomials
 from tiltcal.files.declaration import (
     FROM_ZERO,
     ByChannel,
@@ -44,10 +44,7 @@ TEMPERATURE = "temperature"
 
 _TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
 _SYMMETRY = 1e-9
-_POLYNOMIALS = ByChannel(
-    ListOf(FROM_ZERO, most=ORDER_LIMIT, says=f"a polynomial has at most {ORDER_LIMIT} coefficients, found {{found}}"),
-    of="channels",
-)
+_POLYNOMIALS = polynomials(FROM_ZERO)
 _ROUNDED = 0.01  # an eigenvalue of the correlations below zero, or a difference, that is larger is no matter of digits
 
 

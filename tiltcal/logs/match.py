@@ -14,7 +14,7 @@ from tiltcal.core.pair.matching import Matching, matching_with
 from tiltcal.core.pair.matching import match as match_demodulated
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
-from tiltcal.files.pair import PairRecord
+from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.provenance_record import LogRecord, PairProvenance
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
@@ -167,7 +167,12 @@ def match_log(
         else None,
         stage_angle=None if found.spin is None else "estimated from the readings",
     )
-    record = PairRecord(matchings, phase, found.turns, found.frequency, online, provenance)
+    record = PairRecord(
+        spin=SpinRecord(turns=found.turns, frequency=found.frequency, phase=phase),
+        online=online,
+        matchings=matchings,
+        provenance=provenance,
+    )
     return MatchedLog(PairCalibration(record), found, spectrum, watch)
 
 

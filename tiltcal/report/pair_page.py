@@ -117,11 +117,11 @@ def pair_page(calibration: PairRecord, source: FileRecord, spectra: Sequence[tup
 
 
 def _facts(calibration: PairRecord, source: FileRecord) -> list[Fact]:
-    frequency = calibration.frequency
+    spin = calibration.spin
     said = [
-        Fact("Turns of the stage", plain(calibration.turns, 6)),
-        Fact("Frequency of the spin", f"{plain(frequency, 6)} Hz" if frequency else ""),
-        Fact("Column of the stage angle", calibration.phase or ""),
+        Fact("Turns of the stage", plain(spin.turns, 6)),
+        Fact("Frequency of the spin", f"{plain(spin.frequency, 6)} Hz" if spin.frequency else ""),
+        Fact("Column of the stage angle", spin.phase or ""),
         Fact("Estimated", "sample by sample" if calibration.online else "from the whole record"),
     ]
     return [

@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import (
+    TILT,
     CalibrationRecord,
     SensorIdentity,
-    calibration_of,
     dump_calibration,
     read_calibration,
-    write_calibration,
 )
 from tiltcal.files.document import parse_document
 from tiltcal.files.fit_record import FitRecord, WorstResidual
@@ -52,7 +52,7 @@ positions: [{position: level, mean: {x: 1024.6}}]
 
 
 def read(text: str) -> CalibrationRecord:
-    return calibration_of(parse_document(text, "c.yaml"))
+    return TILT.read(parse_document(text, "c.yaml"))
 
 
 def test_a_single_channel_may_have_other_columns() -> None:
@@ -236,14 +236,14 @@ def test_unit_cannot_break_the_file() -> None:
 
 
 def test_file_written_twice_is_the_same(tmp_path: Path) -> None:
-    write_calibration(tmp_path / "a.yaml", read(EXAMPLE))
-    write_calibration(tmp_path / "b.yaml", read_calibration(tmp_path / "a.yaml"))
+    Calibration(read(EXAMPLE)).save(tmp_path / "a.yaml")
+    Calibration(read_calibration(tmp_path / "a.yaml")).save(tmp_path / "b.yaml")
     assert (tmp_path / "a.yaml").read_bytes() == (tmp_path / "b.yaml").read_bytes()
 
 
 def test_nothing_is_written_where_a_record_is_not_finite(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"fit.chi_square: nan"):
-        write_calibration(tmp_path / "a.yaml", replace(read(EXAMPLE), fit=FitRecord(chi_square=float("nan"))))
+        Calibration(replace(read(EXAMPLE), fit=FitRecord(chi_square=float("nan")))).save(tmp_path / "a.yaml")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -12,6 +12,7 @@ import pytest
 from jsonschema import Draft202012Validator
 from support import ROOT
 from support.command import tiltcal
+from support.pair_files import read_pair
 
 from tiltcal.cli.check import KINDS
 from tiltcal.errors import InputError
@@ -20,7 +21,6 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document, read_tiltcal_file
 from tiltcal.files.json_schema import json_schema
-from tiltcal.files.pair import read_pair
 from tiltcal.files.procedure_file import read_procedure
 from tiltcal.files.twin import read_twin
 

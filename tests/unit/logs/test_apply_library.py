@@ -16,7 +16,7 @@ import tiltcal
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import Array, Mounting, Thermal
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, read_calibration, write_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.logs.apply import apply_frame
@@ -45,7 +45,7 @@ def calibrated(days: float, offset: tuple[float, float], u: float = 1.0, serial:
 
 def kept(folder: Path, *records: CalibrationRecord) -> Path:
     for number, record in enumerate(records):
-        write_calibration(folder / f"{record.sensor.serial}-{number}.yaml", record)
+        Calibration(record).save(folder / f"{record.sensor.serial}-{number}.yaml")
     return folder
 
 
@@ -318,7 +318,7 @@ def test_files_that_contradict_are_named(tmp_path: Path) -> None:
     other = calibrated(5, (1000, 1000))
     kept(tmp_path, replace(other, sensor=replace(other.sensor, model="sca100t-d01")))
     kept(tmp_path / ".", calibrated(0, (1000, 1000), serial="S-2"))
-    write_calibration(tmp_path / "S-1-9.yaml", calibrated(9, (1000, 1000)))
+    Calibration(calibrated(9, (1000, 1000))).save(tmp_path / "S-1-9.yaml")
     with pytest.raises(InputError, match="its model is sca100t-d01 in one and sca100t-d02 in the other"):
         tiltcal.open_calibrations(tmp_path).at("S-1", stamp(1))
 

@@ -1,0 +1,13 @@
+"""The content of a pair file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tiltcal.files.document import read_tiltcal_file
+from tiltcal.files.pair import PAIR, PairRecord
+
+
+def read_pair(path: str | Path) -> PairRecord:
+    """Read and check a pair file."""
+    return PAIR.read(read_tiltcal_file(path, "pair"))
