@@ -14,38 +14,21 @@ def is_number(value: object, least: float = -inf) -> bool:
 
 
 def require_above_zero(option: str, value: object) -> None:
-    """Refuse a value that is no number above 0; None is not stated.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Refuse a value that is no number above 0, with a UsageError; None is not stated."""
     if value is not None and not (is_number(value, 0.0) and value):
         raise UsageError(f"{option} takes a number above 0, not {value!r}")
 
 
 def require_from_zero(option: str, value: object) -> None:
-    """Refuse a value that is no number from 0; None is not stated.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Refuse a value that is no number from 0, with a UsageError; None is not stated."""
     if value is not None and not is_number(value, 0.0):
         raise UsageError(f"{option} takes a number from 0, not {value!r}")
 
 
 def require_whole(option: str, value: object, least: int, what: str) -> None:
-    """Refuse a value that is no whole number from the least one; None is not stated.
+    """Refuse a value that is no whole number from the least one, with a UsageError; None is not stated.
 
-    Parameters
-    ----------
-    what : str
-        What it counts, for the message.
-
-    Raises
-    ------
-    UsageError
+    ``what`` names what it counts, for the message.
     """
     if value is not None and not (isinstance(value, Integral) and int(value) >= least):
         raise UsageError(f"{option} takes a number of {what} from {least}, not {value!r}")

@@ -112,9 +112,7 @@ def _with_thermometer(bench: BenchUncertainty, sensors: Sequence[MeasuredSensor]
 
 
 def _fitted(
-    sensors: Sequence[MeasuredSensor],
-    procedure: Procedure,
-    bench: BenchUncertainty,
+    sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
 ) -> list[CalibrationRecord]:
     """Return the joint estimate, in free positions or set ones, with an order of the drift that the data warrant."""
     if procedure.determines.free:

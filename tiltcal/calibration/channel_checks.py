@@ -36,12 +36,7 @@ CLEARLY = 2.0
 
 
 def require_own_readings(sensor: MeasuredSensor) -> None:
-    """Refuse readings at a rail, and two channels that read the same in every position, noise and all.
-
-    Raises
-    ------
-    EstimateError
-    """
+    """Refuse readings at a rail, and two channels that read alike, noise and all, with an EstimateError."""
     known = rails_of(sensor.sensor.channels, sensor.nominal, sensor.base) if sensor.ramp is None else {}
     for channel, (low, high) in known.items():
         for measurement in sensor.measurements:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, permutations
 from pathlib import Path
 from typing import NoReturn
 
@@ -16,7 +16,7 @@ from tiltcal.calibration.combined_session import KINDS, CombinedSession
 from tiltcal.calibration.stated_mounting import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.calibration.verdict import Verdict, judge
 from tiltcal.core.combination import ASSUMED, Combination, Statement, combine_statements
-from tiltcal.core.model import Coefficients, Thermal
+from tiltcal.core.model import Coefficients, Thermal, vector_of
 from tiltcal.core.named_coefficients import values
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, require_same_sensor
@@ -79,20 +79,14 @@ def _named(sessions: Sequence[CombinedSession]) -> list[CombinedSession]:
 
 def _require_one_sensor(sessions: Sequence[CombinedSession]) -> None:
     for session, other in combinations(sessions, 2):
-        models = {session.record.sensor.model, other.record.sensor.model} - {UNKNOWN_MODEL}
-        alike = (
-            replace(other.record.sensor, model=session.record.sensor.model) if len(models) < 2 else other.record.sensor
-        )
-        require_same_sensor(session.record, replace(other.record, sensor=alike), (session.label, other.label))
+        one, another = session.record.sensor, other.record.sensor
+        if UNKNOWN_MODEL in (one.model, another.model):
+            another = replace(another, model=one.model)
+        require_same_sensor(session.record, replace(other.record, sensor=another), (session.label, other.label))
 
 
 def _require_independent(sessions: Sequence[CombinedSession]) -> None:
-    """Refuse measurements that would count twice.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Refuse measurements that would count twice, with a UsageError."""
     for session, other in combinations(sessions, 2):
         if session.sha256 == other.sha256:
             raise UsageError(f"{session.label} and {other.label} are one calibration: name it once")
@@ -202,18 +196,13 @@ def _thermal(thermals: Sequence[Thermal]) -> Thermal:
 
 
 def _require_exact_once(sessions: Sequence[CombinedSession]) -> None:
-    for session in sessions:
-        for other in sessions:
-            twice = (
-                sorted(session.exact & (set(values(other.coefficients)) - other.assumed))
-                if other is not session
-                else []
+    for session, other in permutations(sessions, 2):
+        twice = sorted(session.exact & (set(values(other.coefficients)) - other.assumed))
+        if twice:
+            raise UsageError(
+                f"{session.label} states no uncertainty of {', '.join(twice)}, which {other.label} has too: "
+                "it cannot be weighed"
             )
-            if twice:
-                raise UsageError(
-                    f"{session.label} states no uncertainty of {', '.join(twice)}, which {other.label} has too: "
-                    "it cannot be weighed"
-                )
 
 
 def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
@@ -230,51 +219,38 @@ def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
 
 def _assumed(sessions: Sequence[CombinedSession], measured: Sequence[str], target: Coefficients) -> list[Statement]:
     """Return what nobody has measured as it was assumed, once."""
-    for kind in KINDS:
-        if all(
-            session.assumes(kind) or (kind == "temperature" and session.coefficients.thermal is None)
-            for session in sessions
-        ):
-            source = min(
-                (session for session in sessions if session.assumes(kind)),
-                key=lambda session: "nominal" in (session.assumes(kind) or ""),
-                default=None,
-            )
-            if source is None:
-                continue
-            starts = KINDS[kind]
-            some = [
-                k
-                for k, name in enumerate(source.known.names)
-                if name.startswith(starts) and name in values(target) and name not in measured
+    for kind, starts in KINDS.items():
+        sources = [session for session in sessions if session.assumes(kind)]
+        others = [session for session in sessions if not session.assumes(kind)]
+        if not sources or any(kind != "temperature" or session.coefficients.thermal for session in others):
+            continue
+        source = min(sources, key=lambda session: "nominal" in (session.assumes(kind) or ""))
+        some = [
+            k
+            for k, name in enumerate(source.known.names)
+            if name.startswith(starts) and name in values(target) and name not in measured
+        ]
+        if some:
+            own = source.known.chosen(some)
+            return [
+                Statement(
+                    ASSUMED,
+                    own.names,
+                    vector_of(source.coefficients, own.names),
+                    own.covariance,
+                    own.factors,
+                    temperature=None,
+                    u_temperature=0.0,
+                    given=(),
+                    given_values=np.zeros(0),
+                    by_given=np.zeros((len(some), 0)),
+                )
             ]
-            if some:
-                stated = values(source.coefficients)
-                own = source.known.chosen(some)
-                return [
-                    Statement(
-                        ASSUMED,
-                        own.names,
-                        np.array([stated[name] for name in own.names]),
-                        own.covariance,
-                        own.factors,
-                        temperature=None,
-                        u_temperature=0.0,
-                        given=(),
-                        given_values=np.zeros(0),
-                        by_given=np.zeros((len(some), 0)),
-                    )
-                ]
     return []
 
 
 def _refuse(sessions: Sequence[CombinedSession], found: Combination, verdict: Verdict) -> NoReturn:
-    """Refuse sessions that differ by more than their uncertainty.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Refuse sessions that differ by more than their uncertainty, with a UsageError."""
     told = []
     for label, change in found.differences:
         if change.name in verdict.changed and change.u:

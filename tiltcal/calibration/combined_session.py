@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from hashlib import sha256
+from itertools import product
 from math import hypot
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.combination import Statement, conditional
 from tiltcal.core.gravity_direction import gravity_from_tilt
-from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.model import AXES, Array, Coefficients, vector_of
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs, is_turn
 from tiltcal.errors import EstimateError, UsageError
@@ -120,7 +121,7 @@ class CombinedSession:
         joint, own = known.chosen(both), known.chosen(np.flatnonzero(measured))
         conditioned, by = conditional(joint.names, joint.covariance, measured[both])
         stated, uncertain = values(self.coefficients), known.chosen(np.flatnonzero(assumed)).names
-        value = np.array([stated[name] for name in own.names])
+        value = vector_of(self.coefficients, own.names)
         columns = [(name, -by[:, k]) for k, name in enumerate(uncertain)]
         given: dict[str, Array] = {}
         for name, column in (*columns, *self._along_gravity(target, uncertain, own.names)):
@@ -157,21 +158,12 @@ class CombinedSession:
         self, target: Coefficients, uncertain: Sequence[str], own: Sequence[str]
     ) -> Iterator[tuple[str, Array]]:
         """Yield the sensitivities that the session took as exact, or left out, and how its values follow them."""
-        if self.gravity is None:
+        if self.gravity is None or not self.assumes("sensitivity"):
             return
-        for name in self._missing(target, uncertain):
-            _, channel, axis = name.split(".")
-            yield name, np.array([float(row == f"offset.{channel}") * self.gravity[AXES.index(axis)] for row in own])
-
-    def _missing(self, target: Coefficients, uncertain: Sequence[str]) -> Iterator[str]:
-        """Yield the sensitivities that the session took as exact, or left out."""
-        if not self.assumes("sensitivity"):
-            return
-        for channel in target.channels:
-            for axis in AXES:
-                name = f"sensitivity.{channel}.{axis}"
-                if name not in uncertain and (axis in target.axes or axis in self.coefficients.axes):
-                    yield name
+        for channel, (axis, along) in product(target.channels, zip(AXES, self.gravity, strict=True)):
+            name = f"sensitivity.{channel}.{axis}"
+            if name not in uncertain and (axis in target.axes or axis in self.coefficients.axes):
+                yield name, np.array([float(row == f"offset.{channel}") * along for row in own])
 
 
 def _sha(text: str) -> str:

@@ -11,7 +11,7 @@ from tiltcal.core.derived_quantities import DerivedQuantity, cross_axis, derived
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.intrinsic_parameters import intrinsic
-from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.model import AXES, Array, Coefficients, with_vector
 from tiltcal.core.named_coefficients import DeterminedCoefficients, values
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import Budget
@@ -41,32 +41,14 @@ TOO_GOOD = 0.02
 
 def rounded(found: DeterminedCoefficients) -> Coefficients:
     """Return the coefficients with the digits that their uncertainties warrant."""
-    coefficients = found.coefficients
-    u = dict.fromkeys(values(coefficients), 0.0) | found.uncertainty()
+    coefficients, u = found.coefficients, found.uncertainty()
+    digits = {name: round_to(value, u.get(name, 0.0)) for name, value in values(coefficients).items()}
+    coefficients = with_vector(coefficients, list(digits), np.array(list(digits.values())))
     thermal = coefficients.thermal
-    if thermal is not None:
-        thermal = replace(
-            thermal,
-            range=None if thermal.range is None else (round(thermal.range[0], 3), round(thermal.range[1], 3)),
-            drift=_rounded_rows(thermal.drift, coefficients.channels, "temperature.offset", u),
-            gain=_rounded_rows(thermal.gain, coefficients.channels, "temperature.sensitivity", u),
-        )
-    return replace(
-        coefficients,
-        offset=np.array(
-            [round_to(v, u[f"offset.{c}"]) for c, v in zip(coefficients.channels, coefficients.offset, strict=True)]
-        ),
-        sensitivity=np.array(
-            [
-                [round_to(v, u[f"sensitivity.{c}.{a}"]) for a, v in zip(coefficients.axes, row, strict=True)]
-                for c, row in zip(coefficients.channels, coefficients.sensitivity, strict=True)
-            ]
-        ).reshape(coefficients.sensitivity.shape),
-        thermal=thermal,
-        nonlinearity=None
-        if coefficients.nonlinearity is None
-        else _rounded_rows(coefficients.nonlinearity, coefficients.channels, "nonlinearity", u, first=2),
-    )
+    if thermal is None or thermal.range is None:
+        return coefficients
+    low, high = thermal.range
+    return replace(coefficients, thermal=replace(thermal, range=(round(low, 3), round(high, 3))))
 
 
 def uncertainty_of(found: DeterminedCoefficients, reading: Mapping[str, float]) -> Uncertainty:
@@ -171,14 +153,6 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
             for attitude in found.suspects()
         },
     )
-
-
-def _rounded_rows(table: Array, channels: Sequence[str], name: str, u: Mapping[str, float], first: int = 1) -> Array:
-    rows = [
-        [round_to(value, u[f"{name}.{channel}.{power}"]) for power, value in enumerate(row, start=first)]
-        for channel, row in zip(channels, table, strict=True)
-    ]
-    return np.array(rows).reshape(table.shape)
 
 
 def intrinsic_record(coefficients: Coefficients, uncertain: UncertaintyInputs, *, mounted: bool) -> IntrinsicRecord:

@@ -172,17 +172,17 @@ def _joined(
     names = tuple(dict.fromkeys([name for part in parts for name in part.names] + [*walked]))
     if not any(part.names for part in parts):
         return Uncertainty({}, single)
-    covariance = np.zeros((len(names), len(names)))
+    covariance, alone = np.zeros((len(names), len(names))), np.eye(len(names))
     sources: list[tuple[Array, float]] = []
     for part in parts:
         rows = [names.index(name) for name in part.names]
         covariance[np.ix_(rows, rows)] += part.covariance
-        for row, variance, dof in zip(rows, np.diag(part.covariance), part.dof, strict=True):
-            sources.append((_only(row, float(variance), len(names)), float(dof)))
+        variances = np.diag(part.covariance)
+        sources += [(v * alone[k], float(dof)) for k, v, dof in zip(rows, variances, part.dof, strict=True)]
     for name, (variance, dof) in walked.items():
         row = names.index(name)
         covariance[row, row] += variance
-        sources.append((_only(row, variance, len(names)), dof))
+        sources.append((variance * alone[row], dof))
     factors = coverage_factor(welch_satterthwaite(np.diag(covariance).copy(), sources))
     matrix = with_turns_scaled(names, covariance, degrees(1.0))
     u = np.sqrt(np.diag(matrix))
@@ -192,12 +192,6 @@ def _joined(
         {name: float(k) for name, k in zip(names, factors, strict=True) if k > NORMAL_FACTOR * 1.001},
         Covariance(parameters=names, matrix=tuple(tuple(row) for row in matrix.tolist())),
     )
-
-
-def _only(row: int, value: float, size: int) -> Array:
-    alone = np.zeros(size)
-    alone[row] = value
-    return alone
 
 
 def _blended(both: Sequence[Coefficients], share: float) -> Coefficients:

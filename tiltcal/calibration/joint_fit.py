@@ -35,16 +35,11 @@ EXACT_TEMPERATURES = f"{NO_THERMOMETER}: temperatures count as exact"
 
 
 def fit_jointly(
-    sensors: Sequence[MeasuredSensor],
-    procedure: Procedure,
-    bench: BenchUncertainty,
+    sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
 ) -> list[CalibrationRecord]:
     """Calibrate all sensors of a fixture together, by the positions of a procedure with its order of the drift.
 
-    Returns
-    -------
-    list of CalibrationRecord
-        One for each sensor, their numbers rounded to what their uncertainty warrants.
+    The numbers of each calibration have the digits that their uncertainty warrants.
 
     Raises
     ------
@@ -62,18 +57,10 @@ def fit_jointly(
     return calibrations
 
 
-def record_of(
-    found: Estimate,
-    design: Design,
-    sensor: MeasuredSensor,
-    procedure: Procedure,
-) -> CalibrationRecord:
+def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure: Procedure) -> CalibrationRecord:
     """Return the calibration file of an estimate, without its provenance, its numbers rounded to their uncertainty.
 
-    Parameters
-    ----------
-    sensor : MeasuredSensor
-        Its measurements are those of the estimate.
+    The measurements of the sensor are those of the estimate.
     """
     return CalibrationRecord(
         sensor=replace(sensor.sensor, channels=design.channels),
@@ -81,7 +68,7 @@ def record_of(
         uncertainty=uncertainty_of(found, _reading(sensor.measurements, design, found.estimated_thermometer)),
         limits=_limits(design, sensor, found.coefficients.thermal is not None),
         derived=derived_record(found, _assumed(design, sensor), mounted=not design.free),
-        fit=fit_record(found, design, _largest_noise(sensor.measurements, design.channels)),
+        fit=fit_record(found, design, max(summary.u for summary in _summaries(sensor.measurements, design.channels))),
         procedure=_procedure(procedure, sensor.measurements),
         positions=tuple(measurement.record(design.channels) for measurement in sensor.measurements),
     )
@@ -240,10 +227,6 @@ def _summaries(measurements: Sequence[Measurement], channels: Sequence[str]) -> 
 def _stands(measurement: Measurement) -> tuple[object, ...]:
     """Return how the fixture was set; what is set like the position before was not touched."""
     return measurement.gravity, measurement.heading
-
-
-def _largest_noise(measurements: Sequence[Measurement], channels: Sequence[str]) -> float:
-    return max(measurement.summaries[channel].u for measurement in measurements for channel in channels)
 
 
 def _reading(measurements: Sequence[Measurement], design: Design, shown: float | None) -> dict[str, float]:

@@ -34,10 +34,7 @@ from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
 
 
 def mount(
-    base: CalibrationRecord,
-    measurements: Sequence[Measurement],
-    *,
-    jig: float | None = None,
+    base: CalibrationRecord, measurements: Sequence[Measurement], *, jig: float | None = None
 ) -> CalibrationRecord:
     """Return a calibration with the mounting that the positions show; all else is the base's.
 
@@ -60,7 +57,8 @@ def mount(
         raise EstimateError(why)
     known = np.array([measurement.gravity for measurement in measurements])
     found, side, sigma = _best(base.coefficients, measurements, known, jig)
-    if sigma is not None and _noise_unknown(measurements, base) and found.chi_square > found.dof:
+    seen = observations_of(measurements, base.coefficients.channels)
+    if sigma is not None and all(position.noise_unknown for position in seen) and found.chi_square > found.dof:
         # Nothing is stated of the noise, and the residuals show more than the jig.
         found, side, sigma = _best(base.coefficients, measurements, known, None)
     joint = _joined(base, found, lambda c: mounting_rotation(_directions(c, measurements, side), known, sigma))
@@ -103,10 +101,6 @@ def _sigma(coefficients: Coefficients, measurements: Sequence[Measurement], side
         moved = _unit(_directions(coefficients, measurements, side, shift))
         square += np.sum((moved - start) ** 2, axis=1) / 2.0  # a direction has two angles
     return np.asarray(np.maximum(np.hypot(radians(jig), np.sqrt(square)), 1e-6))
-
-
-def _noise_unknown(measurements: Sequence[Measurement], base: CalibrationRecord) -> bool:
-    return all(observation.noise_unknown for observation in observations_of(measurements, base.coefficients.channels))
 
 
 def _unit(vectors: Array) -> Array:

@@ -37,11 +37,7 @@ FAR = 0.5
 """g; an offset that differs by more from that of the base calibration belongs to another attitude."""
 
 
-def calibrate_ramp(
-    sensor: MeasuredSensor,
-    procedure: Procedure,
-    bench: BenchUncertainty,
-) -> CalibrationRecord:
+def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
     """Calibrate the drift of a sensor from its ramp.
 
     Parameters
@@ -83,15 +79,10 @@ def calibrate_ramp(
     made = record_of(found, design, replace(sensor, measurements=groups), procedure)
     _require_attitude(made, sensor)
     u = made.uncertainty
-    if fit.uses_lag:
-        thermal = made.coefficients.thermal
-        made = replace(
-            made,
-            coefficients=replace(
-                made.coefficients,
-                thermal=None if thermal is None else replace(thermal, lag=round_to(fit.lag, fit.u_lag)),
-            ),
-        )
+    thermal = made.coefficients.thermal
+    if fit.uses_lag and thermal is not None:
+        lagged = replace(thermal, lag=round_to(fit.lag, fit.u_lag))
+        made = replace(made, coefficients=replace(made.coefficients, thermal=lagged))
         u = replace(u, standard={**u.standard, "temperature.lag": significant(fit.u_lag, 4)})
     reading = {**u.single_reading, **({"temperature": significant(uncertain, 4)} if uncertain else {})}
     return replace(
@@ -131,8 +122,8 @@ def _require_attitude(found: CalibrationRecord, sensor: MeasuredSensor) -> None:
     """Refuse a record in another attitude than is stated, where a base calibration shows it."""
     if sensor.base is None:
         return
-    known, u = sensor.base.coefficients, found.coefficients
-    for channel, before, after, row in zip(known.channels, known.offset, u.offset, known.sensitivity, strict=True):
+    known, offsets = sensor.base.coefficients, found.coefficients.offset
+    for channel, before, after, row in zip(known.channels, known.offset, offsets, known.sensitivity, strict=True):
         off = abs(float(after - before)) / float(np.max(np.abs(row)))
         if off > FAR:
             raise EstimateError(
@@ -192,10 +183,8 @@ def _coefficients(fit: RampFit, design: Design, gravity: Array, temperatures: tu
         Thermal(design.reference, temperatures, fit.coefficients[:, 1:].copy(), np.zeros((len(channels), 0))),
         nonlinearity=np.zeros((len(channels), design.nonlinearity)) if design.nonlinearity else None,
     )
-    known = design.priors
-    coefficients = with_vector(
-        coefficients, list(known), np.array([coefficient.value for coefficient in known.values()])
-    )
+    known = {name: prior.value for name, prior in design.priors.items()}
+    coefficients = with_vector(coefficients, list(known), np.array(list(known.values())))
     return replace(coefficients, offset=fit.coefficients[:, 0] - coefficients.predict(gravity[None, :])[0])
 
 

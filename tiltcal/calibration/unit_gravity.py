@@ -39,12 +39,7 @@ UNDETERMINED = (
 
 
 def require_no_jig(procedure: Procedure, jig: float | None) -> None:
-    """Refuse a stated jig where no position is set by one.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Refuse a stated jig where no position is set by one, with a UsageError."""
     if procedure.determines.free and jig is not None:
         raise UsageError("free positions use no jig: leave --jig out, or name a procedure whose positions are set")
 
