@@ -27,7 +27,7 @@ from tiltcal.files.journal_header import Header
 from tiltcal.files.pair import PairRecord
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.positions import TabledRow
-from tiltcal.files.procedure_file import PositionsProcedure
+from tiltcal.files.procedure import Procedure
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.rotation import Rotation
 from tiltcal.files.segments import SegmentRow
@@ -47,7 +47,7 @@ TABLES: dict[str, type[Any]] = {
     "positions-measured": PositionRecord,
     "provenance": Provenance,
     "pair": PairRecord,
-    "procedure": PositionsProcedure,
+    "procedure": Procedure,
     "rotation": Rotation,
     "bench": BenchFile,
     "twin": TwinFile,

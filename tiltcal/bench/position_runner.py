@@ -171,7 +171,7 @@ class PositionRunner:
         else:
             # A temperature that the operator types is vouched for; the thermometer may be far off.
             target = position.temperature if typed is None else None
-            window = Window(self._settings.soak, self._procedure.soak_drift, target)
+            window = Window(self._settings.soak, self._procedure.soak.drift, target)
             self._soaked = None
         wait_until_still(self._sensors, self._clock, window, look)
         self._soaked = reached

@@ -272,7 +272,7 @@ def plan_session(
         procedure=procedure,
         sensors=sensors,
         settings=SessionSettings(
-            samples or procedure.samples, settle or procedure.settle, procedure.soak_seconds * scale
+            samples or procedure.samples, settle or procedure.settle, procedure.soak.seconds * scale
         ),
         jig=bench.jig,
         operator=operator,

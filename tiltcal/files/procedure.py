@@ -7,18 +7,23 @@ from collections.abc import Mapping
 from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.core.gravity_direction import Vector
+from tiltcal.core.gravity_direction import Vector, gravity_from_tilt, normalised
 from tiltcal.core.model import AXES
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import ORDER_LIMIT
 from tiltcal.files.declaration import (
+    ANY,
+    FROM_ZERO,
+    ByKey,
     Choice,
     Context,
     Converted,
     Flag,
+    Format,
     Integer,
     ListOf,
     Number,
+    Section,
     Text,
     entry,
 )
@@ -33,6 +38,7 @@ ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
 MOST_ASKEW = 10.0
 """A sensor that sits further askew has another mounting, degrees."""
 
+_PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 _NAME = re.compile(r"[^\W\d_][\w.-]*")
 
 
@@ -91,6 +97,18 @@ class Determines:
         return self.mounting or self.level
 
 
+def _consistent(found: Determines, node: Node, context: Context) -> Determines:
+    orders = found.drift or found.gain or found.nonlinearity
+    for what, asked in (("mounting", found.mounting), ("level", found.level)):
+        if asked and (found.axes or orders or (found.mounting and found.level)):
+            raise node.error(f"a procedure that determines the {what} determines nothing else: axes is [] there")
+    if found.cross_validated and not found.drift:
+        raise node.error("an order that is chosen by cross-validation needs the key 'drift', the highest order")
+    if found.free and (len(found.axes) < 3 or orders or found.mounting):
+        raise node.error("free positions determine the axes [x, y, z] and nothing else: unit gravity says no more")
+    return found
+
+
 @frozen
 class Position:
     """One position that the sensor is brought to.
@@ -131,6 +149,88 @@ def _name(name: str, node: Node, context: Context) -> str:
 IDENTIFIER = Converted(Text(), _name, more={"pattern": f"^{_NAME.pattern}$"})
 
 
+@frozen
+class SetAngle(Format[float]):
+    """An angle in degrees, or ``angle`` and ``-angle`` for the one of the procedure."""
+
+    def read(self, node: Node, context: Context = ANY) -> float:
+        if not node.names("angle", "-angle"):
+            return node.number()
+        if context.angle is None:
+            raise node.error("the procedure gives no angle; add 'angle: 30' to it, or write degrees here")
+        return context.angle if node.text() == "angle" else -context.angle
+
+    def schema(self) -> dict[str, Any]:
+        return {"anyOf": [{"type": "number"}, {"enum": ["angle", "-angle"]}]}
+
+
+@frozen(kw_only=True)
+class PositionSection:
+    """One of ``positions`` as it stands in a file."""
+
+    name: str = entry(IDENTIFIER, "unique; a letter, then letters, digits, `-`, `_`, `.`")
+    prompt: str = entry(Text(), "the operator's sentence, in which `{angle}` and `{temperature}` are filled in")
+    tilt: Mapping[str, float] | None = entry(
+        ByKey(SetAngle(), ("x", "y")), "degrees per axis, or `angle` and `-angle`; or else `gravity`", default=None
+    )
+    gravity: tuple[float, ...] | None = entry(
+        ListOf(Number(), 3, 3, says="a direction has three components, found {found}"),
+        "`[gx, gy, gz]`, the direction that points up in the sensor frame; it is normalised",
+        default=None,
+    )
+    heading: float | None = entry(
+        Number(),
+        "how far the fixture is turned about the vertical, degrees; where headings differ, the table's own lean is "
+        "estimated too and does not end up in the offset",
+        default=None,
+    )
+    temperature: float | None = entry(TEMPERATURE, "°C", default=None)
+    stage: float | None = entry(
+        Number(),
+        "angle of the rotary stage, degrees; no estimate uses it",
+        default=None,
+    )
+
+
+def _position_of(section: PositionSection, node: Node, context: Context) -> Position:
+    entries, tilt = node.entries(), section.tilt
+    if (section.tilt is None) == (section.gravity is None):
+        raise node.error("a position has either tilt: {x: degrees, y: degrees} or gravity: [gx, gy, gz]")
+    known = {"angle": context.angle, "temperature": section.temperature}
+    return Position(
+        name=section.name,
+        prompt=_filled_in(section.prompt, entries["prompt"], known),
+        gravity=entries["gravity"].converted(normalised, section.gravity or ())
+        if tilt is None
+        else entries["tilt"].converted(gravity_from_tilt, tilt),
+        tilt=tilt,
+        heading=section.heading,
+        temperature=section.temperature,
+        stage=section.stage,
+    )
+
+
+def _distinct(positions: tuple[Position, ...], node: Node, context: Context) -> tuple[Position, ...]:
+    names = [position.name for position in positions]
+    for number, item in enumerate(node.items()):
+        if names[number] in names[:number]:
+            raise item.error(f"a position named {names[number]!r} is there already; names are unique")
+    return positions
+
+
+def _filled_in(prompt: str, node: Node, values: Mapping[str, float | None]) -> str:
+    """Return the operator's sentence with ``{angle}`` and ``{temperature}`` filled in."""
+
+    def value_of(found: re.Match[str]) -> str:
+        value = values.get(found.group(1))
+        if value is None:
+            known = " or ".join(f"{{{name}}}" for name, value in values.items() if value is not None)
+            raise node.error(f"{found.group()} has no value here; the prompt may use {known or 'none'}")
+        return f"{value:g}"
+
+    return _PLACEHOLDER.sub(value_of, prompt)
+
+
 @frozen(kw_only=True)
 class Soak:
     """The conditions for a new temperature to count as settled."""
@@ -153,46 +253,63 @@ class Ramp:
     )
 
 
-@frozen
+@frozen(kw_only=True)
 class Procedure:
     """A procedure: the positions to measure in order, or the rotation of a stage.
 
     Attributes
     ----------
     angle : float or None
-        The angle that positions use by name, degrees; None where the procedure leaves no angle free.
-    reference : float or None
-        Reference temperature, °C.
-    samples : int
-        Per position.
-    settle : float
-        Time over which a reading must hold still, seconds.
-    soak_seconds, soak_drift : float
-        At a position with a temperature: the window, seconds, and the largest drift in it, °C.
-    alignment : float
-        By how much at most the sensor may sit askew since its calibration, degrees about each axis.
+        The one of the file, or that which the user gives in its place.
     record : mapping
-        The procedure as plain data, before ``angle`` and the turns were put in.
-    ramp : Ramp or None
-        Of a continuous record: its positions are one attitude, and the temperatures at which it turns.
+        The procedure as plain data, before the user's angle and the turns were put in.
     rotation : Rotation or None
         What is done while a stage turns, in place of positions; such a procedure has none, and determines no tilt.
     """
 
-    name: str
-    title: str
-    source: str
-    determines: Determines
-    positions: tuple[Position, ...]
-    angle: float | None = None
-    reference: float | None = None
-    samples: int = 100
-    settle: float = 2.0
-    soak_seconds: float = 20.0
-    soak_drift: float = 0.3
+    name: str = entry(IDENTIFIER, "a letter, then letters, digits, `-`, `_`, `.`")
+    title: str = entry(Text(), "what it is for, in one line")
+    source: str = entry(Text(), "the document it comes from", default="")
+    determines: Determines = entry(
+        Converted(Section(Determines), _consistent), "what the positions determine besides the offset"
+    )
+    reference: float | None = entry(TEMPERATURE, "reference temperature, °C; needed with drift or gain", default=None)
+    angle: float | None = entry(
+        Number(above=0.0, maximum=90, says="an angle of {found:g}° is more than 90°"),
+        "the angle that positions may call `angle` or `-angle`, degrees; `--tilt` takes its place",
+        default=None,
+    )
+    alignment: float = entry(
+        FROM_ZERO,
+        "with `level`: by how much at most the sensor may sit askew since its calibration, degrees about each axis; "
+        "`--alignment` takes its place",
+        default=0.0,
+    )
+    samples: int = entry(Integer(minimum=2), "samples a position", default=100)
+    settle: float = entry(Number(above=0.0), "seconds over which the reading must hold still", default=2.0)
+    soak: Soak = entry(
+        Section(Soak),
+        "at a new temperature: the window, seconds, and the largest drift in it, °C",
+        default=Soak(seconds=20.0, drift=0.3),
+        usual="`{seconds: 20, drift: 0.3}`",
+    )
+    ramp: Ramp | None = entry(
+        Section(Ramp),
+        "the sensor is sampled without a break, in one attitude, while the temperature goes from position to position",
+        default=None,
+    )
+    positions: tuple[Position, ...] = entry(
+        Converted(
+            ListOf(
+                Converted(Section(PositionSection), _position_of),
+                1,
+                says="the list is empty; a procedure has at least one position",
+            ),
+            _distinct,
+        ),
+        "in order",
+    )
     record: Mapping[str, Any] = field(default_factory=dict, compare=False)
-    alignment: float = 0.0
-    ramp: Ramp | None = None
     rotation: Rotation | None = None
 
     def require_positions(self) -> None:

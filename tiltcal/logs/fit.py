@@ -281,7 +281,7 @@ class FitSource:
             A file is wrong; the message names file and line.
         """
         thermal = procedure.determines.drift or procedure.determines.gain
-        soak = procedure.soak_seconds if thermal else 0.0
+        soak = procedure.soak.seconds if thermal else 0.0
         intervals, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor, procedure, soak)
         return FitPositions(placed(intervals, procedure, file=self._name), provenance)
 

@@ -192,10 +192,10 @@ def _placed(interval: StaticInterval, position: Position) -> Measurement:
 
 def _require_steady(interval: StaticInterval, procedure: Procedure, file: str) -> None:
     """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
-    if abs(interval.warming) > procedure.soak_drift:
+    if abs(interval.warming) > procedure.soak.drift:
         raise InputError(
             f"segment {interval.name}: the temperature drifts by {interval.warming:+.2f} °C up to its end, more than "
-            f"the {procedure.soak_drift:g} °C that {procedure.name} allows: thermometer and sensor are apart while "
+            f"the {procedure.soak.drift:g} °C that {procedure.name} allows: thermometer and sensor are apart while "
             "they change; take rows where both stand still, or go slower",
             file=file,
             line=interval.line,
