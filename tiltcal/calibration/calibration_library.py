@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.interpolation import Stability, extrapolate, interpolate
+from tiltcal.calibration.interpolation import Interval, Stability, extrapolate
 from tiltcal.calibration.sensor_history import (
     DAY,
     DatedCalibration,
@@ -212,6 +212,5 @@ def calibration_at(history: SensorHistory, time: float, stability: Stability | N
         return Calibration(extrapolate(dated[-1].record, (time - times[-1]) / DAY, stability))
     k = max(i for i, date in enumerate(times) if date <= time)
     span = times[k + 1] - times[k]
-    return Calibration(
-        interpolate(dated[k].record, dated[k + 1].record, (time - times[k]) / span, span / DAY, stability)
-    )
+    interval = Interval.between(dated[k].record, dated[k + 1].record, span / DAY)
+    return Calibration(interval.at((time - times[k]) / span, stability))

@@ -57,52 +57,77 @@ class Stability:
     source: str = ""
 
 
-def interpolate(
-    before: CalibrationRecord, after: CalibrationRecord, share: float, days: float, stability: Stability | None = None
-) -> CalibrationRecord:
-    """Return the calibration at a time between two.
+@dataclass(frozen=True)
+class Interval:
+    """The time between two calibrations of a sensor; what no time in it changes is computed once.
 
-    Parameters
+    Attributes
     ----------
-    share : float
-        Of the time between them that has passed, 0 to 1.
+    before, after : CalibrationRecord
     days : float
         The time between them, d.
-    stability : Stability, optional
-        Without it, the calibrations alone are uncertain.
-
-    Raises
-    ------
-    UsageError
-        They are not of one sensor, only one of them has temperature terms or a mounting, or their sensitivities or
-        mountings are too far apart for a change with time.
+    parts : tuple of _Part
+        Their coefficients and covariances at the reference temperature of the second.
     """
-    require_same_sensor(before, after)
-    for what in ("axes", "thermal", "mounting"):
-        earlier, later = getattr(before.coefficients, what), getattr(after.coefficients, what)
-        if (earlier != later) if what == "axes" else ((earlier is None) != (later is None)):
-            named = {"thermal": "temperature terms", "mounting": "a mounting"}.get(what, "other axes")
-            raise UsageError(
-                f"one of two calibrations has {named} and the other has not: give both the same coefficients, such as "
-                "with `tiltcal combine`"
-            )
-    _require_one_sensitivity(before.coefficients, after.coefficients)
-    reference = None if after.coefficients.thermal is None else after.coefficients.thermal.reference
-    parts = [
-        _Part.of(calibration, reference, weight) for calibration, weight in ((before, 1.0 - share), (after, share))
-    ]
-    coefficients = _blended([part.coefficients for part in parts], share)
-    bridge = {
-        name: (walk.rate * days * share * (1.0 - share), walk.dof)
-        for name, walk in (stability or Stability()).between.items()
-    }
-    first, last = before.uncertainty.single_reading, after.uncertainty.single_reading
-    single = {
-        name: (1.0 - share) * first.get(name, u) + share * last.get(name, u) for name, u in {**first, **last}.items()
-    }
-    joined = _joined(parts, bridge, single)
-    alignment = (1.0 - share) * before.uncertainty.alignment + share * after.uncertainty.alignment
-    return _at(after, coefficients, _limits(before.limits, after.limits), replace(joined, alignment=alignment))
+
+    before: CalibrationRecord
+    after: CalibrationRecord
+    days: float
+    parts: tuple[_Part, _Part]
+
+    @classmethod
+    def between(cls, before: CalibrationRecord, after: CalibrationRecord, days: float) -> Interval:
+        """Return the interval of two calibrations.
+
+        Raises
+        ------
+        UsageError
+            They are not of one sensor, only one of them has temperature terms or a mounting, or their sensitivities are
+            too far apart for a change with time.
+        """
+        require_same_sensor(before, after)
+        for what in ("axes", "thermal", "mounting"):
+            earlier, later = getattr(before.coefficients, what), getattr(after.coefficients, what)
+            if (earlier != later) if what == "axes" else ((earlier is None) != (later is None)):
+                named = {"thermal": "temperature terms", "mounting": "a mounting"}.get(what, "other axes")
+                raise UsageError(
+                    f"one of two calibrations has {named} and the other has not: give both the same coefficients, such "
+                    "as with `tiltcal combine`"
+                )
+        _require_one_sensitivity(before.coefficients, after.coefficients)
+        reference = None if after.coefficients.thermal is None else after.coefficients.thermal.reference
+        return cls(before, after, days, (_Part.of(before, reference), _Part.of(after, reference)))
+
+    def at(self, share: float, stability: Stability | None = None) -> CalibrationRecord:
+        """Return the calibration at a time in the interval.
+
+        Parameters
+        ----------
+        share : float
+            Of the interval that has passed, 0 to 1.
+        stability : Stability, optional
+            Without it, the calibrations alone are uncertain.
+
+        Raises
+        ------
+        UsageError
+            Their mountings are too far apart for a change with time.
+        """
+        before, after = self.before, self.after
+        coefficients = _blended([part.coefficients for part in self.parts], share)
+        bridge = {
+            name: (walk.rate * self.days * share * (1.0 - share), walk.dof)
+            for name, walk in (stability or Stability()).between.items()
+        }
+        first, last = before.uncertainty.single_reading, after.uncertainty.single_reading
+        single = {
+            name: (1.0 - share) * first.get(name, u) + share * last.get(name, u)
+            for name, u in {**first, **last}.items()
+        }
+        weighted = [part.times(weight) for part, weight in zip(self.parts, (1.0 - share, share), strict=True)]
+        joined = _joined(weighted, bridge, single)
+        alignment = (1.0 - share) * before.uncertainty.alignment + share * after.uncertainty.alignment
+        return _at(after, coefficients, _limits(before.limits, after.limits), replace(joined, alignment=alignment))
 
 
 def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | None = None) -> CalibrationRecord:
@@ -116,7 +141,7 @@ def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | 
         Without it, the calibration alone is uncertain.
     """
     grown = {name: (walk.rate * days, walk.dof) for name, walk in (stability or Stability()).beyond.items()}
-    part = _Part.of(nearest, None, 1.0)
+    part = _Part.of(nearest, None)
     uncertainty = nearest.uncertainty
     if grown:
         joined = _joined([part], grown, uncertainty.single_reading)
@@ -126,7 +151,7 @@ def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | 
 
 @dataclass(frozen=True)
 class _Part:
-    """One calibration's share: its coefficients at the common reference, and their weighted covariance."""
+    """One of two calibrations: its coefficients at the common reference, and their covariance."""
 
     coefficients: Coefficients
     names: tuple[str, ...]
@@ -134,7 +159,7 @@ class _Part:
     dof: Array
 
     @classmethod
-    def of(cls, record: CalibrationRecord, reference: float | None, weight: float) -> _Part:
+    def of(cls, record: CalibrationRecord, reference: float | None) -> _Part:
         coefficients = record.coefficients
         moved = coefficients if reference is None else referred(coefficients, reference)
         stated = uncertainty_inputs(record.uncertainty, coefficients)
@@ -142,7 +167,11 @@ class _Part:
         if reference is not None and moved is not coefficients:
             names, by = _referring(coefficients, stated, reference)
         known = Budget.of([Part("", by, stated.covariance, stated.factors)])
-        return cls(moved, names, known.covariance * weight**2, known.dof)
+        return cls(moved, names, known.covariance, known.dof)
+
+    def times(self, weight: float) -> _Part:
+        """Return it with the covariance of its coefficients times a weight."""
+        return replace(self, covariance=self.covariance * weight**2)
 
 
 def _referring(
@@ -198,11 +227,10 @@ def _blended(both: Sequence[Coefficients], share: float) -> Coefficients:
     """Return the coefficients between two at one reference temperature."""
 
     def line(before: Array, after: Array) -> Array:
-        columns = max(before.shape[-1], after.shape[-1])
-        first, last = (
-            np.pad(terms, [(0, 0)] * (terms.ndim - 1) + [(0, columns - terms.shape[-1])]) for terms in (before, after)
-        )
-        return np.asarray((1.0 - share) * first + share * last)
+        wide = np.zeros((2, *after.shape[:-1], max(before.shape[-1], after.shape[-1])))
+        for terms, row in zip((before, after), wide, strict=True):
+            row[..., : terms.shape[-1]] = terms
+        return np.asarray((1.0 - share) * wide[0] + share * wide[1])
 
     before, after = both
     thermal, shares = after.thermal, after.nonlinearity

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.calibration_library import calibration_at
+from tiltcal.calibration.interpolation import Interval
+from tiltcal.calibration.sensor_history import DAY
 from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.model import Array, polynomial
 from tiltcal.core.named_coefficients import referred, values
@@ -206,6 +208,7 @@ class LibraryKernel:
         self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in channels}
         self._dates = np.array([calibration.date.timestamp() for calibration in history.calibrations])
         self._kernels: dict[int, tuple[Kernel, float]] = {}
+        self._intervals: dict[int, Interval] = {}
         self._last: float | None = None
         thermal = history.calibrations[-1].record.coefficients.thermal
         self._element = ElementTemperature(0.0 if thermal is None else thermal.lag)
@@ -286,14 +289,24 @@ class LibraryKernel:
     def _of_step(self, step: int, values: RoleValues, time: Array) -> Table:
         if step not in self._kernels:
             middle = self._middle(step)
-            record = _without_lag(calibration_at(self._history, middle, self._stability).record)
+            record = _without_lag(self._record_at(step, middle))
             # With them stated, nothing looks for the sensor's model in each step.
             record = replace(record, limits=replace(record.limits, reading=self._rails))
             self._kernels[step] = prepare(Calibration(record), self._options).kernel, middle
         kernel, middle = self._kernels[step]
-        if 0 <= step < _OUTSIDE and len(self._dates) > 1:
+        if 0 <= step < _OUTSIDE:
             values = replace(values, readings=self._on_line(step // self._parts, values, time - middle))
         return kernel(values)
+
+    def _record_at(self, step: int, middle: float) -> CalibrationRecord:
+        if not 0 <= step < _OUTSIDE:
+            return calibration_at(self._history, middle, self._stability).record
+        k, part = divmod(step, self._parts)
+        if k not in self._intervals:
+            before, after = self._history.calibrations[k : k + 2]
+            days = (self._dates[k + 1] - self._dates[k]) / DAY
+            self._intervals[k] = Interval.between(before.record, after.record, days)
+        return self._intervals[k].at((part + 0.5) / self._parts, self._stability)
 
     def _middle(self, step: int) -> float:
         """Return the time for which the compensation of a step is made, seconds since 1970."""
