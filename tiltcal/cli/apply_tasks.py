@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,7 @@ from tiltcal.logs.streams import STANDARD
 from tiltcal.logs.up_to_date import fingerprint, note_applied, summary_if_current
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Future
 
 WORTH_PROCESSES = 16 << 20
 """Total size of logs from which further processes take less time than they take to start, bytes."""
@@ -203,9 +202,18 @@ def done_on(scheduler: str, tasks: Sequence[ApplyTask], force: bool = False) -> 
     UsageError
         The library is not there, or no scheduler.
     """
-    with _cluster(scheduler) as client:
-        from distributed import as_completed
+    import logging
 
+    try:
+        from distributed import Client, as_completed
+    except ImportError as failure:
+        raise UsageError(f"--scheduler needs dask.distributed ({failure}): pip install 'tiltcal[cluster]'") from failure
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # each log reports what happened to it
+    try:
+        client = Client(scheduler, timeout=_PATIENCE)
+    except (OSError, ValueError) as failure:
+        raise UsageError(f"--scheduler: no scheduler answers at {scheduler}: {failure}") from failure
+    with client:
         # Every log is work of its own, whatever an earlier one of that name came to.
         running = {client.submit(_outcome, task.anywhere, force, pure=False): task for task in tasks}
         for future in as_completed(list(running)):
@@ -238,20 +246,3 @@ def _result(future: Future[Outcome]) -> Outcome:
         return UsageError("the scheduler was lost before its turn: start one, and repeat the command for what is left")
     except Exception as failure:
         return UsageError(f"its worker failed: {failure!r}")
-
-
-@contextmanager
-def _cluster(scheduler: str) -> Iterator[Client]:
-    import logging
-
-    try:
-        from distributed import Client
-    except ImportError as failure:
-        raise UsageError(f"--scheduler needs dask.distributed ({failure}): pip install 'tiltcal[cluster]'") from failure
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # each log reports what happened to it
-    try:
-        client = Client(scheduler, timeout=_PATIENCE)
-    except (OSError, ValueError) as failure:
-        raise UsageError(f"--scheduler: no scheduler answers at {scheduler}: {failure}") from failure
-    with client:
-        yield client

@@ -11,6 +11,7 @@ import click
 
 from tiltcal.bench.measure import measure
 from tiltcal.calibration.summary import summary
+from tiltcal.cli.apply import command as apply
 from tiltcal.cli.report import write_report
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import Address, parse_address
@@ -64,10 +65,13 @@ def command(folder: Path, seed: int) -> None:
         f"{TEMPERATURES[0]:g} to {TEMPERATURES[1]:g} °C"
     )
     _record(log, address, model)
-    _apply(calibration, log, compensated)
+    apply.main([str(calibration), str(log), "-o", str(compensated)], standalone_mode=False)
     click.echo(f"   wrote {compensated}")
     click.echo("\n4. tilt error against the log's true tilt")
-    before, after = _errors(model, compensated)
+    rows = _columns(compensated)
+    true = {axis: rows[f"true_tilt_{axis}"] for axis in ("x", "y")}
+    before = {axis: _nominal_tilt(model, rows[axis]) - true[axis] for axis in true}
+    after = {axis: rows[f"tilt_{axis}"] - true[axis] for axis in true}
     _print_errors(before, after)
     click.echo("\n5. report")
     try:
@@ -75,7 +79,10 @@ def command(folder: Path, seed: int) -> None:
     except UsageError as missing:
         click.echo(f"   no picture and no page: {missing}")
         return
-    _draw(compensated, before, after, picture)
+    from tiltcal.report.tilt_figure import draw_tilt_error
+
+    title = f"{MODEL} on the virtual bench, tilts within ±{REACH:g}°"
+    draw_tilt_error(picture, rows["time"], rows["temperature"], before, after, title)
     write_report([str(calibration), str(compensated)], page)
     click.echo(f"   wrote {picture}\n   wrote {page}")
 
@@ -89,29 +96,6 @@ def _record(path: Path, address: Address, model: Model) -> None:
         x, y = row.values
         lines.append(f"{row.time:.4f},{x:.0f},{y:.0f},{row.temperature:.2f},{row.tilt['x']:.5f},{row.tilt['y']:.5f}")
     write_whole(path, "\n".join(lines) + "\n")
-
-
-def _apply(calibration: Path, log: Path, compensated: Path) -> None:
-    from tiltcal.cli.apply import command as apply
-
-    apply.main([str(calibration), str(log), "-o", str(compensated)], standalone_mode=False)
-
-
-def _errors(model: Model, compensated: Path) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return the tilt error of each axis, with the data sheet's and with the calibrated coefficients, degrees."""
-    column = _columns(compensated)
-    true = {axis: column[f"true_tilt_{axis}"] for axis in ("x", "y")}
-    before = {axis: _nominal_tilt(model, column[axis]) - true[axis] for axis in true}
-    return before, {axis: column[f"tilt_{axis}"] - true[axis] for axis in true}
-
-
-def _draw(compensated: Path, before: Mapping[str, Array], after: Mapping[str, Array], picture: Path) -> None:
-    """Draw the errors before and after."""
-    from tiltcal.report.tilt_figure import draw_tilt_error
-
-    column = _columns(compensated)
-    title = f"{MODEL} on the virtual bench, tilts within ±{REACH:g}°"
-    draw_tilt_error(picture, column["time"], column["temperature"], before, after, title)
 
 
 def _columns(log: Path) -> dict[str, Array]:

@@ -144,11 +144,8 @@ def _say_stability(history: SensorHistory, stability: Stability | None, say: Cal
         if walk is not None and channel in coefficients.axes:
             own = abs(coefficients.sensitivity[i, coefficients.axes.index(channel)])
             told.append(f"{channel} {1000.0 * walk.rate**0.5 / own:.2g}")
-    say(f"note: the offset of {serial} wanders by {', '.join(told)} mg/√d, {_source(stability)}")
-
-
-def _source(stability: Stability) -> str:
-    return stability.source if stability.source == "as stated" else f"from {stability.source}"
+    source = stability.source if stability.source == "as stated" else f"from {stability.source}"
+    say(f"note: the offset of {serial} wanders by {', '.join(told)} mg/√d, {source}")
 
 
 def _prepare_sensor(
@@ -198,7 +195,7 @@ class LibraryKernel:
     ) -> None:
         self.columns = columns
         if not options.uncertainty:
-            history = _without_uncertainty(history)
+            history = _each(history, lambda record: replace(record, uncertainty=Uncertainty({}, {})))
         if options.mounting:  # it replaces that of each
             history = _mounted_as_last(history)
         self._history, self._stability, self._options = history, stability, options
@@ -230,7 +227,8 @@ class LibraryKernel:
         parts = []
         for begin, end in pairwise(ends):
             rows, step = slice(begin, end), int(steps[begin])
-            parts.append(self._flagged(self._of_step(step, _taken(values, rows), time[rows]), step))
+            table = self._of_step(step, _taken(values, rows), time[rows])
+            parts.append(table if 0 <= step <= _OUTSIDE else mark_columns(table, np.True_, SUSPECT, OUTSIDE_TIME))
         if len(parts) == 1:
             return parts[0]
         return {name: np.concatenate([part[name] for part in parts]) for name in self.columns}
@@ -342,36 +340,15 @@ class LibraryKernel:
                 shifted[stuck, i] = reading[stuck]
         return shifted
 
-    def _flagged(self, table: Table, step: int) -> Table:
-        if 0 <= step < _OUTSIDE or step == _OUTSIDE:
-            return table
-        return mark_columns(table, np.True_, SUSPECT, OUTSIDE_TIME)
 
-
-def _without_uncertainty(history: SensorHistory) -> SensorHistory:
-    return replace(
-        history,
-        calibrations=tuple(
-            replace(calibration, record=replace(calibration.record, uncertainty=Uncertainty({}, {})))
-            for calibration in history.calibrations
-        ),
-    )
+def _each(history: SensorHistory, change: Callable[[CalibrationRecord], CalibrationRecord]) -> SensorHistory:
+    calibrations = (replace(calibration, record=change(calibration.record)) for calibration in history.calibrations)
+    return replace(history, calibrations=tuple(calibrations))
 
 
 def _mounted_as_last(history: SensorHistory) -> SensorHistory:
     mounting = history.calibrations[-1].record.coefficients.mounting
-    return replace(
-        history,
-        calibrations=tuple(
-            replace(
-                calibration,
-                record=replace(
-                    calibration.record, coefficients=replace(calibration.record.coefficients, mounting=mounting)
-                ),
-            )
-            for calibration in history.calibrations
-        ),
-    )
+    return _each(history, lambda record: replace(record, coefficients=replace(record.coefficients, mounting=mounting)))
 
 
 def _moves_offset_alone(history: SensorHistory) -> bool:

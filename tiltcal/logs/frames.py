@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,35 +145,8 @@ def rows_of(frame: Any, name: str, keys: Collection[str] = ()) -> list[dict[str,
     return [{key: cell for key, cell in row.items() if cell is not None and cell == cell} for row in rows]
 
 
-class _Columns(Protocol):
-    """A frame of any kind: its columns by name; numbers or times are None where a column holds something else."""
-
-    names: tuple[str, ...]
-
-    def unit(self, name: str) -> str | None: ...
-
-    def kind(self, name: str) -> object: ...
-
-    def dimensions(self, name: str) -> tuple[str, ...]:
-        """Return along what a column has its values; a column of a log has one."""
-        ...
-
-    def numbers(self, name: str) -> Array | None: ...
-
-    def times(self, name: str) -> Array | None: ...
-
-    def polars(self, reading: str) -> pl.DataFrame:
-        """Return the columns that have the rows of a reading."""
-        ...
-
-    def of_rows(self, rows: pl.DataFrame) -> _Columns:
-        """Return other rows as a frame of this kind."""
-        ...
-
-    def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any: ...
-
-
-def _columns_of(frame: Any, name: str) -> _Columns:
+def _columns_of(frame: Any, name: str) -> _Table | _Arrays | _Dataset:
+    """Return the columns of a frame by name; numbers or times are None where a column holds something else."""
     if hasattr(frame, "data_vars") and hasattr(frame, "dims"):
         return _Dataset(frame)
     if isinstance(frame, Mapping):
@@ -214,6 +187,7 @@ class _Table:
         return self._frame.get_column(self._named[name])
 
     def dimensions(self, name: str) -> tuple[str, ...]:
+        """Return along what a column has its values; a column of a log has one."""
         return ("row",)
 
     def numbers(self, name: str) -> Array | None:
@@ -238,6 +212,7 @@ class _Table:
         return _seconds([cell if isinstance(cell, str) else None for cell in column.to_list()])  # pandas has NaN, too
 
     def polars(self, reading: str) -> pl.DataFrame:
+        """Return the columns that have the rows of a reading."""
         import narwhals.stable.v2 as nw
         import polars as pl
 
@@ -255,6 +230,7 @@ class _Table:
             )
 
     def of_rows(self, rows: pl.DataFrame) -> _Table:
+        """Return other rows as a frame of this kind."""
         import narwhals.stable.v2 as nw
 
         return _Table(nw.from_dict(rows.to_dict(as_series=False), backend=self._frame.implementation))

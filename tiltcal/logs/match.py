@@ -10,8 +10,8 @@ from typing import Any
 
 import tiltcal
 from tiltcal.calibration.pair_calibration import PairCalibration
-from tiltcal.core.pair.matching import Matching, matching_with
 from tiltcal.core.pair.matching import match as match_demodulated
+from tiltcal.core.pair.matching import matching_with
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
@@ -155,7 +155,12 @@ def match_log(
     ):
         observers = [observer for observer in (watch, spectrum) if observer is not None]
         found = demodulate_log(log, channels, phase, observers=observers, say=say, live=online)
-        matchings = tuple(_matched(found, pair, watch, loops) for pair in pairs)
+        matchings = tuple(
+            match_demodulated(found.demodulation, pair)
+            if watch is None
+            else matching_with(found.demodulation, pair, watch.coefficients(pair, loops=loops))
+            for pair in pairs
+        )
     rows = found.rows + found.missing
     if found.missing:
         say(f"{found.missing} of {rows} rows have a missing value and are left out")
@@ -188,10 +193,3 @@ def _explained(log: LogReader) -> Iterator[None]:
         if isinstance(refusal, EstimateError):
             raise EstimateError(why) from refusal
         raise
-
-
-def _matched(found: Demodulated, pair: Pair, watch: PairObserver | None, loops: bool) -> Matching:
-    """Return a pair, matched by the whole record or by what the online estimators ended with."""
-    if watch is None:
-        return match_demodulated(found.demodulation, pair)
-    return matching_with(found.demodulation, pair, watch.coefficients(pair, loops=loops))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
@@ -45,7 +45,7 @@ class Demodulated:
     rows: int
     missing: int
     seconds: float | None
-    spin: Spin | None = field(default=None)
+    spin: Spin | None = None
 
     @property
     def frequency(self) -> float | None:
@@ -154,7 +154,7 @@ class _Angles:
                 break
         self.spin = _spin_of(held)
         for block in chain((held.popleft() for _ in range(len(held))), blocks):
-            self.spin = _followed(self.spin, block)
+            self.spin = followed_spin(self.spin, *_timed(block))
             yield PairBlock(self.spin.theta(_clock(block)), block.readings, block.time, block.first)
 
 
@@ -185,10 +185,6 @@ def _spin_of(held: Collection[PairBlock]) -> Spin:
     if not len(time):
         raise EstimateError("no row of the record has all readings: is every accelerometer connected?")
     return estimate_spin(time[:ROWS_FOR_SPIN], readings[:ROWS_FOR_SPIN])
-
-
-def _followed(spin: Spin, block: PairBlock) -> Spin:
-    return followed_spin(spin, *_timed(block))
 
 
 def _timed(block: PairBlock) -> tuple[Array, Array]:

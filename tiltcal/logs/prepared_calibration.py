@@ -31,35 +31,7 @@ _EXAMPLES = {"magnetometer": "mx,my,mz", "velocity": "u,v,w"}
 
 @frozen
 class ApplyOptions:
-    """How a calibration is to be applied.
-
-    Attributes
-    ----------
-    first_order : bool
-        Cross-axis Compensation eq. 6 in place of the whole matrix.
-    uncertainty : bool
-        Add the uncertainty of every angle.
-    reading_noise : float or None
-        Standard uncertainty of a reading of the log, in its unit; None for that of a sample at the bench.
-    mounting : mapping of str to float or str
-        Roll, pitch and yaw in place of the calibration's, degrees; empty for its own.
-    serial : str or None
-        With a folder of calibrations: of the sensor, where the log does not state it.
-    stability : float or None
-        With a folder: the standard deviation of the offset's change in one day, mg; None to estimate it.
-    start : str or None
-        With a folder: when the time of the log is 0, ISO 8601; None where its time counts from 1970 or is a date.
-    magnetometer, velocity : sequence of str or str
-        The three columns of the magnetic field and of a velocity, such as ``"mx,my,mz"``; empty for none.
-    declination : float or None
-        How far magnetic north is east of true north, degrees.
-    magnetometer_noise : float or None
-        Standard uncertainty of a component of the field, in its unit; None for exact ones.
-    average : int or None
-        Rows of a mean; None for no means.
-    every : str, float or None
-        Time of a mean, such as ``"10s"``, or seconds; None for no means.
-    """
+    """How a calibration is to be applied; the attributes are arguments of :func:`tiltcal.logs.apply.apply_log`."""
 
     first_order: bool = False
     uncertainty: bool = False

@@ -128,7 +128,7 @@ def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: s
         for interval in intervals:
             _require_steady(interval, procedure, file)
         _require_temperatures(intervals, file)
-    measurements = [_placed(interval, _place(interval, known)) for interval in intervals]
+    measurements = [_placed(interval, known) for interval in intervals]
     _require_not_stuck_everywhere(measurements, file)
     return measurements
 
@@ -168,21 +168,18 @@ def require_positions(named: Iterable[Segment] | Iterable[TabledPosition], proce
             )
 
 
-def _place(interval: StaticInterval, known: Mapping[str, Position]) -> Position:
-    """Return the position of a still interval."""
+def _placed(interval: StaticInterval, known: Mapping[str, Position]) -> Measurement:
+    """Return what was measured in the direction that the file states, or in that of the procedure's position."""
     if interval.gravity is None:
-        return known[interval.position]
-    heading = known[interval.position].heading if interval.position in known else None
-    return Position(interval.position, "", interval.gravity, heading=heading)
-
-
-def _placed(interval: StaticInterval, position: Position) -> Measurement:
-    temperature = position.temperature if interval.temperature is None else interval.temperature
+        position = known[interval.position]
+    else:
+        heading = known[interval.position].heading if interval.position in known else None
+        position = Position(interval.position, "", interval.gravity, heading=heading)
     return Measurement(
         interval.name,
         position.gravity,
         position.tilt,
-        temperature,
+        position.temperature if interval.temperature is None else interval.temperature,
         interval.summaries,
         interval.where,
         position.heading,

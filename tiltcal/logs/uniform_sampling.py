@@ -68,6 +68,8 @@ class UniformLog:
 
     Attributes
     ----------
+    name : str
+        The log as the user named it.
     pace : SamplingInterval
         Of the rows so far; whole once all of them were read.
 
@@ -78,7 +80,7 @@ class UniformLog:
     """
 
     def __init__(self, log: LogReader, channels: Sequence[str], named: Mapping[str, str], rate: float | None) -> None:
-        self._log, self._channels, self._file = log, channels, log.name
+        self._log, self._channels, self.name = log, channels, log.name
         self._where = locate_columns(log, channels, named)
         self._time: int | None = None
         self.pace = SamplingInterval(0.0 if rate is None else 1.0 / rate)
@@ -95,11 +97,6 @@ class UniformLog:
         self._last = np.nan
         self._slack = 0.0
         self._regular, self._regular_span = 0, 0.0
-
-    @property
-    def name(self) -> str:
-        """The log as the user named it."""
-        return self._log.name
 
     def samples(self) -> Iterator[Array]:
         """Yield the readings, block after block.
@@ -146,7 +143,7 @@ class UniformLog:
         steps = np.where(single, steps, np.nan)
         if np.nanmin(steps, initial=0.0) < 0.0:
             row = self.pace.rows + int(known[np.nanargmin(steps)])
-            raise InputError(f"time goes back at row {row}: sort the log, or state --rate HZ", file=self._file)
+            raise InputError(f"time goes back at row {row}: sort the log, or state --rate HZ", file=self.name)
         self._last = float(times[-1])
         there = steps[np.isfinite(steps)]
         if not self.pace.interval and len(there):
@@ -165,7 +162,7 @@ class UniformLog:
             if lost > max(_LONGEST_GAP, _GAP_SHARE * place):
                 raise InputError(
                     f"the time leaps by {step:.6g} s at row {place}: cut the log there, or state --rate HZ",
-                    file=self._file,
+                    file=self.name,
                 )
             self.pace.gaps += 1
             self.pace.lost += lost
@@ -182,4 +179,4 @@ class UniformLog:
         return interval
 
     def _unclear(self, why: str) -> InputError:
-        return InputError(f"its sample rate is unknown: {why}; state it with --rate HZ", file=self._file)
+        return InputError(f"its sample rate is unknown: {why}; state it with --rate HZ", file=self.name)
