@@ -25,25 +25,13 @@ if TYPE_CHECKING:
 WORTH_PROCESSES = 16 << 20
 """Total size of logs from which further processes take less time than they take to start, bytes."""
 
-_ENDED = "its library ended the process; the file is damaged"
-
 _PATIENCE = "10s"
 """Timeout for the connection to the scheduler."""
 
 
 @frozen
 class ApplyTask:
-    """One log with its options and output.
-
-    Attributes
-    ----------
-    calibration : Path
-        Its file.
-    log, output : str
-        A file, or ``-``.
-    columns : str
-        The text of ``--columns``.
-    """
+    """One log with its options and output, each a file or ``-``; ``columns`` is the text of ``--columns``."""
 
     calibration: Path
     options: ApplyOptions
@@ -182,20 +170,16 @@ def _done_by_processes(
                 try:
                     yield task, pool.submit(_outcome, task, force).result()
                 except BrokenProcessPool:
-                    yield task, InputError(f"{task.log} cannot be read: {_ENDED}")
+                    yield (
+                        task,
+                        InputError(f"{task.log} cannot be read: its library ended the process; the file is damaged"),
+                    )
 
 
 def done_on(scheduler: str, tasks: Sequence[ApplyTask], force: bool = False) -> Iterator[tuple[ApplyTask, Outcome]]:
     """Run the tasks on the workers of a dask scheduler, which must see the same files; yield each when it is done.
 
     The task of a worker that is lost runs again on another; its output appears whole or not at all.
-
-    Parameters
-    ----------
-    scheduler : str
-        Such as ``tcp://10.0.0.1:8786``.
-    force : bool
-        Run tasks whose results are up to date, too.
 
     Raises
     ------

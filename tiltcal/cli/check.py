@@ -100,15 +100,11 @@ def _of_calibration(path: Path, document: Node) -> tuple[str, list[str]]:
 
 
 def _of_journal_beside(path: Path, captured: FileRecord | None) -> list[str]:
-    if captured is None:
-        return []
-    journal = path.parent / captured.name
-    return _against_journal(path, journal) if os.path.isfile(path) and os.path.isfile(journal) else []
-
-
-def _against_journal(path: Path, journal: Path) -> list[str]:
     """Replay the journal beside a calibration file, and compare."""
+    if captured is None or not (os.path.isfile(path) and os.path.isfile(path.parent / captured.name)):
+        return []
     from tiltcal.bench.session import Session
 
+    journal = path.parent / captured.name
     texts = Session.of_journal(journal).replay().texts
     return [] if path.read_text(encoding="utf-8") in texts.values() else [f"{journal} does not give this file"]

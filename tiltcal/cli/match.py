@@ -63,13 +63,10 @@ def command(
     log: str,
     pairs: tuple[str, ...],
     orthogonals: tuple[str, ...],
-    phase: str | None,
-    online: bool,
-    loops: bool,
-    skip_bad_rows: bool,
     figure: Path | None,
     as_json: bool,
     output: Path | None,
+    **settings: Any,
 ) -> None:
     """Match accelerometer pairs on a rotary stage: scale factor p and misalignment q.
 
@@ -88,17 +85,7 @@ def command(
         check_writable(path)
         require_apart(path, log)
     with progress_bar("match") as progress:
-        found = match_log(
-            log,
-            wanted,
-            phase=phase,
-            online=online,
-            loops=loops,
-            spectra=figure is not None,
-            skip_bad_rows=skip_bad_rows,
-            say=remark,
-            progress=progress,
-        )
+        found = match_log(log, wanted, spectra=figure is not None, say=remark, progress=progress, **settings)
     drawing = _drawing(found)
     if output:
         found.calibration.save(output)

@@ -179,8 +179,6 @@ class LibraryKernel:
         The lowest and the highest reading of each channel; empty where they are not known.
     start : float or None
         When the time of the log is 0, seconds since 1970; None where its time counts from 1970.
-    log : str
-        For messages.
     """
 
     def __init__(

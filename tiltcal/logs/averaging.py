@@ -36,15 +36,7 @@ _SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 @frozen
 class Averaging:
-    """What belongs into one mean.
-
-    Attributes
-    ----------
-    rows : int or None
-        So many rows of the log.
-    seconds : float or None
-        So much time.
-    """
+    """What belongs into one mean: so many rows of the log, or so many seconds."""
 
     rows: int | None = None
     seconds: float | None = None
@@ -101,8 +93,6 @@ class Means:
 
     Attributes
     ----------
-    names : sequence of str
-        The columns of the log.
     sensors : sequence of SensorColumns
         Where the readings stand.
     rails : mapping of int to (float, float)
@@ -119,13 +109,7 @@ class Means:
     heading: int | None = None
 
     def blocks(self, blocks: Iterable[LogBlock]) -> Iterator[AveragedBlock]:
-        """Yield the means of the rows of blocks; the last one may be of fewer rows.
-
-        Parameters
-        ----------
-        blocks : iterable of LogBlock
-            With all their columns.
-        """
+        """Yield the means of the rows of blocks with all their columns; the last mean may be of fewer rows."""
         pending: LogBlock | None = None
         bad = done = 0
         for block in blocks:

@@ -95,8 +95,6 @@ def locate_columns(
 
     Parameters
     ----------
-    channels : sequence of str
-        The readings that are needed.
     named : mapping of str to str
         Column name by role, from :func:`named_columns`.
     others : sequence of str
@@ -149,12 +147,7 @@ def locate_readings(
 
 
 def require_unit(log: LogReader, columns: Sequence[int], unit: str, whose: str = "the calibration") -> None:
-    """Refuse a log whose columns state another unit than ``whose`` (what messages call it).
-
-    Raises
-    ------
-    InputError
-    """
+    """Raise InputError for a log whose columns state another unit than ``whose`` (what messages call it)."""
     for column in columns:
         stated = log.unit(column)
         if stated is not None and not same_unit(stated, unit):
@@ -165,12 +158,7 @@ def require_unit(log: LogReader, columns: Sequence[int], unit: str, whose: str =
 
 
 def require_celsius(log: LogReader, where: Mapping[str, int]) -> None:
-    """Refuse a log whose temperature states another unit than °C.
-
-    Raises
-    ------
-    InputError
-    """
+    """Raise InputError for a log whose temperature states another unit than °C."""
     if TEMPERATURE in where:
         require_unit(log, [where[TEMPERATURE]], "°C", "temperatures")
 

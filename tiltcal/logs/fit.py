@@ -230,12 +230,7 @@ class FitSource:
         return not self.table and self.segments is None
 
     def require_sound(self, procedure: Procedure) -> None:
-        """Refuse what contradicts itself.
-
-        Raises
-        ------
-        UsageError
-        """
+        """Raise UsageError for what contradicts itself."""
         if self.table and self.segments is not None:
             raise UsageError("a --table has its positions already: leave --segments out")
         if self.table and self.columns:

@@ -26,11 +26,6 @@ Units = Mapping[str, str | None]
 class FrameReader(LogReader):
     """A frame, read like a log of one block.
 
-    Parameters
-    ----------
-    name : str
-        What messages call it.
-
     Raises
     ------
     UsageError
@@ -51,10 +46,6 @@ class FrameReader(LogReader):
 
     def unit(self, column: int) -> str | None:
         return self._frame.unit(self.names[column])
-
-    @property
-    def sha256(self) -> str:
-        raise UsageError("a frame has no checksum: name the file that it came from")
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         values, along, wrong = {}, {}, None

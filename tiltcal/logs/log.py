@@ -79,8 +79,6 @@ class LogSource:
         Keep rows that cannot be parsed, named in :attr:`LogBlock.faults`, instead of raising; CSV alone has such rows.
     digest : bool
         Keep the checksum of what is read, for :attr:`LogReader.sha256`.
-    progress : callable or None
-        Called after each block.
     """
 
     stream: BinaryIO
@@ -130,7 +128,7 @@ class LogReader(ABC):
     @property
     def interrupted(self) -> bool:
         """Whether Ctrl-C has ended a live stream."""
-        return False
+        return bool(getattr(self.source.stream, "interrupted", False))
 
     def rows(
         self, columns: Sequence[int], time: int | None = None, *, frames: bool = False, needs_time: bool = False
@@ -203,8 +201,6 @@ class LogWriter(ABC):
     ----------
     sink : BinaryIO
         Where they go; it can be read as well, but for standard output.
-    log : LogReader
-        Where the rows come from.
     added : sequence of str
         Names of the columns behind the log's own.
     origin : mapping of str to str
@@ -253,12 +249,7 @@ class LogWriter(ABC):
 
 
 def require_free(names: Sequence[str], added: Sequence[str]) -> None:
-    """Refuse columns of a name that the log has already.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Raise UsageError for columns of a name that the log has already."""
     taken = [name for name in added if name in names]
     if taken:
         raise UsageError(

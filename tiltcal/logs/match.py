@@ -129,14 +129,7 @@ def match_log(
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
 ) -> MatchedLog:
-    """Match pairs, and keep what a figure shows; the arguments are those of :func:`match`, and:
-
-    Parameters
-    ----------
-    spectra : bool
-        Estimate spectra too.
-    progress : callable, optional
-        Called with the bytes that have been read, after each block.
+    """Match pairs, and keep what a figure shows, spectra on request; the other arguments are those of :func:`match`.
 
     Raises
     ------

@@ -145,12 +145,7 @@ class NoiseFacts:
         return cls(channels, own_unit, {}, "")
 
     def require_scale(self, target: NoiseTarget) -> None:
-        """Refuse a target in degrees where nothing states how much a degree is.
-
-        Raises
-        ------
-        UsageError
-        """
+        """Raise UsageError for a target in degrees where nothing states how much a degree is."""
         if target.degrees is not None and not self.sensitivity:
             option = "--target" if target.range is None else "--target-range"
             raise UsageError(
@@ -176,14 +171,9 @@ def characterise_readings(
     name: str | None = None,
     progress: Progress | None = None,
 ) -> SensorNoise:
-    """Characterise readings with the facts that are known; the other arguments are those of :func:`noise`, and:
+    """Characterise readings with the facts that are known; the other arguments are those of :func:`noise`.
 
-    Parameters
-    ----------
-    name : str, optional
-        What messages call the log, in place of its own name.
-    progress : callable, optional
-        Called with the bytes that have been read, after each block.
+    ``name`` is what messages call the log, in place of its own name.
     """
     require_above_zero("--rate", rate)
     for size in averages:

@@ -96,8 +96,6 @@ def characterise_log(
 
     Parameters
     ----------
-    channels : sequence of str
-        As the log has them.
     sizes : sequence of int
         Sizes of averages that are asked for beside 1, 10, 100, ...
 

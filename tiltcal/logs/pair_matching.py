@@ -71,8 +71,6 @@ def demodulate_log(
 
     Parameters
     ----------
-    channels : sequence of str
-        The columns of the readings.
     phase : str or None
         The column of the stage angle in degrees; None where there is no encoder and the spin is to be estimated, from
         the column ``time`` or, without one, from the number of the row.

@@ -28,8 +28,6 @@ class PairObserver:
 
     Parameters
     ----------
-    channels : sequence of str
-        Of the log's blocks.
     say : callable
         Told where the estimators are held, and go on.
     """
@@ -82,13 +80,7 @@ class PairObserver:
 
 
 class SpectrumObserver:
-    """The spectra of a log's readings.
-
-    Parameters
-    ----------
-    channels : sequence of str
-        Of the log's blocks.
-    """
+    """The spectra of a log's readings."""
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._channels = tuple(channels)

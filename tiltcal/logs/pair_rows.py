@@ -81,8 +81,6 @@ class StuckValues:
 
     Parameters
     ----------
-    channels : sequence of str
-        Of the blocks' readings.
     say : callable
         Told which channel is stuck, and from which row on.
     """

@@ -84,12 +84,7 @@ class ApplyOptions:
         return found
 
     def require_file(self) -> None:
-        """Refuse what is for a folder of calibrations.
-
-        Raises
-        ------
-        UsageError
-        """
+        """Raise UsageError for what is for a folder of calibrations."""
         for name in ("serial", "stability", "start"):
             if getattr(self, name) is not None:
                 raise UsageError(f"--{name} is for a folder of calibrations (--calibrations)")

@@ -124,13 +124,7 @@ def still_segments(choice: StaticDetection) -> list[Segment]:
 
 
 def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit: str) -> str:
-    """Return what was tried with the chosen window, and what was chosen, as a table.
-
-    Parameters
-    ----------
-    unit : str
-        Of the readings.
-    """
+    """Return what was tried with the chosen window, and what was chosen, as a table in the unit of the readings."""
     windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried))
     lines = [
         f"still: standard deviation over {chosen.window} rows up to {chosen.threshold:.4g} {unit}, "

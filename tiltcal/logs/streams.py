@@ -40,12 +40,10 @@ class ByteReader(Protocol):
 
 @contextmanager
 def log_source(log: str, *, live: bool = False) -> Iterator[tuple[BinaryIO, int | None]]:
-    """Open a log; its bytes, and its size where it has one.
+    """Open a log, a file or ``-`` for standard input: its bytes, and its size where it has one.
 
     Parameters
     ----------
-    log : str
-        A file, or ``-`` for standard input.
     live : bool
         Hand on each line as it arrives, and let Ctrl-C end a stream that has no end of its own; see
         :class:`LiveStream`.
@@ -82,13 +80,7 @@ def _opened(log: str) -> Iterator[tuple[BinaryIO, int | None]]:
 
 @contextmanager
 def log_sink(output: str) -> Iterator[BinaryIO]:
-    """Open where the rows go: all of them or none appear there.
-
-    Parameters
-    ----------
-    output : str
-        A file, or ``-`` for standard output.
-    """
+    """Open where the rows go, a file or ``-`` for standard output: all of them or none appear there."""
     if output != STANDARD:
         from tiltcal.files.atomic import whole_file
 
@@ -201,12 +193,7 @@ def read_ahead(items: Iterator[T], count: int = 2) -> Iterator[T]:
 
 
 class HashingReader:
-    """A stream that keeps the SHA-256 of the bytes that were read from it, computed while the next ones are read.
-
-    Attributes
-    ----------
-    bytes_read : int
-    """
+    """A stream that keeps the SHA-256 of the bytes that were read from it, computed while the next ones are read."""
 
     def __init__(self, stream: ByteReader) -> None:
         self._stream = stream

@@ -58,8 +58,6 @@ class UniformLog:
 
     Parameters
     ----------
-    channels : sequence of str
-        The readings.
     named : mapping of str to str
         Column name by role, from ``--columns``.
     rate : float or None
@@ -99,12 +97,7 @@ class UniformLog:
         self._regular, self._regular_span = 0, 0.0
 
     def samples(self) -> Iterator[Array]:
-        """Yield the readings, block after block.
-
-        Yields
-        ------
-        ndarray, shape (n, channels)
-            NaN where a value is missing.
+        """Yield the readings, block after block, shape (n, channels); NaN where a value is missing.
 
         Raises
         ------

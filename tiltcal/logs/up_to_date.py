@@ -25,14 +25,7 @@ _ATTRIBUTE = "user.tiltcal.applied"
 def fingerprint(log: str, calibration: Path, options: Mapping[str, Any]) -> str | None:
     """Return the checksum of everything that decides a result; None for what cannot be read twice, such as a pipe.
 
-    Parameters
-    ----------
-    log : str
-        The file.
-    calibration : Path
-        A file, or a folder of files.
-    options : mapping
-        Every option, as plain data.
+    The calibration is a file or a folder of files, and the options are plain data.
 
     Raises
     ------

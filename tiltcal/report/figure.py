@@ -136,14 +136,9 @@ def picture(
 
 
 def inline(svg: str, name: str, title: str, description: str) -> str:
-    """Return an SVG file as an element of a page: without prologue and page-wide style, with its own ids and text.
+    """Return an SVG file of matplotlib as an element of a page: without prologue and page-wide style.
 
-    Parameters
-    ----------
-    svg : str
-        As matplotlib writes it.
-    name : str
-        Leads every id.
+    Its name leads every id, so that these are its own, and its text is that of title and description.
     """
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<defs>\s*</defs>", "", svg, flags=re.DOTALL)

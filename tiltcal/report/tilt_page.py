@@ -8,10 +8,10 @@ from pathlib import Path
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.provenance_record import FileRecord
-from tiltcal.report.change_section import change_section
 from tiltcal.report.coefficients_section import (
     SOURCES,
     budget,
+    change_section,
     coefficient_table,
     correlations,
     derived_groups,
@@ -53,8 +53,6 @@ def tilt_page(
 
     Parameters
     ----------
-    source : FileRecord
-        The file that it was read from.
     earlier : sequence of (CalibrationRecord, str)
         Earlier calibrations of the sensor, with the names of their files.
     figures : mapping of str to SvgFigure or None, optional

@@ -58,12 +58,7 @@ def log_format(name: str | Path) -> LogFormat:
 
 
 def require_way(log: str | Path, output: str | Path) -> None:
-    """Refuse what cannot be written: NetCDF in another format, or another format in NetCDF.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Raise UsageError for what cannot be written: NetCDF in another format, or another format in NetCDF."""
     read, written = log_format(log), log_format(output)
     if read is written or not (read.kept or written.kept):
         return
@@ -82,7 +77,7 @@ def open_log(
     live: bool = False,
     progress: Progress | None = None,
 ) -> Iterator[LogReader]:
-    """Open a log of any format, or a frame.
+    """Open a log of any format, or a frame; the other arguments are those of :class:`LogSource`.
 
     Parameters
     ----------
@@ -90,14 +85,8 @@ def open_log(
         A file, ``-`` for CSV on standard input, or a frame; see :mod:`tiltcal.logs.frames`.
     name : str, optional
         What messages call the log, in place of its own name.
-    skip_bad_rows : bool
-        Keep rows of CSV that cannot be parsed, instead of raising.
-    digest : bool
-        Keep the checksum of what is read, for :attr:`LogReader.sha256`.
     live : bool
         Hand on each line of CSV as it arrives, and let Ctrl-C end a stream that has no end of its own.
-    progress : callable, optional
-        Called with the bytes that have been read, after each block.
 
     Raises
     ------

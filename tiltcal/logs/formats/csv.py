@@ -38,12 +38,6 @@ class CsvReader(LogReader):
 
     Parameters
     ----------
-    skip_bad_rows : bool
-        Keep rows that cannot be parsed, named in :attr:`LogBlock.faults`, instead of raising.
-    digest : bool
-        Keep the checksum of what is read.
-    progress : callable, optional
-        Called after each block.
     block : int
         How much to read at a time, bytes.
 
@@ -83,10 +77,6 @@ class CsvReader(LogReader):
         self.names = self._distinct(self._comma_separated_names(text) if names is None else names)
         if names is not None:
             self._begin_behind_blanks(stream)
-
-    @property
-    def interrupted(self) -> bool:
-        return bool(getattr(self.source.stream, "interrupted", False))
 
     @property
     def _reads_ahead(self) -> bool:

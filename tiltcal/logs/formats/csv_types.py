@@ -32,8 +32,6 @@ class ColumnTypes:
 
     Parameters
     ----------
-    names : sequence of str
-        The columns.
     needed : sequence of int
         Indices of the columns that hold numbers.
     time : int or None

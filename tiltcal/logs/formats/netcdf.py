@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.model import Array
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.files.moments import to_the_second
 from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement, seconds_since_1970
@@ -158,8 +157,9 @@ class NetcdfReader(LogReader):
         for start in range(0, total, step):
             rows, wrong = slice(start, min(start + step, total)), None
             with self._refusing_damage():
-                values = {index: self._numbers(self.names[index], {dimension: rows}) for index in numbers}
-                cells = None if text is None else self._cells(self.names[text], {dimension: rows})
+                found = {index: self._data[self.names[index]].isel({dimension: rows}).values for index in columns}
+                values = {index: np.asarray(found[index], dtype=float) for index in numbers}
+                cells = None if text is None else _cells(found[text])
             if text is not None and cells is not None:
                 values[text] = seconds(cells)
                 timed = timed or bool(np.isfinite(values[text]).any())
@@ -176,15 +176,6 @@ class NetcdfReader(LogReader):
         with self._refusing_damage():
             along = [name for name in self.names if self._data[name].dims == (dimension,)]
             return pl.DataFrame({name: self._data[name].isel({dimension: rows}).values for name in along})
-
-    def _numbers(self, name: str, rows: Mapping[str, slice]) -> Array:
-        return np.asarray(self._data[name].isel(rows).values, dtype=float)
-
-    def _cells(self, name: str, rows: Mapping[str, slice]) -> pl.Series:
-        import polars as pl
-
-        cells = self._data[name].isel(rows).values.tolist()
-        return pl.Series([cell.decode(errors="replace") if isinstance(cell, bytes) else str(cell) for cell in cells])
 
     def _step(self, columns: Sequence[int]) -> int:
         """Rows of a block: whole chunks, or each would be unpacked for every block that has a part of it."""
@@ -209,6 +200,14 @@ class NetcdfReader(LogReader):
             raise
         except Exception as failure:
             raise InputError(f"this is no NetCDF-4 file, or a damaged one: {failure}", file=self.name) from failure
+
+
+def _cells(values: NDArray[Any]) -> pl.Series:
+    """Return text as text, also where the file has it as bytes."""
+    import polars as pl
+
+    cells = values.tolist()
+    return pl.Series([cell.decode(errors="replace") if isinstance(cell, bytes) else str(cell) for cell in cells])
 
 
 def _library() -> Any:
@@ -246,7 +245,7 @@ class NetcdfWriter(LogWriter):
         ):
             chunk = len(first[0])
             variables = {name: self._variable(file, name, dimension, like, chunk) for name in self._added}
-            _write_chunks(variables, self._tables(chain([first], rows), check_interrupts), chunk)
+            _write_chunks(variables, (table for _, table in chain([first], rows)), chunk, check_interrupts)
             file.attrs["history"] = _history(file.attrs.get("history"), self._origin, datetime.now(UTC))
 
     def _write_means(self, log: NetcdfReader, blocks: Sequence[tuple[LogBlock, Table]]) -> None:
@@ -274,12 +273,6 @@ class NetcdfWriter(LogWriter):
             file.attrs.update(log.file_attributes)
             file.attrs["history"] = _history(file.attrs.get("history"), self._origin, datetime.now(UTC))
 
-    @staticmethod
-    def _tables(blocks: Iterable[tuple[LogBlock, Table]], check_interrupts: Callable[[], None]) -> Iterator[Table]:
-        for _, table in blocks:
-            check_interrupts()
-            yield table
-
     def _variable(self, file: Any, name: str, dimension: str, like: Mapping[str, Any], chunk: int = _CHUNK) -> Any:
         """Create a variable; ``like`` are the attributes of a reading, ``chunk`` is the most rows of a chunk."""
         whole = is_judgement(name) or name == COUNT
@@ -298,7 +291,9 @@ class NetcdfWriter(LogWriter):
         return variable
 
 
-def _write_chunks(variables: Mapping[str, Any], tables: Iterable[Table], chunk: int) -> None:
+def _write_chunks(
+    variables: Mapping[str, Any], tables: Iterable[Table], chunk: int, check_interrupts: Callable[[], None]
+) -> None:
     """Write tables of ``chunk`` rows each, the last one of fewer, whose columns are packed in threads.
 
     The library packs one chunk after the other, and holds all else meanwhile.
@@ -312,6 +307,7 @@ def _write_chunks(variables: Mapping[str, Any], tables: Iterable[Table], chunk: 
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         for number, table in enumerate(tables):
+            check_interrupts()
             for name, values in table.items():
                 dataset = variables[name]._h5ds
                 column = np.asarray(values, dataset.dtype)

@@ -23,13 +23,7 @@ _GAPS = re.compile(rb"[ \t]+")
 
 
 def numbered_columns(first_line: str) -> tuple[str, ...] | None:
-    """Return the columns' numbers, where a first line is a row of numbers; None where it names the columns.
-
-    Parameters
-    ----------
-    first_line : str
-        With or without its line end.
-    """
+    """Return the columns' numbers, where a first line is a row of numbers; None where it names the columns."""
     fields = [field.strip() for field in first_line.split(",")] if "," in first_line else first_line.split()
     if not fields or not all(is_number(field) for field in fields):
         return None
@@ -39,41 +33,21 @@ def numbered_columns(first_line: str) -> tuple[str, ...] | None:
 
 
 def blank_separated_names(first_line: str, second_line: str) -> tuple[str, ...] | None:
-    """Return the columns that a first line names whose fields are parted by blanks; None where they are not.
-
-    Parameters
-    ----------
-    first_line, second_line : str
-        With or without their line ends.
-    """
+    """Return the columns that a first line names whose fields are parted by blanks; None where they are not."""
     names = first_line.removeprefix("#").split()
     parted = len(names) > 1 and "," not in first_line + second_line and len(second_line.split()) == len(names)
     return tuple(names) if parted else None
 
 
 class WhitespaceSeparated:
-    """The bytes of a log whose fields are parted by blanks, as CSV.
-
-    Parameters
-    ----------
-    beginning : bytes
-        What was read of the log already.
-    stream : ByteReader
-        The rest of it.
-    """
+    """The bytes of a log whose fields are parted by blanks, as CSV: of what was read already, and of the rest of it."""
 
     def __init__(self, beginning: bytes, stream: ByteReader) -> None:
         self._pending = beginning
         self._stream = stream
 
     def read(self, size: int) -> bytes:
-        """Some lines; nothing at the end.
-
-        Parameters
-        ----------
-        size : int
-            How much to read of the log at a time, bytes.
-        """
+        """Return some lines, reading the log by so many bytes at a time; nothing at the end."""
         data, more = self._pending, b" "
         # A line is turned as a whole: a blank at the end of what was read may be a margin or a gap.
         while b"\n" not in data and more and len(data) < _LONGEST_LINE:
