@@ -15,7 +15,6 @@ from support.stage_bench import A1_A2, A3_A4, Attendant, Line, line, lines, regr
 from tiltcal.bench.operators.operator import StageTurn
 from tiltcal.bench.rotation_runner import ALL_TURNS, CONVERGED, STOPPED
 from tiltcal.core.pair.matching import Matching
-from tiltcal.core.pair.online import Recursive
 from tiltcal.errors import BusError, HardwareError, JournalError, Stopped
 
 # 100 lines a turn at 50 a second.
@@ -300,7 +299,7 @@ def test_memory_does_not_grow_with_the_turns(monkeypatch: pytest.MonkeyPatch) ->
     What is kept rises and falls within 60 turns, so the most of the turns 70 to 120 and 130 to 180 is compared.
     """
     monkeypatch.setattr("tiltcal.core.pair.demodulate.MOST_BLOCKS", 16)
-    monkeypatch.setattr(Recursive.__init__, "__defaults__", (10.0,))
+    monkeypatch.setattr("tiltcal.core.pair.online.MEMORY", 10.0)
     printed, attendant = lines(disk.record(seconds=380.0, rate=8.0, spin=0.5)), Weighing()
     tracemalloc.start()
     try:
