@@ -9,9 +9,8 @@ import os
 import sys
 
 from tiltcal.cli.talk import talk
+from tiltcal.errors import INTERRUPTED, UsageError
 
-INTERRUPTED = 130
-_WRONG = 2
 _AGAIN = 1e-3  # seconds after which a Ctrl-C that was dropped comes again
 
 
@@ -31,7 +30,8 @@ def main(args: list[str] | None = None) -> None:
         code = run_guarded(lambda: _run(args), args) if needs_guard(args) else _run(args)
     except KeyboardInterrupt:
         code = _interrupted()
-    _leave(code)
+    # Without waiting for the engine's threads: one that asks for the interpreter while it shuts down aborts.
+    os._exit(code)
 
 
 def _one_blas_thread() -> None:
@@ -103,13 +103,8 @@ def _flushed(code: int) -> int:
         return code
     except OSError as failure:
         talk(f"tiltcal: the output cannot be written: {failure.strerror}")
-        return code or _WRONG
+        return code or UsageError.exit_code
     return code
-
-
-def _leave(code: int) -> None:
-    """Leave without waiting for the engine's threads: one that asks for the interpreter while it shuts down aborts."""
-    os._exit(code)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Nominal
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.moments import stamp
@@ -71,7 +71,7 @@ def tilt_calibrations(
             MeasuredSensor(
                 sensor.identity,
                 [result.measurements[sensor.serial] for result in accepted],
-                Nominal.of(sensor.model),
+                sensor.model,
                 sensor.orientation.matrix,
                 sensor.model.thermometer_rounding if own_thermometers else None,
                 base.calibration if (base := plan.bases.get(sensor.serial)) else None,

@@ -283,13 +283,7 @@ def read(path: str | Path) -> Calibration | PairCalibration:
 
 
 def calibration_in(document: Node) -> Calibration | PairCalibration:
-    """Return the calibration of a document, of either kind.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong.
-    """
+    """Return the calibration of a document, of either kind; an InputError where anything in it is wrong."""
     kind = document.entries().get("kind")
     if kind is not None and kind.names("pair"):
         from tiltcal.calibration.pair_calibration import PairCalibration

@@ -125,13 +125,7 @@ def _combined(sessions: Sequence[CombinedSession]) -> CalibrationRecord:
 def _estimate(
     sessions: Sequence[CombinedSession], target: Coefficients, *, unlevelled: bool
 ) -> tuple[Combination, list[str]]:
-    """Return what the sessions together state, and remarks on what was left out.
-
-    Raises
-    ------
-    EstimateError
-        No session determines an offset.
-    """
+    """Return what the sessions together state, and remarks on what was left out; EstimateError without any offset."""
     stated = [session.statement(target, unlevelled=unlevelled) for session in sessions]
     statements = [statement for statement, _ in stated if statement.names]
     remarks = [remark for _, remark in stated if remark]

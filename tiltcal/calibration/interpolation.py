@@ -86,16 +86,19 @@ class Interval:
             too far apart for a change with time.
         """
         require_same_sensor(before, after)
-        for what in ("axes", "thermal", "mounting"):
-            earlier, later = getattr(before.coefficients, what), getattr(after.coefficients, what)
-            if (earlier != later) if what == "axes" else ((earlier is None) != (later is None)):
-                named = {"thermal": "temperature terms", "mounting": "a mounting"}.get(what, "other axes")
+        one, other = before.coefficients, after.coefficients
+        for named, differ in (
+            ("other axes", one.axes != other.axes),
+            ("temperature terms", (one.thermal is None) != (other.thermal is None)),
+            ("a mounting", (one.mounting is None) != (other.mounting is None)),
+        ):
+            if differ:
                 raise UsageError(
                     f"one of two calibrations has {named} and the other has not: give both the same coefficients, such "
                     "as with `tiltcal combine`"
                 )
-        _require_one_sensitivity(before.coefficients, after.coefficients)
-        reference = None if after.coefficients.thermal is None else after.coefficients.thermal.reference
+        _require_one_sensitivity(one, other)
+        reference = None if other.thermal is None else other.thermal.reference
         return cls(before, after, days, (_Part.of(before, reference), _Part.of(after, reference)))
 
     def at(self, share: float, stability: Stability | None = None) -> CalibrationRecord:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tiltcal.calibration.channel_checks import judge_channels
 from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, uncertainty_of
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal, rails_of
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.hysteresis import with_hysteresis
@@ -19,6 +19,7 @@ from tiltcal.core.model import AXES, Limits
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import significant
 from tiltcal.core.statistics import SampleSummary
+from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.position_record import PositionSet, ProcedureRecord
@@ -101,13 +102,7 @@ def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: 
 
 
 def observed_sensor(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> SensorObservations:
-    """Return a sensor as the estimator takes it.
-
-    Raises
-    ------
-    EstimateError
-        The sensor has none of the procedure's axes, or a sensitivity that is not known has to stand in.
-    """
+    """Return a sensor as the estimator takes it; what :func:`design_of` refuses is refused here."""
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
     return SensorObservations(design, observations_of(sensor.measurements, design.channels), sensor.orientation)
 
@@ -117,7 +112,7 @@ def design_of(
     procedure: Procedure,
     bench: BenchUncertainty,
     *,
-    nominal: Nominal | None = None,
+    nominal: Model | None = None,
     base: CalibrationRecord | None = None,
 ) -> Design:
     """Return what a procedure determines of a sensor, and how well the bench sets what it sets.
@@ -152,11 +147,11 @@ def design_of(
     )
 
 
-def _with_nominal(design: Design, procedure: Procedure, nominal: Nominal | None) -> Design:
+def _with_nominal(design: Design, procedure: Procedure, nominal: Model | None) -> Design:
     """Put the model's sensitivity in place of one that is not determined."""
     if nominal is None:
         raise EstimateError(no_sensitivity(procedure))
-    own, cross = Prior(nominal.sensitivity, nominal.spread), Prior(0.0)
+    own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)
     priors = {
         f"sensitivity.{channel}.{axis}": own if axis == channel else cross
         for channel in design.channels

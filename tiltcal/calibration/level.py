@@ -239,21 +239,14 @@ class _Renewal:
 
     def record(self, bench: BenchUncertainty) -> LevelFit:
         """Return by how much the offsets have changed, for the file."""
-        channels = self.base.coefficients.channels
+        changes = dict(zip(self.base.coefficients.channels, self.changes, strict=True))
         incomplete = NO_LEVEL if bench.jig is None and bench.table is None else ""
         lean = [angle for angle in (bench.jig, bench.table) if angle is not None]
         return LevelFit(
-            change={
-                c: round_to(change.difference, change.u or 0.0)
-                for c, change in zip(channels, self.changes, strict=True)
-            },
-            change_uncertainty={
-                c: significant(change.u, DIGITS) for c, change in zip(channels, self.changes, strict=True) if change.u
-            },
+            change={c: round_to(change.difference, change.u or 0.0) for c, change in changes.items()},
+            change_uncertainty={c: significant(change.u, DIGITS) for c, change in changes.items() if change.u},
             change_coverage_factor={
-                c: round(change.threshold(COVERAGE), 3)
-                for c, change in zip(channels, self.changes, strict=True)
-                if change.u
+                c: round(change.threshold(COVERAGE), 3) for c, change in changes.items() if change.u
             },
             verdict=str(judge(self.changes, incomplete)),
             temperature=None if self.temperature is None else round(self.temperature, 3),

@@ -10,7 +10,7 @@ from tiltcal.core.estimation.design import STRAIGHT
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
-from tiltcal.drivers.device import Model, Population
+from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.position_record import PositionRecord
@@ -113,33 +113,8 @@ def missing_temperature(base: CalibrationRecord, measurement: Measurement) -> st
     )
 
 
-@frozen
-class Nominal:
-    """The facts of a sensor's model that stand in where a procedure does not determine them.
-
-    Attributes
-    ----------
-    sensitivity, spread : float
-        Nominal sensitivity in unit/g, and its standard deviation over parts in unit/g.
-    rails : tuple of float
-        In unit.
-    population : Population or None
-        The mean temperature curves of its parts.
-    """
-
-    sensitivity: float
-    spread: float
-    rails: tuple[float, float]
-    population: Population | None = None
-
-    @classmethod
-    def of(cls, model: Model) -> Nominal:
-        """Return the facts of a model as its data sheet states them."""
-        return cls(model.sensitivity, model.sensitivity * model.sensitivity_spread, model.rails, model.population)
-
-
 def rails_of(
-    channels: Sequence[str], nominal: Nominal | None, base: CalibrationRecord | None
+    channels: Sequence[str], nominal: Model | None, base: CalibrationRecord | None
 ) -> Mapping[str, tuple[float, float]]:
     """Return the lowest and the highest reading of each channel, unit: of the model, or those that a base states."""
     if nominal is not None:
@@ -161,8 +136,9 @@ class MeasuredSensor:
 
     Attributes
     ----------
-    nominal : Nominal or None
-        Of the sensor's model.
+    nominal : Model or None
+        The sensor's model, whose facts stand in where a procedure does not determine them; None where it is not known,
+        or reads another unit.
     orientation : sequence of sequence of float
         3 by 3; takes a vector of the fixture's frame to the sensor's.
     thermometer : float or None
@@ -177,7 +153,7 @@ class MeasuredSensor:
 
     sensor: SensorIdentity
     measurements: Sequence[Measurement]
-    nominal: Nominal | None = None
+    nominal: Model | None = None
     orientation: Sequence[Sequence[float]] = STRAIGHT
     thermometer: float | None = None
     base: CalibrationRecord | None = None

@@ -110,12 +110,8 @@ class PairCalibration:
         return "\n\n".join(pair_summary(matching) for matching in self.matchings)
 
 
-def pair_table(matching: Matching) -> str:
-    """Components at the turning before matching, after p, and after p and q (the source's Table 1)."""
-    return "\n".join(_pair_rows(matching))
-
-
-def _pair_rows(matching: Matching) -> Iterator[str]:
+def _table(matching: Matching) -> Iterator[str]:
+    """Yield the components at the turning before matching, after p, and after p and q (the source's Table 1)."""
     pair = matching.pair
     names = {pair.first: pair.first, pair.second: pair.second, SUM: f"{pair.first} + {pair.second}"}
     wide = max(len(text) for text in names.values())
@@ -137,7 +133,7 @@ def pair_summary(matching: Matching) -> str:
     return "\n".join(
         [
             f"{matching.pair.first} and {matching.pair.second}, orthogonal {matching.pair.orthogonal}",
-            pair_table(matching),
+            *_table(matching),
             f"p = {bracketed(matching.p, matching.u_p)}   q = {bracketed(matching.q, matching.u_q)}",
             suppressed(matching),
         ]

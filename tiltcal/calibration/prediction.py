@@ -12,7 +12,7 @@ import numpy as np
 
 from tiltcal.calibration.joint_fit import design_of
 from tiltcal.calibration.labels import unit_of
-from tiltcal.calibration.measurement import BenchUncertainty, Nominal
+from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, Prediction, predict_uncertainty
 from tiltcal.core.model import AXES
@@ -220,7 +220,7 @@ def predict(
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
     warmth = model.thermometer_rounding if thermometer is None else thermometer
     bench = BenchUncertainty(jig, warmth, table_lean)
-    design = design_of(identity, procedure, bench, nominal=Nominal.of(model), base=base)
+    design = design_of(identity, procedure, bench, nominal=model, base=base)
     scatter = _usual_noise(model) if noise is None else noise
     count = samples or procedure.samples
     # A steady reading that is rounded keeps an error that no averaging removes.
@@ -261,31 +261,21 @@ def _usual_drift(model: Model, base: CalibrationRecord | None) -> float:
 
 
 def _planned(procedure: Procedure, orientation: Orientation, reference: float) -> Sequence[PlannedPosition]:
-    planned: list[PlannedPosition] = []
-    before = None
-    for position in procedure.positions:
-        setting = (position.gravity, position.heading)
-        planned.append(
-            PlannedPosition(
-                position.name,
-                orientation.seen(position.gravity),
-                position.temperature if position.temperature is not None else reference,
-                position.heading,
-                held=setting == before,
-            )
+    settings = [None, *((position.gravity, position.heading) for position in procedure.positions)]
+    return [
+        PlannedPosition(
+            position.name,
+            orientation.seen(position.gravity),
+            position.temperature if position.temperature is not None else reference,
+            position.heading,
+            held=setting == before,
         )
-        before = setting
-    return planned
+        for position, (before, setting) in zip(procedure.positions, pairwise(settings), strict=True)
+    ]
 
 
 def require_tilt(procedure: Procedure, model: Model) -> None:
-    """Refuse a device whose readings are no components of gravity.
-
-    Raises
-    ------
-    UsageError
-        What it reads, and what to do.
-    """
+    """Refuse a device whose readings are no components of gravity, with a UsageError."""
     if not model.senses_tilt:
         others = [channel for channel in model.channels if channel not in AXES]
         raise UsageError(

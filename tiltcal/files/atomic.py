@@ -45,13 +45,7 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def write_whole(path: str | Path, text: str) -> None:
-    """Write a text as UTF-8, whole or not at all.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be written there, or the disk is full.
-    """
+    """Write a text as UTF-8, whole or not at all; errors are those of :func:`whole_file`."""
     with whole_file(path) as stream:
         stream.write(text.encode(errors="replace"))  # names of files may be other than UTF-8
 
@@ -95,13 +89,7 @@ def check_writable(path: str | Path) -> None:
 
 
 def require_apart(path: str | Path, *read: str | Path) -> None:
-    """Refuse to write a file in place of one that the command reads.
-
-    Raises
-    ------
-    UsageError
-        They are one file.
-    """
+    """Refuse to write a file in place of one that the command reads, with a UsageError."""
     for source in read:
         if os.path.realpath(source) == os.path.realpath(path) and not _is_special(path):
             raise UsageError(f"cannot write {path}: it would replace {source}, which is read; name another file")

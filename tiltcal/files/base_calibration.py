@@ -25,13 +25,7 @@ class BaseFile:
 
     @cached_property
     def calibration(self) -> CalibrationRecord:
-        """The calibration in it.
-
-        Raises
-        ------
-        InputError
-            Anything in it is wrong; the message names file, line and key.
-        """
+        """The calibration in it; an InputError names file, line and key of what is wrong."""
         return TILT.read(checked_kind(parse_document(self.text, self.name or "the base calibration"), "tilt"))
 
     @property
@@ -86,11 +80,5 @@ def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[st
 
 
 def identity_in(path: str | Path) -> SensorIdentity:
-    """Return the sensor that a calibration file is of.
-
-    Raises
-    ------
-    InputError
-        Anything in the file is wrong.
-    """
+    """Return the sensor that a calibration file is of; an InputError where anything in it is wrong."""
     return BaseFile(read_text(path), Path(path).name).calibration.sensor

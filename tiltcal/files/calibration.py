@@ -167,13 +167,7 @@ TILT = Section(CalibrationRecord, follow=_names, kind="tilt")
 
 
 def read_calibration(path: str | Path) -> CalibrationRecord:
-    """Read and check a calibration file.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
-    """
+    """Read and check a calibration file; an InputError names file, line and key."""
     return TILT.read(read_tiltcal_file(path, "tilt"))
 
 
@@ -196,13 +190,7 @@ def dump_calibration(calibration: CalibrationRecord) -> str:
 def require_same_sensor(
     old: CalibrationRecord, new: CalibrationRecord, names: tuple[str, str] = ("one", "the other")
 ) -> None:
-    """Refuse two calibrations that are not of one sensor.
-
-    Raises
-    ------
-    UsageError
-        They are not; the message says in what they differ.
-    """
+    """Refuse two calibrations that are not of one sensor, with a UsageError that says in what they differ."""
     for what in ("serial", "model", "unit", "channels"):
         a, b = getattr(old.sensor, what), getattr(new.sensor, what)
         if a != b:

@@ -13,7 +13,7 @@ Anchors, aliases and tags are refused: no file of ours needs them, and a bomb is
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
@@ -37,11 +37,6 @@ KINDS = {
 def read_document(path: str | Path) -> Node:
     """Read one YAML document from a file.
 
-    Returns
-    -------
-    Node
-        The whole document.
-
     Raises
     ------
     InputError
@@ -51,17 +46,12 @@ def read_document(path: str | Path) -> Node:
 
 
 def read_tiltcal_file(path: str | Path, kind: str) -> Node:
-    """Read one of our own files and check the two keys that say which it is.
+    """Read one of our own files, and check the two keys that say which it is; the others are still to be checked.
 
     Parameters
     ----------
     kind : str
-        The ``kind`` that is needed, one of ``KINDS``.
-
-    Returns
-    -------
-    Node
-        The whole document, its other keys still to be checked.
+        The one that is needed, of ``KINDS``.
 
     Raises
     ------
@@ -132,13 +122,13 @@ def parse_document(text: str, file: str | None = None) -> Node:
     return _Composer(file).compose(text)
 
 
+@dataclass
 class _Open:
     """A collection whose end was not read yet."""
 
-    def __init__(self, node: Node) -> None:
-        self.node = node
-        self.key: str | None = None
-        self.key_line: int | None = None
+    node: Node
+    key: str | None = None
+    key_line: int | None = None
 
 
 class _Composer:
@@ -152,7 +142,8 @@ class _Composer:
 
     def compose(self, text: str) -> Node:
         try:
-            for event in _events(text):
+            # The C library, where PyYAML was built with it.
+            for event in yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
                 self._take(event)
         except yaml.MarkedYAMLError as failure:
             mark = failure.problem_mark or failure.context_mark
@@ -241,10 +232,3 @@ class _Composer:
 
     def _error(self, message: str, line: int | None, key: str | None = None) -> InputError:
         return InputError(message, file=self._file, line=line, key=key)
-
-
-def _events(text: str) -> Iterator[yaml.Event]:
-    """Return the parser's events, from the C library where PyYAML was built with it."""
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    events: Iterator[yaml.Event] = yaml.parse(text, Loader=loader)
-    return events

@@ -27,7 +27,7 @@ _FOLD = re.compile(r"(?<=[^\s\\]) (?=[^\s])")
 
 
 def yaml_text(data: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
-    """Return a mapping as a YAML document.
+    """Return a mapping as a YAML document, which ends in a newline; the same data gives the same text.
 
     Parameters
     ----------
@@ -35,11 +35,6 @@ def yaml_text(data: Mapping[str, Any], comments: Mapping[str, str] | None = None
         Of str keys to None, bool, int, float, str, and mappings and sequences of these.
     comments : mapping of str to str, optional
         Remarks for the end of a key's line, by the key's dotted path.
-
-    Returns
-    -------
-    str
-        Ends in a newline. The same data gives the same text.
 
     Raises
     ------
@@ -116,10 +111,12 @@ def _filled(pieces: Sequence[str], first: str, margin: str) -> Iterator[str]:
 
 def _fits(value: Any, lead: str, key: str) -> bool:
     """Return whether a collection fits in one line: it is shallow, and short enough."""
-    members = list(value.values()) if isinstance(value, Mapping) else list(value)
-    flat = isinstance(value, Mapping) or not any(_is_collection(item) for item in members)
-    shallow = all(_is_list_of_scalars(item) or not _is_collection(item) or not item for item in members)
-    return flat and shallow and len(lead) + 1 + len(_flow(value, key)) <= WIDTH
+    if isinstance(value, Mapping):
+        inner = [item for item in value.values() if _is_collection(item) and item]
+        shallow = not any(isinstance(item, Mapping) or any(map(_is_collection, item)) for item in inner)
+    else:
+        shallow = not any(map(_is_collection, value))
+    return shallow and len(lead) + 1 + len(_flow(value, key)) <= WIDTH
 
 
 def _flow(value: Any, key: str) -> str:
@@ -134,10 +131,6 @@ def _flow(value: Any, key: str) -> str:
 
 def _is_collection(value: Any) -> bool:
     return isinstance(value, Mapping | list | tuple)
-
-
-def _is_list_of_scalars(value: Any) -> bool:
-    return isinstance(value, list | tuple) and not any(_is_collection(item) for item in value)
 
 
 def _key(name: Any, key: str) -> str:

@@ -168,13 +168,7 @@ class Journal:
     digest: hashlib._Hash
 
     def plan(self) -> Header:
-        """Return the session's plan, from the header.
-
-        Raises
-        ------
-        JournalError
-            It is no plan of a session.
-        """
+        """Return the session's plan, from the header; a JournalError where it is none."""
         try:
             return HEADER.read(document_of(self.header, str(self.path), 1))
         except InputError as error:
@@ -323,13 +317,7 @@ class JournalWriter:
         self._events += 1
 
     def secure(self) -> None:
-        """Wait until all that was written is on the disk.
-
-        Raises
-        ------
-        JournalError
-            The disk is full or fails.
-        """
+        """Wait until all that was written is on the disk; a JournalError where the disk is full or fails."""
         try:
             os.fdatasync(self._descriptor)
         except OSError as error:

@@ -9,13 +9,7 @@ from tiltcal.errors import InputError
 
 
 def moment(text: str, path: str | Path | None = None) -> datetime:
-    """Return a moment in ISO 8601, UTC where it names no zone.
-
-    Raises
-    ------
-    InputError
-        It is not one.
-    """
+    """Return a moment in ISO 8601, UTC where it names no zone; an InputError where it is none."""
     try:
         found = datetime.fromisoformat(text)
     except ValueError:

@@ -146,13 +146,9 @@ class Node:
             raise self._unexpected("a list")
         return self.content
 
-    def numbers(self) -> list[float]:
-        """Return the members of a list of finite numbers."""
-        return [item.number() for item in self.items()]
-
     def interval(self) -> tuple[float, float]:
         """Return two numbers ``[low, high]`` in that order."""
-        bounds = self.numbers()
+        bounds = [item.number() for item in self.items()]
         if len(bounds) != 2:
             raise self.error(f"a range has two numbers [low, high], found {len(bounds)}")
         low, high = bounds
@@ -305,12 +301,9 @@ def _node_of(data: Any, file: str | None, line: int | None, key: str | None, dep
 
 
 def require_printable(text: str, file: str | None, line: int | None, key: str | None) -> None:
-    """Refuse control characters, which can command a terminal, and what is no text; line feed and tab are allowed.
+    """Refuse control characters, which can command a terminal, and what is no text, with an InputError.
 
-    Raises
-    ------
-    InputError
-        The text has one.
+    Line feed and tab are allowed.
     """
     if _NO_TEXT.search(text):
         raise InputError(f"{text!r} is not UTF-8", file=file, line=line, key=key)

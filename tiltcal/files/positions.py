@@ -74,7 +74,7 @@ ROW = Section(TabledRow)
 
 
 def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition]:
-    """Read and check a table of positions.
+    """Read and check a table of positions, in the order of the file.
 
     Parameters
     ----------
@@ -82,11 +82,6 @@ def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition
         CSV with the columns ``position``, a mean for each channel (``x``, ...), and optionally a direction (``gx``,
         ``gy``, ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``; or a JSON list of
         objects with these keys; or such rows.
-
-    Returns
-    -------
-    list of TabledPosition
-        In the order of the file.
 
     Raises
     ------

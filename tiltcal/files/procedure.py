@@ -313,13 +313,7 @@ class Procedure:
     rotation: Rotation | None = None
 
     def require_positions(self) -> None:
-        """Refuse a procedure of a stage that turns, where positions are needed.
-
-        Raises
-        ------
-        UsageError
-            With the commands that are meant for it.
-        """
+        """Refuse a procedure of a stage that turns, with a UsageError that names the commands that are meant for it."""
         if self.rotation is not None:
             raise UsageError(
                 f"{self.name} has no positions, its stage turns: match the pairs of a recorded log with `tiltcal "

@@ -99,24 +99,12 @@ class Rotation:
         return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
 
     def with_turns(self, turns: int) -> Rotation:
-        """Return the rotation with another limit of turns.
-
-        Raises
-        ------
-        UsageError
-            The number cannot be.
-        """
+        """Return the rotation with another limit of turns, which :func:`require_turns` checks."""
         return replace(self, turns=require_turns(turns))
 
 
 def require_turns(turns: int) -> int:
-    """Return a number of turns after a check of its bounds.
-
-    Raises
-    ------
-    UsageError
-        Too few, or more than anyone waits for.
-    """
+    """Return a number of turns; a UsageError where it is too small, or more than anyone waits for."""
     if not FEWEST_WHOLE_TURNS <= turns <= MOST:
         raise UsageError(
             f"{turns} turns are impossible: at least {FEWEST_WHOLE_TURNS} are needed, and at most {MOST} counted"

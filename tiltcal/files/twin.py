@@ -177,18 +177,14 @@ class TruthSection:
 
 def _truth_of(found: TruthSection, node: Node, context: Context) -> Truth:
     thermal, mounting = found.temperature or ThermalTruth(reference=Truth.reference), found.mounting
-    shared = (
-        *("supply", "nonlinearity", "noise", "thermometer_error", "lag", "jig", "ambient", "time_constant", "faults"),
-    )
+    own = {name: value for name, value in vars(found).items() if name not in ("temperature", "mounting")}
     truth = Truth(
         channels=tuple(axis for axis in AXES if axis in found.offset),
-        offset=found.offset,
-        sensitivity=found.sensitivity,
         mounting=(mounting.roll, mounting.pitch, mounting.yaw),
         reference=thermal.reference,
         drift=thermal.offset,
         gain=thermal.sensitivity,
-        **{name: getattr(found, name) for name in shared},
+        **own,
     )
     for channel, temperature in product(truth.channels, (*TEMPERATURES, truth.ambient)):
         up = (float(channel == "x"), float(channel == "y"), float(channel == "z"))
@@ -266,9 +262,7 @@ class DiskSection:
 
 
 def _disk_of(found: DiskSection, node: Node, context: Context) -> Disk:
-    given = {name: getattr(found, name) for name in ("spin", "rate", "wander", "noise", "corner", "encoder_noise")}
-    if found.inclination is not None:
-        given["inclination"] = found.inclination
+    given = {name: value for name, value in vars(found).items() if value is not None}
     if found.gradient is not None:
         given["gradient"] = (found.gradient.differential, found.gradient.cross)
     if found.accelerometers is not None:

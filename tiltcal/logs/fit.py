@@ -15,7 +15,7 @@ import tiltcal
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.joint_fit import no_sensitivity
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal, rails_of
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
 from tiltcal.calibration.prediction import require_tilt
 from tiltcal.calibration.unit_gravity import directions, require_no_jig
 from tiltcal.core.model import AXES
@@ -167,7 +167,7 @@ def fit(
     identity = _identity(own, model, steps, unit, serial)
     if own is None and model is None:
         identity = replace(identity, channels=source.channels(steps, say))
-    nominal = None if model is None or model.unit != identity.unit else Nominal.of(model)
+    nominal = None if model is None or model.unit != identity.unit else model
     source = replace(source, rails=rails_of(identity.channels, nominal, own))
     if steps.ramp is not None:
         positions = source.ramp(identity, steps)

@@ -16,12 +16,13 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.combine import combine
 from tiltcal.calibration.combined_session import CombinedSession
 from tiltcal.calibration.level import level
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.verdict import judge
 from tiltcal.core.combination import Statement, combine_statements
 from tiltcal.core.model import Array, Coefficients, Thermal, vector_of
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.statistics import SampleSummary
+from tiltcal.drivers import find_model
 from tiltcal.drivers.device import Population
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
@@ -39,7 +40,7 @@ TRUTH = Coefficients(
     Thermal(24.0, (5.0, 24.0), np.array([[0.3], [-0.1]]), np.zeros((2, 0))),
 )
 JIG, NOISE = 0.02, 0.05
-NOMINAL = Nominal(819.0, 8.0, (101.0, 2047.0))
+NOMINAL = replace(find_model("sca100t-d02"), sensitivity_spread=8.0 / 819.0, rails=(101.0, 2047.0))
 
 
 def measured(procedure: Procedure, seed: int, *, at: float | None = None) -> list[Measurement]:

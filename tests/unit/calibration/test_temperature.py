@@ -10,16 +10,17 @@ import pytest
 
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.joint_fit import fit_jointly
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, Nominal
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.temperature import choose_order, swept, with_order
 from tiltcal.core.statistics import SampleSummary
+from tiltcal.drivers import find_model
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
-NOMINAL = Nominal(819.0, 2.4, (101.0, 2047.0))
+NOMINAL = replace(find_model("sca100t-d02"), sensitivity_spread=2.4 / 819.0, rails=(101.0, 2047.0))
 NOISE = 0.06
 
 
