@@ -267,7 +267,6 @@ class Calibration:
         return hash(dump_calibration(self.record))
 
     def __str__(self) -> str:
-
         return "\n".join([summary(self.record), *mounting_lines(self.record)])
 
 

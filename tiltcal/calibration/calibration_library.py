@@ -5,6 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from functools import cached_property
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from tiltcal.calibration.sensor_history import (
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
+from tiltcal.files.moments import moment
 
 FLEET = 50
 """Most other sensors that are read to estimate how far one wanders."""
@@ -55,10 +58,7 @@ class CalibrationLibrary:
 
     @cached_property
     def _files(self) -> dict[str, list[CalibrationFile]]:
-        found: dict[str, list[CalibrationFile]] = {}
-        for file in self.index.files:
-            found.setdefault(file.serial, []).append(file)
-        return found
+        return {serial: list(files) for serial, files in groupby(self.index.files, key=attrgetter("serial"))}
 
     @property
     def serials(self) -> tuple[str, ...]:
@@ -113,8 +113,6 @@ class CalibrationLibrary:
         InputError
             The time is not one, a file is wrong, or two contradict each other.
         """
-        from tiltcal.files.moments import moment
-
         when = moment(time) if isinstance(time, str) else time if time.tzinfo else time.replace(tzinfo=UTC)
         return calibration_at(self.history(serial), when.timestamp(), self.stability(serial, stability))
 

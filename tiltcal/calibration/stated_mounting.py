@@ -45,10 +45,8 @@ def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> Calibra
         coefficients=replace(calibration.coefficients, mounting=mounting),
         uncertainty=replace(
             calibration.uncertainty,
-            standard={n: u for n, u in calibration.uncertainty.items() if not n.startswith("mounting.")},
-            coverage_factor={
-                n: k for n, k in calibration.uncertainty.coverage_factor.items() if not n.startswith("mounting.")
-            },
+            standard=_without_mounting(calibration.uncertainty),
+            coverage_factor=_without_mounting(calibration.uncertainty.coverage_factor),
             covariance=None if covariance is None else without_turn(covariance),
         ),
         derived=replace(calibration.derived, gimbal_lock=False),
@@ -70,6 +68,10 @@ def without_turn(covariance: Covariance) -> Covariance:
     return Covariance(
         parameters=tuple(covariance.parameters[k] for k in kept), matrix=tuple(map(tuple, matrix.tolist()))
     )
+
+
+def _without_mounting(named: Mapping[str, float]) -> dict[str, float]:
+    return {name: value for name, value in named.items() if not name.startswith("mounting.")}
 
 
 def _pairs(text: str) -> dict[str, float]:

@@ -28,9 +28,6 @@ from tiltcal.frozen import frozen
 _DIGITS = 4
 
 
-_NAMES = ListOf(Text(), 2, 2, says="a pair has two channels, found {found}")
-
-
 _ABOVE_ZERO = Converted(Number(above=0.0), lambda value, node, context: value, lambda value: significant(value, 9))
 
 
@@ -74,7 +71,9 @@ def _by_stage(item: Number) -> ByKey[Mapping[str, tuple[float, ...]]]:
 class PairEntry:
     """One of ``pairs`` as it stands in a file."""
 
-    pair: tuple[str, ...] = entry(_NAMES, "`[first, second]`, two columns")
+    pair: tuple[str, ...] = entry(
+        ListOf(Text(), 2, 2, says="a pair has two channels, found {found}"), "`[first, second]`, two columns"
+    )
     orthogonal: str = entry(Text(), "the accelerometer a quarter turn away, a third column")
     p: float = entry(Number(), "a pure number, below 1")
     q: float = entry(Number(), "a pure number")

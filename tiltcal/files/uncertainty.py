@@ -2,7 +2,7 @@
 
 Standard uncertainties (k = 1) in the shape of the ``calibration`` section, for people; their covariance
 (``covariance``) and what each is multiplied with for an interval of 95 % (``coverage_factor``), by the coefficients'
-dotted names; and what a single ``reading`` of a log is uncertain by.
+dotted names; and what a ``single_reading`` of a log is uncertain by.
 """
 
 from __future__ import annotations
