@@ -62,7 +62,7 @@ RAIL = 1e12
 """Rails if the address states none: no printed number reaches them."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
-_NUMBER = re.compile(rb"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
+_NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
 
 
 @dataclass(frozen=True)
@@ -91,15 +91,20 @@ class ColumnLayout:
         cells = re.split(self.separator, line.strip())
         if len(cells) != len(self.names):
             return None
-        numbers = {}
+        numbers, places = {}, []
         for name, cell in zip(self.names, cells, strict=True):
             if name in ("-", TIME):
                 continue
             text = cell.strip()
-            if not _NUMBER.fullmatch(text) or not isfinite(float(text)):
+            written = _NUMBER.fullmatch(text)
+            if not written or not isfinite(float(text)):
                 return None
             numbers[name] = float(text)
-        return Reading(tuple(numbers[channel] for channel in self.channels), numbers.get(TEMPERATURE))
+            if name != TEMPERATURE:
+                whole, part, exponent = written.groups()
+                places.append(int(exponent or 0) - len(whole or part or b""))
+        values = tuple(numbers[channel] for channel in self.channels)
+        return Reading(values, numbers.get(TEMPERATURE), float(f"1e{min(places)}"))
 
 
 class ColumnsSensor:

@@ -27,10 +27,14 @@ class Reading:
         One per channel of the model, in the model's unit.
     temperature : float or None
         The sensor's own thermometer, °C; None where it has none.
+    step : float
+        With which the values were written, in the model's unit, where the model states no resolution and the sample
+        shows one; else 0.
     """
 
     values: tuple[float, ...]
     temperature: float | None = None
+    step: float = field(default=0.0, compare=False)
 
 
 class Sensor(Protocol):

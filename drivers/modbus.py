@@ -88,6 +88,11 @@ class RegisterColumn:
         """Number of its registers."""
         return struct.calcsize(f">{self.code}") // 2
 
+    @property
+    def step(self) -> float:
+        """Step of the number, in its unit; 0 of a float."""
+        return 0.0 if self.code in "fd" else abs(self.scale)
+
 
 @dataclass(frozen=True)
 class RegisterLayout:
@@ -116,6 +121,11 @@ class RegisterLayout:
     def thermometer(self) -> bool:
         """Whether one of the numbers is the temperature."""
         return any(column.name == TEMPERATURE for column in self.columns)
+
+    @property
+    def step(self) -> float:
+        """The finest step of the readings, in their unit; 0 where one is a float."""
+        return min(column.step for column in self.columns if column.name != TEMPERATURE)
 
     @property
     def requests(self) -> tuple[bytes, ...]:
@@ -198,7 +208,8 @@ class ModbusColumns:
                 raise DeviceFault(
                     f"{name} is {number}: the device has no reading, or order= and the type are not its own"
                 )
-        return Reading(tuple(numbers[channel] for channel in self._layout.channels), numbers.get(TEMPERATURE))
+        values = tuple(numbers[channel] for channel in self._layout.channels)
+        return Reading(values, numbers.get(TEMPERATURE), self._layout.step)
 
     def discard(self) -> None:
         """Do nothing: registers hold the latest numbers."""

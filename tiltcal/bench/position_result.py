@@ -10,6 +10,7 @@ import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.model import Array
+from tiltcal.core.quantisation import ReadingStep
 from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Reading
 from tiltcal.files.procedure import Position
@@ -69,6 +70,18 @@ class PositionResult:
             for serial, measurement in self.measurements.items()
         }
         return replace(self, measurements=measurements, left_out=count)
+
+    def with_steps(self, steps: Mapping[str, ReadingStep]) -> PositionResult:
+        """Return this position with the steps that a session's readings have shown, where the models state none."""
+        measurements = {}
+        for serial, measurement in self.measurements.items():
+            step = steps[serial].step()
+            summaries = {
+                channel: summary.with_resolution(step) if step else summary
+                for channel, summary in measurement.summaries.items()
+            }
+            measurements[serial] = replace(measurement, summaries=summaries)
+        return replace(self, measurements=measurements)
 
     def mean(self, serial: str) -> Array:
         """Return the mean reading of each channel of a sensor, in its unit."""

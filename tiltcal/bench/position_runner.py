@@ -12,6 +12,8 @@ from dataclasses import replace
 from datetime import timedelta
 from functools import partial
 
+import numpy as np
+
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import OperatorAnswer, PositionOperator
 from tiltcal.bench.position_result import PositionResult, temperature_of
@@ -22,6 +24,7 @@ from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_
 from tiltcal.calibration import level
 from tiltcal.calibration.measurement import Measurement, missing_temperature
 from tiltcal.core.plausibility import ExpectedReadings
+from tiltcal.core.quantisation import ReadingStep
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Reading
@@ -66,6 +69,8 @@ class PositionRunner:
         self._log = log
         self._clock = clock
         self._fixture = fixture
+        self._steps = {sensor.serial: ReadingStep() for sensor in sensors.sensors}
+        """What the readings have shown of the steps that no model states."""
         self._soaked: tuple[float, int] | None = None
         """The temperature that the sensors have, and the interruptions before they took it; None on the way."""
 
@@ -103,7 +108,7 @@ class PositionRunner:
                 accepted.append(verdict)
             elif verdict == "back" and accepted:
                 accepted.pop()
-        return accepted
+        return [result.with_steps(self._steps) for result in accepted]
 
     def _attempt(self, position: Position, accepted: Sequence[PositionResult]) -> PositionResult | str:
         """Ask for a position, measure it, have it judged; return it, or the answer ``redo`` or ``back``."""
@@ -217,11 +222,14 @@ class PositionRunner:
         for index, sensor in enumerate(self._sensors.sensors):
             readings = [sample[index] for _, sample in held]
             require_off_rails(readings, sensor.model)
+            if not sensor.model.resolution:
+                samples = np.array([reading.values for reading in readings]).T
+                self._steps[sensor.serial].add(samples, min(reading.step for reading in readings))
             measurements[sensor.serial] = measurement_of(sensor, position, readings, typed, time)
             gravity = measurements[sensor.serial].gravity
             predicted = sensor.model.scaled and not self._procedure.determines.free and not self._mounted
             expected[sensor.serial] = expectations[sensor.serial].expected(gravity) if predicted else {}
-        return PositionResult(position, measurements, typed is not None, expected)
+        return PositionResult(position, measurements, typed is not None, expected).with_steps(self._steps)
 
     def _now(self) -> str:
         """Return the time of the session as a stamp."""

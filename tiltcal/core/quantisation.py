@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
-from math import exp, pi, sqrt
+from math import exp, inf, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +100,34 @@ class DifferentValues:
         with np.errstate(over="ignore", invalid="ignore"):
             places = np.rint((samples - first) * self._per_step)
         return np.fmin(np.fmax(places, 0.0), len(self._table) - 1.0).astype(np.intp)
+
+
+class ReadingStep:
+    """The step of a sensor's readings: the smallest that they take within a position, else the one that is stated."""
+
+    def __init__(self) -> None:
+        self._taken = self._stated = inf
+
+    def add(self, samples: Iterable[Array], stated: float) -> None:
+        """Take the samples of a position.
+
+        Parameters
+        ----------
+        samples : iterable of ndarray, shape (n,)
+            Of each channel.
+        stated : float
+            The step with which they were written, unit; 0 where it is not known.
+        """
+        self._taken = min(self._taken, resolution(samples) or inf)
+        self._stated = min(self._stated, stated or inf)
+
+    def step(self) -> float:
+        """Return the step, unit; 0 where none is known.
+
+        The readings of different positions show none: those of a device without noise differ by many steps.
+        """
+        step = self._taken if self._taken < inf else self._stated
+        return step if step < inf else 0.0
 
 
 def common_step(readings: Array) -> float:

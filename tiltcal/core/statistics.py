@@ -6,8 +6,9 @@ Sums are rounded once (:func:`math.fsum`), so a replayed session gives the same 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import chain, pairwise
-from math import frexp, fsum, inf, ldexp, sqrt
+from math import frexp, fsum, hypot, inf, ldexp, sqrt
 from operator import mul
 
 import numpy as np
@@ -64,6 +65,11 @@ class SampleSummary:
     def noise_unknown(self) -> bool:
         """Whether nothing but its rounding is known of the mean, as in a table that states no uncertainties."""
         return self.dof == inf and 0.0 < self.u <= self.quantisation
+
+    def with_resolution(self, resolution: float) -> SampleSummary:
+        """Return the summary of the same samples where their step is known to be another one."""
+        rounding = rounding_uncertainty(self.std, resolution)
+        return replace(self, u=hypot(self.noise, rounding), quantisation=rounding, resolution=resolution)
 
 
 def summarise(samples: Sequence[float] | NDArray[np.float64], resolution: float = 0.0) -> SampleSummary:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support import coloured_noise as coloured
 
-from tiltcal.core.quantisation import DifferentValues, StepFinder, noise_under_rounding, resolution
+from tiltcal.core.quantisation import DifferentValues, ReadingStep, StepFinder, noise_under_rounding, resolution
 
 
 def test_resolution_is_the_smallest_step_of_any_channel() -> None:
@@ -42,6 +42,18 @@ def test_the_noise_before_rounding(noise: float) -> None:
     rng = np.random.default_rng(8)
     readings = np.rint(rng.uniform(0.0, 100.0, (4000, 1)) + noise * rng.standard_normal((4000, 50)))
     assert noise_under_rounding(float(np.mean(np.var(readings, axis=1, ddof=1))), 1.0) == pytest.approx(noise, 0.03)
+
+
+def test_the_step_of_a_sensor_is_the_smallest_that_it_takes_within_a_position_else_the_stated_one() -> None:
+    readings = ReadingStep()
+    assert readings.step() == 0.0
+    readings.add([np.array([1.25, 1.25]), np.array([2.5, 2.5])], 0.0)
+    assert readings.step() == 0.0
+    # From 1.25 to 7.25 is no step: the sensor was tilted between the positions.
+    readings.add([np.array([7.25, 7.25]), np.array([2.5, 2.5])], 0.01)
+    assert readings.step() == 0.01
+    readings.add([np.array([1.25, 1.25]), np.array([3.0, 2.75])], 0.01)
+    assert readings.step() == 0.25
 
 
 class TestSteps:

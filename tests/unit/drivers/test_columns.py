@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import asin, degrees, isfinite
+from math import asin, degrees, inf, isfinite
 
 import pytest
 from hypothesis import given
@@ -44,6 +44,21 @@ def printing(options: str, *pieces: bytes) -> Sensor:
 def test_columns_are_named_in_the_order_they_are_printed(options, line, values, temperature) -> None:
     reading = printing(options, line).read()
     assert (reading.values, reading.temperature) == (values, temperature)
+
+
+@pytest.mark.parametrize(
+    ("line", "step"),
+    [
+        (b"0.50,-1.00,23.55\n", 0.01),
+        (b"0.5,-1.25,23.5\n", 0.01),
+        (b".5,3.,23.555\n", 0.1),
+        (b"823,-4,23.5\n", 1.0),
+        (b"1.25e-3,2E+2,23\n", 1e-5),
+        (b"0e999,0e999,23\n", inf),
+    ],
+)
+def test_the_step_of_a_line_is_its_last_digit(line: bytes, step: float) -> None:
+    assert printing("columns=x,y,temperature", line).read().step == pytest.approx(step)
 
 
 def test_a_line_that_is_not_the_numbers_is_counted_and_never_a_reading() -> None:

@@ -58,6 +58,7 @@ def test_the_address_names_registers_types_factors_and_order() -> None:
     )
     assert sensor.read().values == pytest.approx((-0.5, 7.0))
     assert sensor.read().temperature == pytest.approx(23.5)
+    assert sensor.read().step == 0.001
 
 
 @pytest.mark.parametrize(
@@ -86,7 +87,7 @@ def test_every_type(word: str, code: str, number: float) -> None:
     data = struct.pack(f">{code}", number)
     request = f"r030000{len(data) // 2:04x}"
     sensor = scripted(f"columns=x@0:{word}", **{request: f"03 {len(data):02x} {data.hex()}"})
-    assert sensor.read().values == (number,)
+    assert (sensor.read().values, sensor.read().step) == ((number,), 0.0 if word.startswith("float") else 1.0)
 
 
 def test_registers_without_a_gap_are_one_request() -> None:
