@@ -10,7 +10,15 @@ import numpy as np
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.settle import Timed, Unsettled
-from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, TEMPERATURES, TILTED, outliers
+from tiltcal.core.detection import (
+    LEFT_OUT,
+    TEMPERATURE_JUMP,
+    TEMPERATURES,
+    TILTED,
+    identical_by_chance,
+    noise_of_positions,
+    outliers,
+)
 from tiltcal.core.quantisation import resolution
 from tiltcal.drivers.device import Model, Reading
 
@@ -114,8 +122,9 @@ def require_not_stuck(
 ) -> None:
     """Refuse a channel that reads one value, never another, where something else has changed.
 
-    A reading that stands still within a position is coarse. One that stands still over positions of other tilt is
-    stuck, and so is one that has never changed when the session ends: other headings or temperatures change it.
+    A reading that stands still within a position is coarse, unless its noise in the positions before is more than its
+    step hides. One that stands still over positions of other tilt is stuck, and so is one that has never changed when
+    the session ends: other headings or temperatures change it.
 
     Parameters
     ----------
@@ -132,6 +141,13 @@ def require_not_stuck(
     now = result.measurements[sensor.serial]
     for channel, summary in now.summaries.items():
         before = [result.measurements[sensor.serial] for result in accepted]
+        noise = noise_of_positions([one.summaries[channel] for one in before], summary.resolution) if before else 0.0
+        if summary.std == 0.0 and not identical_by_chance(summary.n, noise, summary.resolution):
+            raise Unsettled(
+                f"{channel} of {sensor.serial} is stuck: all {summary.n} samples read {summary.mean:.6g} "
+                f"{sensor.model.unit}, and those of the positions before scatter by {noise:.3g}; see that the sensor "
+                "converts (if it was shaken in the positions before, go back and repeat them)"
+            )
         same = [
             measurement
             for measurement in before

@@ -20,6 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
+from tiltcal.core.quantisation import noise_under_rounding
+from tiltcal.core.statistics import SampleSummary
 
 Span = tuple[int, int]
 """First row and the row behind the last."""
@@ -51,12 +53,16 @@ TEMPERATURES = (-60.0, 150.0)
 TEMPERATURE_JUMP = 5.0
 """A temperature this far from those around it is a failed conversion, °C."""
 
+FLICKER = 0.5
+"""Standard deviation of a reading that takes two neighbouring values, at most, in steps."""
+
 TILTED = 0.1
 """How far a channel's axis has to move before its reading must change, g."""
 
 _SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
 _SIGMA_OF_NEAREST = 1.267  # and over the root mean square of the nearest 90 % of them
 _CHUNK = 1 << 14
+_EXACT = 1.0 + 1e-9  # arithmetic may leave the last digits of a scatter that is the largest of a flicker
 _MANY, _SAMPLE = 1 << 13, 1 << 11  # values of which a sample is taken first, and those of the sample
 
 
@@ -128,6 +134,29 @@ def stuck_rows(samples: Array, shortest: int) -> Mask:
     steps = np.array([np.min(column[column > 0.0], initial=inf) for column in change.T])
     # Noise of half a step changes every other reading: a run of identical ones is then no chance.
     return stuck if np.any(noise >= steps / 2) else np.zeros(len(samples), dtype=bool)
+
+
+def noise_of_positions(summaries: Sequence[SampleSummary], step: float) -> float:
+    """Return the noise that a channel has in several positions, before rounding.
+
+    Parameters
+    ----------
+    summaries : sequence of SampleSummary
+        Of its samples in each position.
+    step : float
+        Of the reading, unit; 0 where it is continuous.
+
+    Returns
+    -------
+    float
+        Unit; 0 where none is shown. A reading that flickers between two values scatters by up to half a step however
+        small its noise is: it tells nothing of a position in which the reading stands still.
+    """
+    scatters = [summary.std**2 * (summary.n - 1) / summary.n for summary in summaries]
+    if step and np.median(scatters) <= (FLICKER * step) ** 2 * _EXACT:
+        return 0.0
+    scatter = float(np.mean(scatters))
+    return noise_under_rounding(scatter, step) if step else sqrt(scatter)
 
 
 def identical_by_chance(count: int, noise: float, step: float) -> bool:

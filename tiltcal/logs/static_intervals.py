@@ -11,13 +11,10 @@ from functools import reduce
 from math import sqrt
 from typing import Any
 
-import numpy as np
-
 from tiltcal.calibration.measurement import Measurement, at_rail
-from tiltcal.core.detection import LEFT_OUT, TILTED, identical_by_chance
+from tiltcal.core.detection import LEFT_OUT, TILTED, identical_by_chance, noise_of_positions
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.quantisation import noise_under_rounding
 from tiltcal.core.statistics import SampleSummary, summary_of
 from tiltcal.errors import InputError
 from tiltcal.files.positions import TabledPosition
@@ -28,9 +25,6 @@ from tiltcal.logs.recorded_readings import RecordedReadings
 
 FEWEST_ROWS = 2
 """Samples that a segment needs for a standard deviation."""
-
-FLICKER = 0.5
-"""Standard deviation of a reading that takes two neighbouring values, at most, in steps."""
 
 
 @dataclass(frozen=True)
@@ -215,16 +209,10 @@ def _require_temperatures(intervals: Sequence[StaticInterval], file: str) -> Non
 def _require_not_stuck(intervals: Sequence[StaticInterval], step: float, file: str) -> None:
     """Refuse a channel that stood at one value where its own noise would have moved it.
 
-    The noise is that of all segments before rounding: a converter that is coarser than the noise stands still, too. A
-    reading that flickers between two values scatters by up to half a step however small its noise is: it tells nothing
-    of a segment in which another reading stands still.
+    The noise is that of all segments before rounding: a converter that is coarser than the noise stands still, too.
     """
     for channel in intervals[0].summaries:
-        scatters = [interval.summaries[channel].std ** 2 for interval in intervals]
-        if step and np.median(scatters) <= (FLICKER * step) ** 2:
-            continue
-        scatter = float(np.mean(scatters))
-        noise = noise_under_rounding(scatter, step) if step else sqrt(scatter)
+        noise = noise_of_positions([interval.summaries[channel] for interval in intervals], step)
         for interval in intervals:
             summary = interval.summaries[channel]
             if summary.std == 0.0 and not identical_by_chance(summary.n, noise, step):

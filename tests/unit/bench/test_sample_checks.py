@@ -16,6 +16,7 @@ from tiltcal import Calibration, measure, plan
 from tiltcal.bench import sensor_set, settle
 from tiltcal.bench.operators.rig import understood
 from tiltcal.bench.position_result import PositionResult
+from tiltcal.bench.position_runner import PositionRunner
 from tiltcal.bench.sample_checks import require_agreement
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
@@ -25,6 +26,7 @@ from tiltcal.core.statistics import summarise
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.procedure import Position
 from tiltcal.files.procedure_file import find_procedure
 
 TWIN = """\
@@ -96,6 +98,44 @@ def test_a_sensor_that_is_stuck_from_the_first_sample_is_refused(
     with pytest.raises(Stopped, match=why):
         session(procedure)
     assert not Path("S-1.yaml").exists()
+
+
+@pytest.mark.parametrize("procedure", ["two-temperature", "reversal", "mavs"])
+def test_a_sensor_that_freezes_between_positions_of_one_attitude_is_refused(
+    procedure: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From its last position of level on, which reads as the one before: in two-temperature the drift would be zero."""
+    last = find_procedure(procedure).positions[-1]
+    frozen: dict[bytes, bytes] = {}
+    held: list[Position] = []
+    hold = PositionRunner._hold
+
+    def noted(runner: PositionRunner, position: Position) -> None:
+        held.append(position)
+        hold(runner, position)
+
+    def change(out: bytes, answer: bytes, number: int) -> bytes:
+        if held and held[-1].name == last.name and out[0] in (0x10, 0x11):
+            return frozen[out]
+        frozen[out] = answer
+        return answer
+
+    monkeypatch.setattr(PositionRunner, "_hold", noted)
+    disturb(monkeypatch, change)
+    why = r"x of S-1 is stuck: all 100 samples read \d+ count, and those of the positions before scatter by 0\.\d+"
+    with pytest.raises(Stopped, match=why):
+        session(procedure)
+    assert not Path("S-1.yaml").exists()
+
+
+def test_a_coarse_reading_that_flickers_in_one_position_and_stands_still_in_the_next_is_not_stuck() -> None:
+    """Noise of a fiftieth of a step: 1026.5 lies between two values, and 18.5 °C colder 1026.5 - 7.4 does not."""
+    Path("twin.yaml").write_text(
+        TWIN.replace("noise: {x: 0.6, y: 0.6}", "noise: {x: 0.02, y: 0.02}").replace("x: 1026.0", "x: 1026.5")
+    )
+    found = session("two-temperature")
+    assert [one.std["x"] > 0.4 for one in found.positions] == [True, False]
+    assert found.positions[1].std["x"] == 0.0
 
 
 def test_a_coarse_reading_that_stands_still_in_a_position_is_not_stuck() -> None:
