@@ -123,8 +123,6 @@ def done_here(
     jobs : int, optional
         How many run at a time, each in a process of its own, in place of one on each processor core; small logs run
         one after another in this process.
-    force : bool
-        Run tasks whose results are up to date, too.
     """
     sizes = {task.log: os.path.getsize(task.log) if os.path.isfile(task.log) else 0 for task in tasks}
     if jobs != 1 and len(tasks) > 1 and sum(sizes.values()) > WORTH_PROCESSES:

@@ -39,15 +39,7 @@ def needs_guard(args: Sequence[str]) -> bool:
 
 
 def run_guarded(run: Callable[[], int], args: Sequence[str]) -> int:
-    """Run a command in a child process, and return its exit code.
-
-    Parameters
-    ----------
-    run : callable
-        Leaves the child by its exit code.
-    args : sequence of str
-        The command line, to name the files in messages.
-    """
+    """Run a command in a child process, and return its exit code; ``args`` is its line, to name files in messages."""
     interruption = _Interruption()
     before = signal.signal(signal.SIGINT, interruption.note)
     ended, held = os.pipe()

@@ -63,13 +63,7 @@ def command(
 
 @dataclass(frozen=True)
 class RecordedRows:
-    """The result of a recording.
-
-    Attributes
-    ----------
-    interrupted : bool
-        Whether it was stopped before its end.
-    """
+    """The result of a recording, and whether it was stopped before its end."""
 
     tally: RecordingTally
     interrupted: bool
@@ -84,8 +78,6 @@ def record_bench(
     ----------
     rate : float or None
         Rows per second; None is as fast as the sensors renew themselves.
-    rows : int or None
-        How many.
     seconds : float or None
         How long. With neither it goes on until Ctrl-C, which then is no interruption.
     output : Path

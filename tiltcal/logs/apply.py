@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tiltcal.errors import InputError
 from tiltcal.files.atomic import require_apart
 from tiltcal.frozen import frozen
-from tiltcal.logs.apply_summary import ApplySummary
+from tiltcal.logs.apply_summary import ApplySummary, ColumnWidths
 from tiltcal.logs.cf_attributes import same_unit
 from tiltcal.logs.columns import (
     HEADING,
@@ -291,7 +291,7 @@ class CompensatedLog:
             if sensor.thermometer is not None:
                 require_celsius(log, {TEMPERATURE: channels[sensor.thermometer]})
         present = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
-        summary = ApplySummary.watching(prepared.watched)
+        summary = ApplySummary(widths={name: ColumnWidths() for name in prepared.watched})
         return cls(log, prepared, channels, present, vectors, summary, _field_length("magnetometer" in vectors))
 
     @property

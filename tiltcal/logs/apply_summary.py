@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,7 +29,7 @@ class ColumnWidths:
         known = widths if finite.all() else widths[finite]
         if len(known):
             self._largest = max(self._largest, float(known.max()))
-            self._counts += np.bincount(_codes(known), minlength=_CODES)
+            self._counts += np.bincount(known.astype(np.float32).view(np.int32) >> 16, minlength=_CODES)
 
     @property
     def median(self) -> float | None:
@@ -75,11 +74,6 @@ class ApplySummary:
     bad_rows: int = 0
     widths: dict[str, ColumnWidths] = field(default_factory=dict)
     sensors: dict[str, ApplySummary] = field(default_factory=dict)
-
-    @classmethod
-    def watching(cls, columns: Sequence[str]) -> ApplySummary:
-        """Return a summary that keeps the median and the largest value of some columns of the result."""
-        return cls(widths={name: ColumnWidths() for name in columns})
 
     def add(self, table: Table, bad_rows: int = 0) -> None:
         """Count some rows, and those of them that could not be parsed."""
@@ -154,7 +148,3 @@ def _told(name: str, widths: ColumnWidths) -> str:
 
 def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
-
-
-def _codes(numbers: Array) -> NDArray[np.int32]:
-    return np.asarray(numbers.astype(np.float32).view(np.int32) >> 16)

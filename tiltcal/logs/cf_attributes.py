@@ -161,7 +161,7 @@ def describe(
     dimension : str
         Along which errors are random or systematic.
     """
-    place = {key: like[key] for key in ("coordinates",) if key in like}
+    place = {"coordinates": like["coordinates"]} if "coordinates" in like else {}
     sensors = [column.removesuffix("flag") for column in added if column.endswith("_flag")]
     if lead := next((sensor for sensor in sensors if name.startswith(sensor)), ""):
         of_sensor = [column.removeprefix(lead) for column in added if column.startswith(lead)]

@@ -268,13 +268,7 @@ class FitSource:
         return found
 
     def set_positions(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
-        """Positions in the directions of a procedure, or in those that the segments give.
-
-        Raises
-        ------
-        InputError
-            A file is wrong; the message names file and line.
-        """
+        """Return positions in the directions of a procedure, or in those that the segments give."""
         thermal = procedure.determines.drift or procedure.determines.gain
         soak = procedure.soak.seconds if thermal else 0.0
         intervals, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor, procedure, soak)

@@ -95,8 +95,6 @@ class LogReader(ABC):
 
     Attributes
     ----------
-    names : tuple of str
-        The columns.
     header_line : int or None
         The line that names them; None where the file has no lines.
     notes : mapping of str to str
@@ -232,12 +230,7 @@ class LogWriter(ABC):
 
     @abstractmethod
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
-        """Write one row for each row of the blocks.
-
-        Parameters
-        ----------
-        blocks : iterable of (LogBlock, mapping)
-            The log's own blocks, in order, and the columns that belong behind theirs.
+        """Write a row for each row of the log's own blocks, in order, with the columns that belong behind theirs.
 
         Raises
         ------

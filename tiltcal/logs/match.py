@@ -76,15 +76,7 @@ def match(
 
 @dataclass(frozen=True)
 class MatchedLog:
-    """A matching with the data that a figure of it shows.
-
-    Attributes
-    ----------
-    spectra : SpectrumObserver or None
-        Where spectra were asked for.
-    online : PairObserver or None
-        Where the estimators ran sample by sample.
-    """
+    """A matching with the data that a figure of it shows, as far as these were asked for."""
 
     calibration: PairCalibration
     demodulated: Demodulated

@@ -24,13 +24,7 @@ _LAST_TURNS = 16
 
 
 class PairObserver:
-    """The online estimators of some pairs, run along a log.
-
-    Parameters
-    ----------
-    say : callable
-        Told where the estimators are held, and go on.
-    """
+    """The online estimators of some pairs, run along a log; ``say`` is called where they are held, and go on."""
 
     def __init__(self, pairs: Sequence[Pair], channels: Sequence[str], say: Callable[[str], None]) -> None:
         self._online = {pair: Online(pair, channels) for pair in pairs}

@@ -77,12 +77,7 @@ class StuckValues:
     """Leaves stuck values out of a log.
 
     Rows whose value is the same as the one before are held back until it is clear what they are, a quarter of a turn
-    at most; all others go through at once.
-
-    Parameters
-    ----------
-    say : callable
-        Told which channel is stuck, and from which row on.
+    at most; all others go through at once. ``say`` is called with which channel is stuck, and from which row on.
     """
 
     def __init__(self, channels: Sequence[str], say: Callable[[str], None]) -> None:

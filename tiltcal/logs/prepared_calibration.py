@@ -52,13 +52,7 @@ class ApplyOptions:
             require_from_zero(f"--{option.replace('_', '-')}", getattr(self, option))
 
     def averaging(self) -> Averaging | None:
-        """Return how rows are put into means; None where they are not.
-
-        Raises
-        ------
-        UsageError
-            Both or a wrong one are given.
-        """
+        """Return how rows are put into means; None where they are not."""
         if self.average is None and self.every is None:
             return None
         from tiltcal.logs.averaging import averaging

@@ -304,8 +304,5 @@ def change_section(before: CalibrationRecord, name: str, after: CalibrationRecor
         for change, texts in zip(found, zip(old, new, moved, ratios, strict=True), strict=True)
     ]
     when = period(before.provenance)
-    return ChangeSection(f"{name}, {when}" if when else name, _sentence(str(verdict)), rows)
-
-
-def _sentence(verdict: str) -> str:
-    return verdict[:1].upper() + verdict[1:] + "."
+    said = str(verdict)
+    return ChangeSection(f"{name}, {when}" if when else name, f"{said[:1].upper()}{said[1:]}.", rows)

@@ -119,8 +119,6 @@ def picture(
         Its own in the page; leads its ids.
     height : float
         Inches.
-    plot : callable
-        Draws on the figure.
     title, description : str
         For who does not see it.
     """

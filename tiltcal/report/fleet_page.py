@@ -49,13 +49,7 @@ class ModelSection:
 
 
 def fleet_page(history: FleetHistory) -> str:
-    """Return one HTML page that needs no other file.
-
-    Raises
-    ------
-    UsageError
-        The libraries of the extra ``report`` are not installed.
-    """
+    """Return one HTML page that needs no other file."""
     return render(
         "fleet.html.j2",
         history=history,

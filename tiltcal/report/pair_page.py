@@ -98,13 +98,7 @@ def write_pair_page(path: str | Path, calibration: PairRecord) -> None:
 
 
 def pair_page(calibration: PairRecord, source: FileRecord, spectra: Sequence[tuple[str, PairDrawing]] = ()) -> str:
-    """Return one HTML page that needs no other file, with the spectra of logs; the same input gives the same page.
-
-    Raises
-    ------
-    UsageError
-        The libraries of the extra ``report`` are not installed.
-    """
+    """Return one HTML page that needs no other file, with the spectra of logs; the same input gives the same page."""
     return render(
         "pair.html.j2",
         names=[f"{matching.pair.first} and {matching.pair.second}" for matching in calibration.matchings],

@@ -57,11 +57,6 @@ def tilt_page(
         Earlier calibrations of the sensor, with the names of their files.
     figures : mapping of str to SvgFigure or None, optional
         Those of :func:`calibration_figures`, where they are drawn already.
-
-    Raises
-    ------
-    UsageError
-        The libraries of the extra ``report`` are not installed.
     """
     shares = budget(calibration)
     return render(

@@ -89,7 +89,8 @@ class NetcdfReader(LogReader):
                 create_default_indexes=False,
             )
         self.names = tuple(str(name) for name in self._data.variables)
-        self.notes = {str(name): str(note) for name, note in self._data.attrs.items()}
+        self.file_attributes = dict(self._data.attrs)
+        self.notes = {str(name): str(note) for name, note in self.file_attributes.items()}
 
     def _require_own_data(self) -> None:
         """Refuse a file whose data stand in other files, which HDF5 would read wherever they are."""
@@ -137,15 +138,8 @@ class NetcdfReader(LogReader):
     def attributes(self, name: str) -> Mapping[str, Any]:
         """Return the attributes of a variable that its decoding has left."""
         variable = self._data[name]
-        return {
-            **variable.attrs,
-            **{key: variable.encoding[key] for key in ("coordinates",) if key in variable.encoding},
-        }
-
-    @property
-    def file_attributes(self) -> Mapping[str, Any]:
-        """What the file states of itself."""
-        return dict(self._data.attrs)
+        place = {"coordinates": variable.encoding["coordinates"]} if "coordinates" in variable.encoding else {}
+        return {**variable.attrs, **place}
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         dimension = self.dimension(columns)
