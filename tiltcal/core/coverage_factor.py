@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from math import sqrt
 
 import numpy as np
 
@@ -23,6 +24,8 @@ FACTOR_STEPS = 1 << 14
 
 NEGLIGIBLE = 1e-3
 """A part of a variance below this changes no factor that anyone would see."""
+
+_BISECTIONS = 40
 
 _NARROW = 1.0 / (1.0 + NEGLIGIBLE) ** 2  # an estimated part over the widened one, from which it counts as narrowed
 
@@ -41,6 +44,41 @@ def coverage_factor(dof: Array) -> Array:
 
         factors[estimated] = stdtrit(np.maximum(dof[estimated], 1.0), 0.5 + COVERAGE / 2.0)
     return factors
+
+
+def degrees_of_freedom(factors: Array) -> Array:
+    """Return the degrees of freedom with which Student's t has coverage factors; infinite for the normal one.
+
+    Parameters
+    ----------
+    factors : ndarray, shape (k,)
+    """
+    dof, wider = np.full(factors.shape, np.inf), factors > NORMAL_FACTOR * (1.0 + NEGLIGIBLE)
+    if wider.any():
+        from scipy.special import stdtridf
+
+        dof[wider] = stdtridf(0.5 + COVERAGE / 2.0, factors[wider])
+    return dof
+
+
+def half_width(spread: Array, weights: Array) -> Array:
+    """Return half of the 95 % interval of mixtures of normal distributions about one centre, shape (k,).
+
+    Parameters
+    ----------
+    spread : ndarray, shape (k, m)
+        Standard deviations.
+    weights : ndarray, shape (m,)
+        Their sum is 1.
+    """
+    from scipy.special import erf
+
+    low, high = np.zeros(len(spread)), 10.0 * np.max(spread, axis=1)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        short = np.sum(weights * erf(middle[:, None] / spread / sqrt(2.0)), axis=1) < COVERAGE
+        low, high = np.where(short, middle, low), np.where(short, high, middle)
+    return np.asarray(high)
 
 
 def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float | Array]]) -> Array:

@@ -8,7 +8,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from tiltcal.core.coverage_factor import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR, welch_satterthwaite
+from tiltcal.core.coverage_factor import NORMAL_FACTOR, degrees_of_freedom, welch_satterthwaite
 from tiltcal.core.model import Array, Coefficients, polynomial, vector_of, with_vector
 from tiltcal.core.uncertainty_budget import Budget, propagated
 from tiltcal.frozen import frozen
@@ -134,19 +134,10 @@ def known(
 
     u, wide = propagated(numbers, vector_of(coefficients, names), covariance, np.maximum(factors, NORMAL_FACTOR))
     return {
-        name: KnownCoefficient(own, degrees_of_freedom(factor))
-        for name, own, factor in zip(values(coefficients), u.tolist(), wide.tolist(), strict=True)
+        name: KnownCoefficient(own, dof)
+        for name, own, dof in zip(values(coefficients), u.tolist(), degrees_of_freedom(wide).tolist(), strict=True)
         if own > 0.0
     }
-
-
-def degrees_of_freedom(factor: float) -> float:
-    """Return the degrees of freedom with which Student's t gives a coverage factor; infinite for the normal one."""
-    if factor <= NORMAL_FACTOR * (1.0 + NEGLIGIBLE):
-        return inf
-    from scipy.special import stdtridf
-
-    return float(stdtridf(0.5 + COVERAGE / 2.0, factor))
 
 
 def referred(coefficients: Coefficients, reference: float) -> Coefficients:

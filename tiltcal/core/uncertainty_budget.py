@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from tiltcal.core.coverage_factor import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR, coverage_factor, welch_satterthwaite
+from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor, degrees_of_freedom, welch_satterthwaite
 from tiltcal.core.model import Array
 from tiltcal.frozen import frozen
 
@@ -45,14 +45,7 @@ class Part:
             np.einsum("ik,kl,il->i", self.by, matrix, self.by)
             for matrix in (self.covariance, self.covariance * np.outer(wider, wider))
         )
-        ratio = np.sqrt(wide / np.where(own > 0.0, own, 1.0))
-        told = (own > 0.0) & (ratio > 1.0 + NEGLIGIBLE)
-        dof = np.full(len(own), np.inf)
-        if told.any():
-            from scipy.special import stdtridf
-
-            dof[told] = stdtridf(0.5 + COVERAGE / 2.0, NORMAL_FACTOR * ratio[told])
-        return dof
+        return degrees_of_freedom(NORMAL_FACTOR * np.sqrt(wide / np.where(own > 0.0, own, np.inf)))
 
 
 @frozen

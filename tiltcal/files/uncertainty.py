@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.coverage_factor import NORMAL_FACTOR
+from tiltcal.core.coverage_factor import NORMAL_FACTOR, degrees_of_freedom
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.named_coefficients import KnownCoefficient, degrees_of_freedom, known, values
+from tiltcal.core.named_coefficients import KnownCoefficient, known, values
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, polynomials
@@ -283,8 +283,8 @@ def known_turns(uncertainty: Uncertainty, coefficients: Coefficients) -> dict[st
     stated = uncertainty_inputs(uncertainty, coefficients)
     u = np.degrees(np.sqrt(np.diag(stated.covariance))).tolist()
     return {
-        name: KnownCoefficient(own, degrees_of_freedom(factor))
-        for name, own, factor in zip(stated.names, u, stated.factors.tolist(), strict=True)
+        name: KnownCoefficient(own, dof)
+        for name, own, dof in zip(stated.names, u, degrees_of_freedom(stated.factors).tolist(), strict=True)
         if name.startswith(TURN)
     }
 

@@ -191,7 +191,7 @@ def _channel_data(channel: str, noise: ChannelNoise, scale: NoiseScale) -> dict[
                 "averages": average.count,
                 **_both("std", channel, average.std, scale),
                 **_both("range", channel, average.range, scale),
-                "white": average.white,
+                "white": noise.white(average),
             }
             for average in noise.averages
         ],
@@ -227,7 +227,7 @@ def _table(noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> Iterator[st
     yield head + angles
     for channel, noise in noises.items():
         for row, average in enumerate(noise.averages):
-            cells = [f"{average.std:>14.4g}", f"{average.white:>10.4g}", f"{average.range:>14.4g}"]
+            cells = [f"{average.std:>14.4g}", f"{noise.white(average):>10.4g}", f"{average.range:>14.4g}"]
             for value in (average.std, average.range):
                 angle = scale.degrees(channel, value)
                 cells += [] if angle is None else [f"{angle:>10.3g}"]

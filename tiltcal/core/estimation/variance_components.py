@@ -27,7 +27,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.coverage_factor import COVERAGE, NEGLIGIBLE, NORMAL_FACTOR
+from tiltcal.core.coverage_factor import degrees_of_freedom, half_width
 from tiltcal.core.model import Array
 
 IMPROBABLE = 0.01
@@ -116,16 +116,13 @@ class NoiseVariance:
         shares, of_jig : ndarray, shape (k,)
             The parts of each sum that go with the variances of noise and jig; the rest is known.
         """
-        from scipy.special import ndtr, stdtridf
-
         spread = np.sqrt(1.0 + shares[:, None] * (self.ratios - 1.0) + of_jig[:, None] * (self.jig_ratios - 1.0))
-        low, high = np.zeros(len(shares)), np.full(len(shares), NORMAL_FACTOR * float(spread.max(initial=1.0)))
-        for _ in range(BISECTIONS // 5):
-            middle = (low + high) / 2.0
-            within = (2.0 * ndtr(middle[:, None] / spread) - 1.0) @ self.probability
-            low, high = np.where(within < COVERAGE, middle, low), np.where(within < COVERAGE, high, middle)
-        wider = high > NORMAL_FACTOR * (1.0 + NEGLIGIBLE)
-        return np.where(wider, stdtridf(0.5 + COVERAGE / 2.0, np.where(wider, high, 3.0)), inf)
+        return degrees_of_freedom(half_width(spread, self.probability))
+
+    @property
+    def own_dof(self) -> float:
+        """Degrees of freedom of the noise's own variance."""
+        return float(self.dof(np.ones(1), np.zeros(1))[0])
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import nan, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
@@ -20,24 +20,24 @@ RANGE_OF_100 = 5.0152
 
 
 @dataclass(frozen=True)
-class Averages:
-    """How averages of so many samples scatter.
+class Average:
+    """How averages of so many samples scatter, of one channel.
 
     Attributes
     ----------
     samples : int
         In each average.
-    count : ndarray of int, shape (channels,)
+    count : int
         Averages, one behind the other.
-    mean, std, range : ndarray, shape (channels,)
+    mean, std, range : float
         Unit; NaN where there are too few.
     """
 
     samples: int
-    count: NDArray[np.int64]
-    mean: Array
-    std: Array
-    range: Array
+    count: int
+    mean: float
+    std: float
+    range: float
 
 
 class Averager:
@@ -83,13 +83,13 @@ class Averager:
             means = np.divide(sums, counts, out=np.zeros_like(sums), where=whole)
             self._merge(means, None if whole.all() else whole)
 
-    def result(self) -> Averages:
-        """Return what came out so far."""
-        enough = self._count > 1
-        variance = self._squares / np.where(enough, self._count - 1, np.nan)
-        spread = np.where(enough, self._high - self._low, np.nan)
-        mean = np.where(self._count > 0, self._mean, np.nan)
-        return Averages(self._samples, self._count.astype(np.int64), mean, np.sqrt(variance), spread)
+    def result(self, channel: int) -> Average:
+        """Return what came out of one channel so far."""
+        count = int(self._count[channel])
+        mean = float(self._mean[channel]) if count else nan
+        std = sqrt(self._squares[channel] / (count - 1)) if count > 1 else nan
+        spread = float(self._high[channel] - self._low[channel]) if count > 1 else nan
+        return Average(self._samples, count, mean, std, spread)
 
     def _merge(self, means: Array, whole: Mask | None) -> None:
         """Add means; where some are of too few samples, ``whole`` says which count."""

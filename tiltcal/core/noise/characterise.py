@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.core.noise.allan import Octaves, limits
 from tiltcal.core.noise.allan_fit import AllanFit, terms_of
-from tiltcal.core.noise.averages import Averager, decades
+from tiltcal.core.noise.averages import Average, Averager, decades
 from tiltcal.core.noise.disturbances import Disturbances, RowRange
 from tiltcal.core.quantisation import StepFinder, rounding_uncertainty
 from tiltcal.errors import EstimateError
@@ -27,27 +28,6 @@ _FINE = 500  # averaging times at which the lowest deviation is looked for
 
 
 @dataclass(frozen=True)
-class Average:
-    """How averages of so many samples scatter, of one channel.
-
-    Attributes
-    ----------
-    samples, count : int
-        In each average; averages.
-    std, range : float
-        Unit.
-    white : float
-        What ``std`` would be if neighbouring samples had nothing to do with each other.
-    """
-
-    samples: int
-    count: int
-    std: float
-    range: float
-    white: float
-
-
-@dataclass(frozen=True)
 class ChannelNoise:
     """The noise of one channel.
 
@@ -60,7 +40,7 @@ class ChannelNoise:
     step : float
         Of the reading, unit; 0 where it is continuous.
     averages : sequence of Average
-        By rising size.
+        By rising size, of single samples first.
     tau : ndarray, shape (k,)
         Averaging times, seconds.
     deviation, low, high : ndarray, shape (k,)
@@ -93,6 +73,10 @@ class ChannelNoise:
         place = int(np.argmin(variance))
         return float(tau[place]), float(np.sqrt(variance[place]))
 
+    def white(self, average: Average) -> float:
+        """Return what its standard deviation would be if neighbouring samples had nothing to do with each other."""
+        return self.averages[0].std / sqrt(average.samples)
+
     @property
     def settled(self) -> bool:
         """Whether the deviation has stopped falling within the record."""
@@ -110,7 +94,8 @@ class Characteriser:
 
     def __init__(self, channels: int, sizes: Sequence[int] = ()) -> None:
         self._asked = frozenset(sizes)
-        self._reference: Array | None = None
+        self._zero = np.full(channels, np.nan)
+        """A value near all samples of each channel, so that their sums keep their digits."""
         self._count = np.zeros(channels, dtype=np.int64)
         self.rows = 0
         self._octaves, self._unrest = Octaves(channels), Disturbances(channels)
@@ -129,10 +114,13 @@ class Characteriser:
         self.rows += len(samples)
         self._count += there.sum(axis=0)
         for channel, steps in enumerate(self._steps):
-            steps.add(samples[there[:, channel], channel])
+            known = samples[there[:, channel], channel]
+            steps.add(known)
+            if len(known) and np.isnan(self._zero[channel]):
+                self._zero[channel] = known[0]
         present = None if there.all() else there
         # Channel by channel in memory: sums along the samples are then several times faster.
-        about_zero = np.asfortranarray(samples - self._zero(samples))
+        about_zero = np.asfortranarray(samples - np.nan_to_num(self._zero))
         if present is not None:
             about_zero[~present] = 0.0
         self._octaves.add(about_zero, present)
@@ -184,30 +172,8 @@ class Characteriser:
         count = int(self._count[place])
         terms = terms_of(tau, variance, factor, count)
         low, high = limits(variance, terms.dof)
-        averages = list(self._averages(place))
-        mean = self._averagers[0].result().mean[place] + self._zero()[place]
+        averages = [averager.result(place) for averager in self._averagers]
+        mean = averages[0].mean + float(self._zero[place])
+        shown = [one for one in averages if one.count >= (2 if one.samples in self._asked else _FEWEST_AVERAGES)]
         step = self._steps[place].result()
-        return ChannelNoise(float(mean), count, step, averages, tau, np.sqrt(variance), low, high, terms)
-
-    def _averages(self, place: int) -> Sequence[Average]:
-        found = [averager.result() for averager in self._averagers]
-        single = float(found[0].std[place])
-        return [
-            Average(
-                *(axis.samples, int(axis.count[place]), float(axis.std[place]), float(axis.range[place])),
-                white=single / axis.samples**0.5,
-            )
-            for axis in found
-            if axis.count[place] >= (2 if axis.samples in self._asked else _FEWEST_AVERAGES)
-        ]
-
-    def _zero(self, samples: Array | None = None) -> Array:
-        """Return a value near all samples, so that their sums keep their digits."""
-        if self._reference is None or not np.isfinite(self._reference).all():
-            known = np.full(len(self._count), np.nan) if self._reference is None else self._reference
-            if samples is not None:
-                for channel in np.flatnonzero(~np.isfinite(known)):
-                    there = samples[np.isfinite(samples[:, channel]), channel]
-                    known[channel] = there[0] if len(there) else np.nan
-            self._reference = known
-        return np.nan_to_num(self._reference)
+        return ChannelNoise(mean, count, step, shown, tau, np.sqrt(variance), low, high, terms)

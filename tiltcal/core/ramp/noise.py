@@ -7,11 +7,10 @@ them, and the covariance is the mean over what it allows: an estimate of them al
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import sqrt
 
 import numpy as np
 
-from tiltcal.core.coverage_factor import COVERAGE, NORMAL_FACTOR
+from tiltcal.core.coverage_factor import NORMAL_FACTOR, half_width
 from tiltcal.core.model import Array
 from tiltcal.core.ramp.means import FittedMeans, slopes_of
 
@@ -20,8 +19,6 @@ _RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])
 
 _PRIOR = np.concatenate([[0.5], np.full(len(_RATIOS) - 1, 0.5 / (len(_RATIOS) - 1))])
 """Half of the weight is on white noise alone."""
-
-_BISECTIONS = 40
 
 _DISTANCES = (1, 2, 4, 8)
 """Means between which second differences are taken; a step of the thermometer may last several."""
@@ -83,8 +80,6 @@ def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:
     Of the mean over sizes and correlation times, what is correlated is scaled so that 1.96 standard uncertainties of
     the constant hold 95 % of its distribution, which is a mixture.
     """
-    from scipy.special import erf
-
     n, p = design.shape
     x = np.linalg.qr(design)[0]
     off = values - x @ (x.T @ values)
@@ -106,13 +101,9 @@ def noise_covariance(means: FittedMeans, design: Array, values: Array) -> Array:
     weights /= weights.sum()
     parts = weights * np.array(variances)
     spread, white = np.array(spreads), float(parts.sum())
-    low, high = 0.0, 10.0 * float(spread.max())
-    for _ in range(_BISECTIONS):
-        half = 0.5 * (low + high)
-        held = float(np.sum(weights * erf(half / spread / sqrt(2.0))))
-        low, high = (half, high) if held < COVERAGE else (low, half)
+    half = float(half_width(spread.reshape(1, -1), weights.ravel())[0])
     lasting = float(np.sum(weights * spread**2)) - white
-    share = max(((high / NORMAL_FACTOR) ** 2 - white) / lasting, 0.0) if lasting > 0.0 else 0.0
+    share = max(((half / NORMAL_FACTOR) ** 2 - white) / lasting, 0.0) if lasting > 0.0 else 0.0
     covariance = white * np.eye(n)
     for (correlation, _, _), part in zip(means.correlations, parts, strict=True):
         covariance += share * float(part @ _RATIOS) * correlation
