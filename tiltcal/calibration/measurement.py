@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field
 from typing import Any
 
-from tiltcal.core.estimation.design import STRAIGHT
+from tiltcal.core.orientation import STRAIGHT
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
@@ -154,7 +154,7 @@ class MeasuredSensor:
     sensor: SensorIdentity
     measurements: Sequence[Measurement]
     nominal: Model | None = None
-    orientation: Sequence[Sequence[float]] = STRAIGHT
+    orientation: Sequence[Sequence[float]] = STRAIGHT.matrix
     thermometer: float | None = None
     base: CalibrationRecord | None = None
     ramp: RampRecord | None = None

@@ -163,7 +163,6 @@ def _estimate(
         Budget.of(list(_sources(fit, design, coefficients, gravity, names, bench))),
         tuple(group.position for group in groups),
         residuals,
-        residuals,
         max(len(fit.means) - fit.order - 1, 0) * len(design.channels),
         None,
         None,

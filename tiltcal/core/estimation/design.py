@@ -8,6 +8,7 @@ from functools import cached_property
 from math import inf
 
 from tiltcal.core.model import Array, ChannelModel
+from tiltcal.core.orientation import STRAIGHT
 from tiltcal.errors import EstimateError
 
 
@@ -125,13 +126,6 @@ class Design:
         """Dotted names of all coefficients, channel by channel."""
         return tuple(name for model in self.models for name in model.coefficients)
 
-    def parameters(self, channel: str) -> list[str]:
-        """Return the dotted names of one channel's coefficients, in the order of the parameter vector."""
-        return list(self.models[self.channels.index(channel)].coefficients)
-
-
-STRAIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
 
 @dataclass(frozen=True)
 class SensorObservations:
@@ -147,7 +141,7 @@ class SensorObservations:
 
     design: Design
     observations: Sequence[Observation]
-    orientation: Sequence[Sequence[float]] = STRAIGHT
+    orientation: Sequence[Sequence[float]] = STRAIGHT.matrix
 
 
 def _bench(design: Design) -> tuple[float | None, ...]:

@@ -108,7 +108,7 @@ def count_distinct(attitudes: Array) -> int:
 
 
 def misfits(mean: Array, offset: Array, sensitivity: Array) -> Array:
-    """Compute the differences of the measured lengths of gravity from 1 g, in g.
+    """Compute the differences of the measured lengths of gravity from 1 g, shape (n,), g.
 
     Parameters
     ----------
@@ -118,12 +118,8 @@ def misfits(mean: Array, offset: Array, sensitivity: Array) -> Array:
         Unit.
     sensitivity : ndarray, shape (3, 3)
         Unit/g.
-
-    Returns
-    -------
-    ndarray, shape (n,)
     """
-    return np.asarray(np.linalg.norm((mean - offset) @ np.linalg.inv(sensitivity).T, axis=1) - 1.0)
+    return _seen(mean, offset, sensitivity)[1] - 1.0
 
 
 def fit_ellipsoid(mean: Array, u: Array) -> Ellipsoid:

@@ -21,7 +21,7 @@ import numpy as np
 
 from tiltcal.core.estimation.attitude import rotation_vectors
 from tiltcal.core.estimation.covariance import estimated_jig_budgets, scaled_budgets, stated_budgets
-from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations, require_sound
+from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.elimination import LinearSolution, linearised
 from tiltcal.core.estimation.equation_assembly import system_of
 from tiltcal.core.estimation.gauss_newton import minimise
@@ -43,8 +43,6 @@ from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
-
-__all__ = ["Design", "Estimate", "Observation", "Prior", "SensorObservations", "estimate", "estimate_jointly"]
 
 LARGEST_JIG = radians(45.0)
 """Standard deviation of a set angle above which the positions are not those that were set, radians."""
@@ -93,8 +91,6 @@ class Estimate(DeterminedCoefficients):
     ----------
     residuals : ndarray, shape (positions, channels)
         Measured minus modelled in the positions as they were set, in the sensor's unit.
-    remainders : ndarray, shape (positions, channels)
-        What is left of them with each position's attitude and temperature as estimated.
     dof : int
         Degrees of freedom left, over all channels of all sensors of the fixture.
     chi_square : float or None
@@ -119,7 +115,6 @@ class Estimate(DeterminedCoefficients):
 
     positions: tuple[str, ...]
     residuals: Array
-    remainders: Array
     dof: int
     chi_square: float | None
     p: float | None
@@ -198,11 +193,8 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
     if shown is not None:
         system, z = shown.system, shown.z
         near = linearised(system, z)
-    bias = second_order_bias(near, z) if system.jig > 0 else None
+    z, bias = _without_bias(near, z)
     budgets = stated_budgets(near, bias, inf if shown is None else shown.dof, noise)
-    if bias is not None:
-        z = z.copy()
-        z[: system.coefficients] -= bias
     attitudes = _attitudes(sensors, system, z, near) if system.jig > 0 else ()
     found = _Found(
         z,
@@ -211,7 +203,7 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
         chi_square,
         True,
         estimated_thermometer=None if shown is None else system.thermometer,
-        noise_dof=None if noise is None else float(noise.dof(np.ones(1), np.zeros(1))[0]),
+        noise_dof=None if noise is None else noise.own_dof,
         notes=() if dof else (NO_FREEDOM,),
     )
     return _estimates(sensors, system, found, attitudes)
@@ -237,19 +229,32 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
         return _estimates(sensors, known, _of_residuals(system, known, z, dof, noise))
     known, z, components = find_jig(system, z, components, dof, table)
     near = with_attitudes(known, z)
-    bias = second_order_bias(near, z) if known.jig > 0 else None
+    z, bias = _without_bias(near, z)
     budgets = estimated_jig_budgets(near, components, bias)
     notes = []
     if components.exceeds:
         notes.append(ABOVE_NOISE)
     if not components.detectable and np.any(near.response[:, near.shared - near.angles :] != 0.0):
         notes.append(JIG_NOT_SHOWN)
-    if bias is not None:
-        z = z.copy()
-        z[: known.coefficients] -= bias
-    residual = known.unexplained(known.as_set(z)) / system.sigma
-    found = _Found(z, budgets, dof, float(residual @ residual), False, degrees(components.angle), notes=tuple(notes))
+    chi_square = _chi_square(system, z)
+    found = _Found(z, budgets, dof, chi_square, False, degrees(components.angle), notes=tuple(notes))
     return _estimates(sensors, known, found)
+
+
+def _without_bias(near: LinearSolution, z: Array) -> tuple[Array, Array | None]:
+    """Return the unknowns at a minimum less the second-order bias of the coefficients, and that; None without a jig."""
+    if not near.jig > 0:
+        return z, None
+    bias = second_order_bias(near, z)
+    z = z.copy()
+    z[: len(bias)] -= bias
+    return z, bias
+
+
+def _chi_square(system: System, z: Array) -> float:
+    """Return the sum of squares of the residuals in the positions as they were set."""
+    residual = system.unexplained(system.as_set(z)) / system.sigma
+    return float(residual @ residual)
 
 
 def _known_table(near: LinearSolution) -> float:
@@ -260,21 +265,16 @@ def _known_table(near: LinearSolution) -> float:
 def _of_residuals(before: System, system: System, z: Array, dof: int, noise: NoiseVariance) -> _Found:
     """Return the minimum of a system whose noise and jig were found, with the chi-square that it had before."""
     near = with_attitudes(system, z)
-    bias = second_order_bias(near, z) if system.jig > 0 else None
-    budgets = stated_budgets(near, bias, shown=noise)
-    if bias is not None:
-        z = z.copy()
-        z[: system.coefficients] -= bias
-    residual = before.unexplained(system.as_set(z)) / before.sigma
+    z, bias = _without_bias(near, z)
     hidden = system.jig == 0.0 and np.any(near.response[:, near.shared - near.angles :] != 0.0)
     return _Found(
         z,
-        budgets,
+        stated_budgets(near, bias, shown=noise),
         dof,
-        float(residual @ residual),
+        _chi_square(before, z),
         False,
         degrees(system.jig),
-        noise_dof=float(noise.dof(np.ones(1), np.zeros(1))[0]),
+        noise_dof=noise.own_dof,
         notes=(JIG_NOT_SHOWN,) if hidden else (),
     )
 
@@ -370,9 +370,7 @@ def _estimates(
     from scipy.special import chdtrc
 
     p = None if found.chi_square is None else float(chdtrc(found.dof, found.chi_square))
-    whole = len(found.z) == system.unknowns
     as_set = system.unexplained(found.z if sensors[0].design.free else system.as_set(found.z))
-    remainders = system.unexplained(found.z) if whole else as_set
     estimates = []
     row = 0
     for number, sensor in enumerate(sensors):
@@ -388,7 +386,6 @@ def _estimates(
                 budget=found.budgets[number],
                 positions=tuple(observation.position for observation in sensor.observations),
                 residuals=as_set[rows].reshape(shape).T,
-                remainders=remainders[rows].reshape(shape).T,
                 dof=found.dof,
                 chi_square=found.chi_square,
                 p=p,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.estimation.elimination import LinearSolution
 from tiltcal.core.estimation.joint_equations import System
-from tiltcal.core.gravity_direction import gravity_from_tilt
+from tiltcal.core.gravity_direction import Vector, gravity_from_tilt
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
 
@@ -20,23 +20,21 @@ UNDETERMINED = 1e-9
 TOLD = 0.1
 """Coefficients with at least this part in an undetermined combination are named."""
 
+MOST_POSITIONS = 3
+"""Positions that may be proposed to be added."""
+
 WARMER = 20.0
 """How much another temperature that is proposed differs, °C."""
 
-FACES: dict[str, tuple[float, float, float]] = {
+CANDIDATES: dict[str, Vector] = {
     "level (+z up)": (0.0, 0.0, 1.0),
     "upside down (+z down)": (0.0, 0.0, -1.0),
     "+x straight up": (1.0, 0.0, 0.0),
     "+x straight down": (-1.0, 0.0, 0.0),
     "+y straight up": (0.0, 1.0, 0.0),
     "+y straight down": (0.0, -1.0, 0.0),
+    **{f"{angle:+}° of {axis}": gravity_from_tilt({axis: float(angle)}) for axis in ("x", "y") for angle in (45, -45)},
 }
-TILTS = {
-    f"{'+' if angle > 0 else '-'}{abs(angle)}° of {axis}": gravity_from_tilt({axis: float(angle)})
-    for axis in ("x", "y")
-    for angle in (45, -45)
-}
-CANDIDATES = {**FACES, **TILTS}
 """Positions that may be proposed."""
 
 
@@ -122,9 +120,7 @@ def undetermined_unknowns(near: LinearSolution) -> list[str]:
     return [name for name, part in zip(names, combination / size, strict=True) if abs(part) > TOLD]
 
 
-def positions_to_add(
-    model: ChannelModel, theta: Array, gravity: Array, dt: Array, rows: Array, most: int = 3
-) -> list[str]:
+def _positions_to_add(model: ChannelModel, theta: Array, gravity: Array, dt: Array, rows: Array) -> list[str]:
     """Return positions that would determine all coefficients of a channel, the most informative first.
 
     Parameters
@@ -136,8 +132,6 @@ def positions_to_add(
         Temperature of each position from the reference, °C.
     rows : ndarray, shape (rows, coefficients)
         What is there already: the positions' derivatives, and priors.
-    most : int
-        How many may be proposed.
 
     Returns
     -------
@@ -146,7 +140,7 @@ def positions_to_add(
     """
     chosen: list[str] = []
     candidates = dict(_candidates(model, theta, gravity, dt))
-    for _ in range(most):
+    for _ in range(MOST_POSITIONS):
         if not undetermined(rows, model.coefficients):
             return chosen
         best = max(candidates, key=lambda name: _strength(np.vstack([rows, candidates[name]])))
@@ -159,7 +153,7 @@ def _advice(
     model: ChannelModel, theta: Array, gravity: Array, dt: Array, rows: Array, moving: NDArray[np.bool_]
 ) -> str:
     held = np.vstack([rows, np.eye(len(theta))[~moving]])
-    proposed = positions_to_add(model, theta, gravity, dt, held)
+    proposed = _positions_to_add(model, theta, gravity, dt, held)
     return f"add the position {_listed(proposed)}" if proposed else "add positions that differ from these"
 
 

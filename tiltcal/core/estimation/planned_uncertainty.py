@@ -32,9 +32,6 @@ STRONG = 0.9
 WORTH = 0.8
 """A position is proposed where it brings the largest uncertainty below this share of what it was."""
 
-UNSTATED = 0.0
-"""The jig that counts where none was stated: what is predicted is then what noise alone leaves."""
-
 
 @dataclass(frozen=True)
 class PlannedPosition:
@@ -173,7 +170,7 @@ def _system(
     sensors: int,
 ) -> tuple[System, Array]:
     """Return the equations of a plan, without readings, and all unknowns as in the data sheet."""
-    stated = replace(design, jig=UNSTATED if design.jig is None else design.jig)
+    stated = replace(design, jig=design.jig or 0.0)
     u = np.hypot(np.broadcast_to(np.asarray(noise, dtype=float), len(design.channels)), adc)
     zero = np.zeros(len(design.channels))
     observations = [
