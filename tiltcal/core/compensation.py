@@ -89,19 +89,14 @@ class Compensated:
         flag, reason = np.empty((2, rows), np.uint8)
         return cls(gravity.T, tilt.T, pitch, roll, inclination, flag, reason)
 
-    def chunks(self) -> Iterator[tuple[slice, Compensated]]:
-        """Views of a cache's size, with the rows they cover."""
-        for start in range(0, len(self.flag), _CHUNK):
-            rows = slice(start, start + _CHUNK)
-            pitch, roll, inclination = (
-                None if angle is None else angle[rows] for angle in (self.pitch, self.roll, self.inclination)
-            )
-            yield (
-                rows,
-                Compensated(
-                    self.gravity[rows], self.tilt[rows], pitch, roll, inclination, self.flag[rows], self.reason[rows]
-                ),
-            )
+    def part(self, rows: slice) -> Compensated:
+        """Return a view of some rows."""
+        pitch, roll, inclination = (
+            None if angle is None else angle[rows] for angle in (self.pitch, self.roll, self.inclination)
+        )
+        return Compensated(
+            self.gravity[rows], self.tilt[rows], pitch, roll, inclination, self.flag[rows], self.reason[rows]
+        )
 
 
 @frozen
@@ -133,6 +128,18 @@ class KernelChunk:
     hidden: Array | None
     out: Compensated
     share: Array | float = 1.0
+
+    def part(self, rows: slice) -> KernelChunk:
+        """Return a view of some rows, counted from the first of these."""
+        return KernelChunk(
+            rows,
+            None if self.dt is None else self.dt[rows],
+            self.signal[:, rows],
+            self.own[:, rows],
+            None if self.hidden is None else self.hidden[rows],
+            self.out.part(rows),
+            self.share if isinstance(self.share, float) else self.share[rows],
+        )
 
 
 class Compensation:
@@ -232,20 +239,10 @@ class Compensation:
 
     def table(self, compensated: Compensated) -> dict[str, NDArray[np.float64] | Bytes]:
         """Return the columns of a result under the names that :attr:`columns` lists."""
-        angles = (compensated.pitch, compensated.roll, compensated.inclination)
-        return dict(
-            zip(
-                self.columns,
-                (
-                    *compensated.gravity.T,
-                    *compensated.tilt.T,
-                    *(angle for angle in angles if angle is not None),
-                    compensated.flag,
-                    compensated.reason,
-                ),
-                strict=True,
-            )
-        )
+        whole = (compensated.pitch, compensated.roll, compensated.inclination)
+        angles = (*compensated.tilt.T, *(angle for angle in whole if angle is not None))
+        columns = (*compensated.gravity.T, *angles, compensated.flag, compensated.reason)
+        return dict(zip(self.columns, columns, strict=True))
 
     def __call__(
         self, readings: ArrayLike, temperature: ArrayLike | None = None, *, out: Compensated | None = None
@@ -290,9 +287,10 @@ class Compensation:
             raise ValueError(f"temperature has shape {t.shape}; the readings need ({len(u)},)")
         if out.gravity.shape != (len(u), len(self.axes)):
             raise ValueError(f"out has shape {out.gravity.shape}; the result has ({len(u)}, {len(self.axes)})")
-        for rows, part in out.chunks():
+        for start in range(0, len(u), _CHUNK):
+            rows = slice(start, start + _CHUNK)
             with np.errstate(all="ignore"):
-                chunk = self._compensate(rows, u[rows].T, None if t is None else t[rows], part)
+                chunk = self._compensate(rows, u[rows].T, None if t is None else t[rows], out.part(rows))
             yield chunk
 
     def up(self, chunk: KernelChunk) -> Array:

@@ -27,9 +27,10 @@ import numpy as np
 
 from tiltcal.core.compensation import KernelChunk
 from tiltcal.core.flags import MISSING, NO_TEMPERATURE
-from tiltcal.core.heading import EarthFrame, cross
+from tiltcal.core.heading import EarthFrame, cross, length_of
 from tiltcal.core.model import Array
-from tiltcal.core.uncertainty_propagation import ANYWHERE, HALF_TURN, Propagation, UpGradient
+from tiltcal.core.mounting_angles import UNKNOWN_ANGLE
+from tiltcal.core.uncertainty_propagation import HALF_TURN, Propagation, UpGradient
 from tiltcal.frozen import frozen
 
 
@@ -73,7 +74,7 @@ class EarthUncertainty:
             _add_second_order(expanded[-3:], velocity)
         standard = expanded / factors
         if field is not None:
-            standard[0] = np.degrees(np.minimum(standard[0], ANYWHERE))
+            standard[0] = np.degrees(np.minimum(standard[0], UNKNOWN_ANGLE))
             expanded[0] = np.degrees(np.minimum(expanded[0], HALF_TURN))
         lost = (chunk.out.flag == MISSING) | (chunk.out.reason & NO_TEMPERATURE > 0) | ~np.isfinite(frame.heading)
         for room in (standard, expanded):
@@ -121,7 +122,7 @@ def _add_second_order(halves: Array, velocity: Array) -> None:
 
     It counts where the flow is along a component, which then has no error of first order.
     """
-    size = 2.0 * np.sqrt(np.einsum("in,in->n", velocity, velocity))
+    size = 2.0 * length_of(velocity)
     squares = halves * halves
     curved = (squares.sum(axis=0) - squares) / np.where(size > 0.0, size, np.inf)
     np.sqrt(squares + curved * curved, out=halves)

@@ -374,7 +374,7 @@ def vector_of(coefficients: Coefficients, names: Sequence[str]) -> Array:
     EstimateError
         The coefficients have none of that name.
     """
-    return np.array([_value(coefficients, name) for name in names])
+    return np.array([table[place] for table, place in (_place(coefficients, name) for name in names)])
 
 
 def with_vector(coefficients: Coefficients, names: Sequence[str], vector: Array) -> Coefficients:
@@ -389,11 +389,6 @@ def with_vector(coefficients: Coefficients, names: Sequence[str], vector: Array)
         table, place = _place(changed, name)
         table[place] = value
     return changed
-
-
-def _value(coefficients: Coefficients, name: str) -> float:
-    table, place = _place(coefficients, name)
-    return float(table[place])
 
 
 def _place(coefficients: Coefficients, name: str) -> tuple[Array, tuple[int, ...]]:

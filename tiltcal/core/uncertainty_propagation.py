@@ -14,16 +14,17 @@ the arcsine, and where pitch or inclination comes from a length near zero, an er
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import pi, sqrt
 
 import numpy as np
 
-from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
+from tiltcal.core.compensation import Compensation, KernelChunk
 from tiltcal.core.coverage_factor import NEGLIGIBLE, NORMAL_FACTOR, coverage_factors
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE
 from tiltcal.core.matrix_product import columns_of_one_thread, form, pairs_of, product, products_of
 from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.mounting_angles import UNKNOWN_ANGLE
 from tiltcal.core.signal_derivatives import SignalDerivatives
 from tiltcal.core.tilt_angles import DIRECTIONS
 from tiltcal.core.uncertainty_columns import round_up
@@ -36,9 +37,6 @@ HALF_TURN = pi
 
 CIRCLE = 1.2489
 """Radius of the circle that holds 95 % of the errors in two directions, over the half width that holds them in one."""
-
-ANYWHERE = pi / sqrt(3.0)
-"""Standard uncertainty of an angle of which nothing is known, radians."""
 
 _EXACT = 1e-9  # part of a square below which its error changes nothing else
 _DEGREES = 180.0 / pi
@@ -116,21 +114,17 @@ class Propagation:
         self._forms = np.zeros((self._kinds * len(pairs), self._by_noise.shape[1]))
         self._forms[: len(own)] = own
 
-    def __call__(self, chunk: KernelChunk, out: Array | None = None) -> Array:
-        """Return standard and expanded uncertainty of every angle, rounded up, shape (2, angles, n), degrees."""
-        return self._uncertainties(chunk, lambda room: round_up(room, _DEGREES), out)
-
-    def exact(self, chunk: KernelChunk) -> Array:
-        """Return standard and expanded uncertainty of every angle, shape (2, angles, n), degrees."""
-        return self._uncertainties(chunk, lambda room: np.multiply(room, _DEGREES, out=room))
-
-    def _uncertainties(self, chunk: KernelChunk, finish: Callable[[Array], object], out: Array | None = None) -> Array:
+    def __call__(self, chunk: KernelChunk, out: Array | None = None, *, rounded: bool = True) -> Array:
+        """Return standard and expanded uncertainty of every angle, rounded up or not, shape (2, angles, n), degrees."""
         count = len(chunk.out.flag)
         room = np.empty((2, self._angles, count)) if out is None else out
         for start in range(0, count, _ROWS):
             rows = slice(start, start + _ROWS)
-            self._fill(_part(chunk, rows), room[:, :, rows])
-            finish(room[:, :, rows])
+            self._fill(chunk.part(rows), room[:, :, rows])
+            if rounded:
+                round_up(room[:, :, rows], _DEGREES)
+            else:
+                room[:, :, rows] *= _DEGREES
         lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)
         if lost.any():
             room[:, :, lost] = np.nan
@@ -163,7 +157,7 @@ class Propagation:
         halves, factors = np.ones((2, len(gradients), len(chunk.out.flag)))
         for start in range(0, halves.shape[1], _ROWS):
             rows = slice(start, start + _ROWS)
-            part = _part(chunk, rows)
+            part = chunk.part(rows)
             signals = self._signals(part)
             for row, gradient in enumerate(gradients):
                 by_own = self._by_measured(part, signals, gradient.by_up[:, rows])
@@ -405,7 +399,7 @@ class Propagation:
         within = from_edge <= CIRCLE * np.maximum(half, across.half / np.sqrt(size))
         np.copyto(width, np.maximum(width, from_edge), where=within)
         np.minimum(width, HALF_TURN, out=room[1])
-        np.minimum(room[1] / factor, ANYWHERE, out=room[0])
+        np.minimum(room[1] / factor, UNKNOWN_ANGLE, out=room[0])
 
 
 @frozen
@@ -433,7 +427,7 @@ class _Across:
         """Fill in the uncertainty of the direction itself, radians."""
         half = self.half / self.length
         np.minimum(half, HALF_TURN, out=room[1])
-        np.minimum(half / self.factor, ANYWHERE, out=room[0])
+        np.minimum(half / self.factor, UNKNOWN_ANGLE, out=room[0])
 
 
 def _is_zero(component: Array | float) -> bool:
@@ -471,17 +465,3 @@ def _through_arcsine(argument: Array, variance: Array, factor: Array | float, wi
     widest = np.maximum(high - middle, middle - low)
     widest[widest == 0.0] = np.nan
     width[curved] = widest
-
-
-def _part(chunk: KernelChunk, rows: slice) -> KernelChunk:
-    """Some rows of a chunk; of what comes out, gravity alone."""
-    out = chunk.out
-    return KernelChunk(
-        rows,
-        None if chunk.dt is None else chunk.dt[rows],
-        chunk.signal[:, rows],
-        chunk.own[:, rows],
-        None if chunk.hidden is None else chunk.hidden[rows],
-        Compensated(out.gravity[rows], out.tilt[rows], None, None, None, out.flag[rows], out.reason[rows]),
-        chunk.share if isinstance(chunk.share, float) else chunk.share[rows],
-    )

@@ -151,7 +151,9 @@ class TiltKernel:
 
     def _add_uncertainties(self, propagation: Propagation, chunk: KernelChunk, out: Array) -> None:
         if self._averaged:
-            out[...] = with_shares(propagation.exact(chunk), propagation.exact(replace(chunk, share=0.0)))
+            out[...] = with_shares(
+                propagation(chunk, rounded=False), propagation(replace(chunk, share=0.0), rounded=False)
+            )
         else:
             propagation(chunk, out.reshape(2, -1, out.shape[1]))
 

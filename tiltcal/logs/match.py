@@ -11,7 +11,6 @@ from typing import Any
 import tiltcal
 from tiltcal.calibration.pair_calibration import PairCalibration
 from tiltcal.core.pair.matching import match as match_demodulated
-from tiltcal.core.pair.matching import matching_with
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
@@ -141,9 +140,7 @@ def match_log(
         observers = [observer for observer in (watch, spectrum) if observer is not None]
         found = demodulate_log(log, channels, phase, observers=observers, say=say, live=online)
         matchings = tuple(
-            match_demodulated(found.demodulation, pair)
-            if watch is None
-            else matching_with(found.demodulation, pair, watch.coefficients(pair, loops=loops))
+            match_demodulated(found.demodulation, pair, watch.coefficients(pair, loops=loops) if watch else None)
             for pair in pairs
         )
     rows = found.rows + found.missing

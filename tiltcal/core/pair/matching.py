@@ -100,26 +100,23 @@ class Matching:
         return float((first + weights[1] * second - weights[2] * orthogonal) / (2.0 * first))
 
 
-def match(demodulation: Demodulation, pair: Pair) -> Matching:
-    """Match a pair in closed form, and return its effect on the record.
+def match(demodulation: Demodulation, pair: Pair, found: PairCoefficients | None = None) -> Matching:
+    """Match a pair, and return its effect on the record.
 
     Parameters
     ----------
     demodulation : Demodulation
         Of a record that has the pair's three channels.
-    pair : Pair
+    found : PairCoefficients, optional
+        p and q; those of the record, in closed form, where they are left out.
 
     Raises
     ------
     EstimateError
         See :func:`solve`.
     """
-    return matching_with(demodulation, pair, solve(demodulation, pair))
-
-
-def matching_with(demodulation: Demodulation, pair: Pair, found: PairCoefficients) -> Matching:
-    """Return the effect of some p and q on a record."""
-    components = tabulate(demodulation, pair, found.p, found.q)
+    found = solve(demodulation, pair) if found is None else found
+    components = _components(demodulation, pair, found.p, found.q)
     return Matching(pair, found.p, found.q, found.u_p, found.u_q, components)
 
 
@@ -149,7 +146,7 @@ def solve(demodulation: Demodulation, pair: Pair) -> PairCoefficients:
     return PairCoefficients(1.0 - rest, q, u_p, u_q)
 
 
-def tabulate(demodulation: Demodulation, pair: Pair, p: float, q: float) -> Mapping[str, Mapping[str, Component]]:
+def _components(demodulation: Demodulation, pair: Pair, p: float, q: float) -> Mapping[str, Mapping[str, Component]]:
     """Return the components of a pair before and after it is matched with some p and q (the source's Table 1)."""
     table = {}
     for stage, (trim_p, trim_q) in zip(STAGES, ((0.0, 0.0), (p, 0.0), (p, q)), strict=True):
