@@ -12,8 +12,10 @@ Sources: Tedaldi, Pretto and Menegatti (2014) for the static detector; QARTOD's 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from bisect import bisect
+from collections.abc import Iterable, Iterator, Sequence
 from math import erf, inf, log, sqrt
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +27,14 @@ from tiltcal.core.statistics import SampleSummary
 
 Span = tuple[int, int]
 """First row and the row behind the last."""
+
+
+class Rows(Protocol):
+    """The rows of a record, shape (n, channels), of which slices are taken: an array, or a long log in a file."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, rows: slice, /) -> Array: ...
+
 
 CHANCE = 1e-6
 """Probability of identical samples below which they are no chance."""
@@ -78,6 +88,21 @@ def runs(mask: Mask) -> list[Span]:
     return list(zip(starts.tolist(), ends.tolist(), strict=True))
 
 
+def long_runs(masks: Iterable[Mask], shortest: int) -> list[Span]:
+    """Return the runs of True of at least so many rows in masks that follow each other."""
+    bounds, first = [np.empty((2, 0), np.intp)], 0
+    for mask in masks:
+        starts, ends = run_bounds(mask)
+        kept = (ends - starts >= shortest) | (starts == 0) | (ends == len(mask))
+        bounds.append(first + np.stack([starts[kept], ends[kept]]))
+        first += len(mask)
+    starts, ends = np.concatenate(bounds, axis=1)
+    apart = starts[1:] != ends[:-1]
+    starts, ends = starts[np.append(True, apart)[: len(starts)]], ends[np.append(apart, True)[: len(ends)]]
+    long = ends - starts >= shortest
+    return list(zip(starts[long].tolist(), ends[long].tolist(), strict=True))
+
+
 # ---------------------------------------------------------------------------------------------------------------- stuck
 
 
@@ -97,43 +122,73 @@ def repeated(samples: Array, before: ArrayLike = np.nan) -> Mask:
     return same
 
 
-def stuck_runs(samples: Array, shortest: int) -> list[Span]:
+def stuck_runs(samples: Rows, shortest: int) -> list[Span]:
     """Return the runs of at least ``shortest`` rows in which no channel changes.
 
     Parameters
     ----------
-    samples : ndarray, shape (n, channels)
+    samples : Rows
         NaN where a value is missing.
     shortest : int
-        Rows.
+        Rows, at least 2.
     """
-    return [(start - 1, end) for start, end in runs(np.all(repeated(samples), axis=1)) if end - start >= shortest - 1]
+    masks = (np.all(repeated(piece, before), axis=1) for before, piece in _pieces(samples))
+    return [(start - 1, end) for start, end in long_runs(masks, shortest - 1)]
 
 
-def stuck_rows(samples: Array, shortest: int) -> Mask:
-    """Return the rows in long runs of identical samples, where the noise of the rest makes such runs no chance.
+def stuck_spans(samples: Rows, shortest: int) -> list[Span]:
+    """Return the long runs of identical samples, where the noise of the rest makes such runs no chance.
 
     Parameters
     ----------
-    samples : ndarray, shape (n, channels)
+    samples : Rows
         NaN where a value is missing.
     shortest : int
         Rows of a run that is judged.
     """
-    stuck = np.zeros(len(samples), dtype=bool)
-    for start, end in stuck_runs(samples, shortest):
-        stuck[start:end] = True
-    if not stuck.any():
+    stuck = stuck_runs(samples, shortest)
+    if not stuck:
         return stuck
-    elsewhere = window_variances(np.nan_to_num(samples), stuck | ~np.isfinite(samples).all(axis=1), shortest)
-    elsewhere = elsewhere[np.isfinite(elsewhere).all(axis=1)]
-    if not len(elsewhere):
+    steps = np.full(samples[:1].shape[1], inf)
+    elsewhere = [Stillest(len(samples)) for _ in steps]
+    for variances in window_variances(samples, stuck, shortest):
+        usable = variances[np.isfinite(variances).all(axis=1)]
+        for found, column in zip(elsewhere, usable.T, strict=True):
+            found.add(column)
+    noise = [found.result() for found in elsewhere]
+    if None in noise:
         return stuck
-    noise = np.sqrt(np.quantile(elsewhere, STILLEST, axis=0))
-    change = np.abs(np.diff(samples, axis=0))
-    steps = np.array([np.min(column[column > 0.0], initial=inf) for column in change.T])
+    for before, piece in _pieces(samples):
+        change = np.abs(np.diff(piece, axis=0, prepend=before[None]))
+        steps = np.minimum(steps, np.min(change, axis=0, initial=inf, where=change > 0.0))
     # Noise of half a step changes every other reading: a run of identical ones is then no chance.
-    return stuck if np.any(noise >= steps / 2) else np.zeros(len(samples), dtype=bool)
+    return stuck if np.any(np.sqrt(np.array(noise, dtype=float)) >= steps / 2) else []
+
+
+def lost_rows(piece: Array, first: int, stuck: Sequence[Span]) -> Mask:
+    """Return the rows of a piece of a record in which a value is missing or stuck.
+
+    Parameters
+    ----------
+    piece : ndarray, shape (n, channels)
+    first : int
+        Number of its first row.
+    stuck : sequence of (start, end)
+        Rows of the record, rising.
+    """
+    lost = np.asarray(~np.isfinite(piece).all(axis=1))
+    for start, end in stuck[max(bisect(stuck, (first, first)) - 1, 0) : bisect(stuck, (first + len(piece), 0))]:
+        lost[max(start - first, 0) : max(end - first, 0)] = True
+    return lost
+
+
+def _pieces(samples: Rows) -> Iterator[tuple[Array, Array]]:
+    """Yield the rows piece by piece, each with the row before it."""
+    before = np.full(samples[:1].shape[1], np.nan)
+    for start in range(0, len(samples), _CHUNK):
+        piece = samples[start : start + _CHUNK]
+        yield before, piece
+        before = piece[-1]
 
 
 def noise_of_positions(summaries: Sequence[SampleSummary], step: float) -> float:
@@ -202,41 +257,35 @@ def is_still(
     return abs(change) <= (limit - coverage * uncertainty if shown else max(limit, sigmas * uncertainty))
 
 
-def window_scatter(samples: Array, lost: Mask, window: int) -> Array:
-    """Return the standard deviation in every window, all channels together (root of the sum of squares).
+def window_scatter(samples: Rows, stuck: Sequence[Span], window: int) -> Iterator[Array]:
+    """Yield the standard deviation in every window, all channels together (root of the sum of squares), in pieces.
 
     Parameters
     ----------
-    samples : ndarray, shape (n, channels)
-    lost : ndarray of bool, shape (n,)
-        Rows that cannot be used.
+    samples : Rows
+        NaN where a value is missing.
+    stuck : sequence of (start, end)
+        Rows that cannot be used either, rising.
     window : int
         Rows.
 
-    Returns
-    -------
-    ndarray, shape (n - window + 1,)
-        Infinite where a window holds a lost row; empty where there are fewer rows than a window has.
+    Yields
+    ------
+    ndarray, shape (n,)
+        Of windows that follow each other; infinite where a window holds a row that cannot be used. There is none where
+        there are fewer rows than a window has.
     """
-    pieces = [np.sqrt(np.sum(variances, axis=1)) for variances in _window_variances(samples, lost, window)]
-    return np.concatenate(pieces) if pieces else np.zeros(0)
+    for variances in window_variances(samples, stuck, window):
+        yield np.sqrt(np.sum(variances, axis=1))
 
 
-def window_variances(samples: Array, lost: Mask, window: int) -> Array:
-    """Return the sample variance of every channel in every window, shape (n - window + 1, channels).
-
-    The arguments are those of :func:`window_scatter`, and so are infinite values.
-    """
-    pieces = list(_window_variances(samples, lost, window))
-    return np.concatenate(pieces) if pieces else np.zeros((0, samples.shape[1]))
-
-
-def _window_variances(samples: Array, lost: Mask, window: int) -> Iterator[Array]:
-    """Yield the variances of windows that follow each other, so that no more than a piece of them is in memory."""
+def window_variances(samples: Rows, stuck: Sequence[Span], window: int) -> Iterator[Array]:
+    """Yield the sample variance of every channel in every window, shape (n, channels), as :func:`window_scatter`."""
     for start in range(0, len(samples) - window + 1, _CHUNK):
-        rows = slice(start, start + _CHUNK + window - 1)
-        gone = lost[rows, None]
-        piece = np.where(gone, 0.0, samples[rows]) if gone.any() else samples[rows]
+        piece = samples[start : start + _CHUNK + window - 1]
+        gone = lost_rows(piece, start, stuck)[:, None]
+        if gone.any():
+            piece = np.where(gone, 0.0, piece)
         # Running sums about the piece's own mean: over a long record they would lose the noise in their last digits.
         centred = piece - piece.mean(axis=0)
         sums, squares = (_window_sums(values, window) for values in (centred, centred**2))
@@ -246,10 +295,36 @@ def _window_variances(samples: Array, lost: Mask, window: int) -> Iterator[Array
         yield variances
 
 
-def stillest(scatter: Array) -> float | None:
-    """Return the scatter in the stillest part of a record; None where there is none, or no noise in it."""
-    usable = scatter[np.isfinite(scatter) & (scatter > 0.0)]
-    return float(np.quantile(usable, STILLEST)) if len(usable) else None
+class Stillest:
+    """Collects the scatter in the windows of a record, and keeps the smallest of them.
+
+    Parameters
+    ----------
+    most : int
+        Windows of the record, at the most.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = int(STILLEST * most) + 2
+        self._kept = [np.empty(0)]
+        self._held, self._count, self._limit = 0, 0, inf
+
+    def add(self, scatter: Array) -> None:
+        """Take the scatter in the next windows, shape (n,)."""
+        self._count += len(scatter)
+        self._kept.append(scatter[scatter <= self._limit])
+        self._held += len(self._kept[-1])
+        if self._held > 2 * self._most + _CHUNK:
+            smallest = np.partition(np.concatenate(self._kept), self._most - 1)[: self._most]
+            self._kept, self._held, self._limit = [smallest], self._most, float(smallest[-1])
+
+    def result(self) -> float | None:
+        """Return the scatter in the stillest part, the :data:`STILLEST` quantile; None where there is no window."""
+        if not self._count:
+            return None
+        place = STILLEST * (self._count - 1)
+        low = int(place)
+        return float(np.quantile(np.sort(np.concatenate(self._kept))[low : low + 2], place - low))
 
 
 def _window_sums(values: Array, window: int) -> Array:

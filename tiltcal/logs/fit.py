@@ -329,13 +329,12 @@ class FitSource:
             return FitPositions(
                 oriented(intervals, directions([interval.summaries for interval in intervals])), provenance
             )
-        with self._record(sensor) as record:
-            readings = record.readings()
         windows = WINDOWS if self.window is None else (self.window,)
-        chosen, tried = find_still(readings, windows)
-        say(choice_table(chosen, tried, sensor.unit))
-        found = still_segments(chosen)
-        intervals = intervals_of(*sampled(record, found, self.rails), record, file=record.name)
+        with self._record(sensor) as record, record.stored() as readings:
+            chosen, tried = find_still(readings, windows)
+            say(choice_table(chosen, tried, sensor.unit))
+            found = still_segments(chosen)
+            intervals = intervals_of(*sampled(record, found, self.rails), record, file=record.name)
         attitudes = directions([interval.summaries for interval in intervals])
         for interval, (x, y, z) in zip(intervals, attitudes.tolist(), strict=True):
             rows = [segment for segment in found if segment.name == interval.position]

@@ -12,6 +12,7 @@ from tiltcal.core.model import Array
 from tiltcal.logs.columns import TEMPERATURE, TIME, locate_readings
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import Progress
+from tiltcal.logs.stored_rows import StoredRows
 
 
 class RecordedReadings:
@@ -50,17 +51,14 @@ class RecordedReadings:
             self.rows += values.shape[1]
             yield self.rows - values.shape[1], values
 
-    def readings(self) -> Array:
-        """Return the channels of all rows side by side, shape (rows, channels); they stay in memory."""
-        values = np.empty((len(self.channels) + self.thermometer + self.timed, 0))
-        for first, block in self.blocks():
-            if self.rows > values.shape[1]:
-                longer = np.empty((len(values), 2 * self.rows))  # what stays empty takes no memory
-                longer[:, :first] = values[:, :first]
-                values = longer
-            values[:, first : self.rows] = block
-        self._blocks = [values[:, : self.rows]]
-        return values[: len(self.channels), : self.rows].T
+    @contextmanager
+    def stored(self) -> Iterator[StoredRows]:
+        """Read all rows into a temporary file, whose slices have the channels; :meth:`blocks` then reads them there."""
+        with StoredRows(len(self.channels) + self.thermometer + self.timed, len(self.channels)) as rows:
+            for _, values in self.blocks():
+                rows.append(values)
+            self._blocks = rows.blocks()
+            yield rows
 
 
 @contextmanager

@@ -17,13 +17,13 @@ from math import cos, inf, radians, sqrt
 
 import numpy as np
 
-from tiltcal.core.detection import Span, runs, stillest, stuck_rows, window_scatter
+from tiltcal.core.detection import Rows, Span, Stillest, long_runs, lost_rows, stuck_spans, window_scatter
 from tiltcal.core.estimation.ellipsoid import UNKNOWNS, Ellipsoid, fit_ellipsoid
-from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.statistics import BLOCKS
 from tiltcal.errors import EstimateError
 from tiltcal.files.segments import Segment
+from tiltcal.logs.stored_rows import StoredRows
 
 WINDOWS = (200, 100, 50, 25)
 """Rows of the windows that are tried."""
@@ -36,6 +36,9 @@ STUCK = 25
 
 SAME_DIRECTION_COSINE = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
+
+_PIECE = 1 << 10
+"""Rows whose sums are kept, and of which longer intervals have theirs."""
 
 
 @dataclass(frozen=True)
@@ -78,15 +81,13 @@ class StaticDetection:
         return inf if self.ellipsoid is None else self.ellipsoid.expanded
 
 
-def find_still(
-    readings: Array, windows: Sequence[int] = WINDOWS
-) -> tuple[StaticDetection, tuple[StaticDetection, ...]]:
+def find_still(readings: Rows, windows: Sequence[int] = WINDOWS) -> tuple[StaticDetection, tuple[StaticDetection, ...]]:
     """Find the still intervals of a log by the threshold that calibrates best.
 
     Parameters
     ----------
-    readings : ndarray, shape (rows, 3)
-        Of the channels x, y, z, in the sensor's unit; NaN where one is missing.
+    readings : Rows
+        Of the channels x, y, z, in the sensor's unit; NaN where one is missing. They are read several times.
     windows : sequence of int
         Rows of the windows to try.
 
@@ -101,11 +102,11 @@ def find_still(
     EstimateError
         No threshold finds more attitudes than there are unknowns.
     """
-    lost = ~np.isfinite(readings).all(axis=1) | stuck_rows(readings, STUCK)
-    tried = tuple(_choices(readings, lost, windows))
+    stuck = stuck_spans(readings, STUCK)
+    tried = tuple(_choices(readings, stuck, windows))
     best = min(tried, key=lambda choice: choice.expanded, default=None)
     if best is None or best.ellipsoid is None or best.expanded == inf:
-        raise EstimateError(_too_few(tried, lost))
+        raise EstimateError(_too_few(tried, readings, stuck))
     # What is left over shows the scatter no better than this. A choice that is better by less has but left out some
     # attitude that fits badly, and would be surer of itself than it is.
     tolerance = 1.0 + 1.0 / sqrt(2.0 * (len(best.intervals) - UNKNOWNS))
@@ -141,13 +142,12 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
     return "\n".join(lines)
 
 
-def still_intervals(readings: Array, scatter: Array, window: int, threshold: float) -> list[list[Span]]:
+def still_intervals(readings: RowSums, scatter: StoredRows, window: int, threshold: float) -> list[list[Span]]:
     """Return the still intervals of a log, those of one attitude together.
 
     Parameters
     ----------
-    readings : ndarray, shape (rows, channels)
-    scatter : ndarray, shape (rows - window + 1,)
+    scatter : StoredRows
         In every window; see :func:`tiltcal.core.detection.window_scatter`.
     window : int
         Rows.
@@ -160,59 +160,108 @@ def still_intervals(readings: Array, scatter: Array, window: int, threshold: flo
         Rows, ends exclusive, in order.
     """
     middle = window // 2
-    still = np.zeros(len(readings), dtype=bool)
-    still[middle : middle + len(scatter)] = scatter <= threshold
     # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
-    spans = [(start, end) for start, end in runs(still) if end - start >= max(middle, 2)]
-    spans = [span for span in spans if np.any(np.ptp(readings[slice(*span)], axis=0) > 0.0)]
-    return _merged(readings, spans)
+    still = long_runs((piece[0] <= threshold for piece in scatter.blocks()), max(middle, 2))
+    spans = [(start + middle, end + middle) for start, end in still]
+    return _merged(readings, [span for span in spans if readings.change(span)])
 
 
-def _choices(readings: Array, lost: Mask, windows: Sequence[int]) -> Iterator[StaticDetection]:
+class RowSums:
+    """The readings of a log, and the sums of any of its rows.
+
+    Parameters
+    ----------
+    readings : Rows
+    """
+
+    def __init__(self, readings: Rows) -> None:
+        self._readings = readings
+        with np.errstate(invalid="ignore"):
+            sums = [readings[start : start + _PIECE].sum(axis=0) for start in range(0, len(readings), _PIECE)]
+        self._sums = np.array(sums)
+
+    def rows(self, spans: Sequence[Span]) -> Array:
+        """Return the rows of some intervals."""
+        parts = [self._readings[start:end] for start, end in spans]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def mean(self, spans: Sequence[Span]) -> Array:
+        """Return the mean of some intervals."""
+        n = sum(end - start for start, end in spans)
+        return np.asarray(sum(self._sum(start, end) for start, end in spans) / n)
+
+    def uncertainty(self, spans: Sequence[Span]) -> Array:
+        """Standard uncertainty of the mean, as :func:`tiltcal.core.statistics.summarise` has it, on arrays."""
+        n = sum(end - start for start, end in spans)
+        size = n // BLOCKS
+        if size < 2:
+            return np.asarray(self.rows(spans).std(axis=0, ddof=1) / sqrt(n))
+        if n < _PIECE:
+            means = self.rows(spans)[: BLOCKS * size].reshape(BLOCKS, size, -1).mean(axis=1)
+        else:
+            means = np.array([self.mean(_part(spans, size * block, size * (block + 1))) for block in range(BLOCKS)])
+        return np.asarray(means.std(axis=0, ddof=1) / sqrt(BLOCKS))
+
+    def change(self, span: Span) -> bool:
+        """Return whether a reading changes in an interval."""
+        start, end = span
+        first = self._readings[start : start + 1]
+        return any(np.any(self._readings[at : min(at + _PIECE, end)] != first) for at in range(start, end, _PIECE))
+
+    def _sum(self, start: int, end: int) -> Array:
+        first, last = -(-start // _PIECE), end // _PIECE
+        if last - first < 2:
+            return np.asarray(self._readings[start:end].sum(axis=0))
+        before, behind = self._readings[start : first * _PIECE], self._readings[last * _PIECE : end]
+        return np.asarray(before.sum(axis=0) + self._sums[first:last].sum(axis=0) + behind.sum(axis=0))
+
+
+def _part(spans: Sequence[Span], first: int, last: int) -> list[Span]:
+    """Return some rows of the rows of several intervals, counted along them."""
+    found = []
+    for start, end in spans:
+        begin, stop = start + max(first, 0), min(start + last, end)
+        if begin < stop:
+            found.append((begin, stop))
+        first, last = first - (end - start), last - (end - start)
+    return found
+
+
+def _choices(readings: Rows, stuck: Sequence[Span], windows: Sequence[int]) -> Iterator[StaticDetection]:
+    sums = RowSums(readings)
     for window in windows:
-        scatter = window_scatter(readings, lost, window)
-        noise = stillest(scatter)
-        if noise is None:
-            continue
-        for multiple in MULTIPLES:
-            intervals = still_intervals(readings, scatter, window, multiple * noise)
-            yield StaticDetection(
-                window, multiple, noise, tuple(map(tuple, intervals)), _ellipsoid(readings, intervals)
-            )
+        with StoredRows(1) as scatter:
+            stillest = Stillest(len(readings))
+            for piece in window_scatter(readings, stuck, window):
+                scatter.append(piece[None])
+                stillest.add(piece[np.isfinite(piece) & (piece > 0.0)])
+            noise = stillest.result()
+            if noise is None:
+                continue
+            for multiple in MULTIPLES:
+                intervals = still_intervals(sums, scatter, window, multiple * noise)
+                yield StaticDetection(
+                    window, multiple, noise, tuple(map(tuple, intervals)), _ellipsoid(sums, intervals)
+                )
 
 
-def _ellipsoid(readings: Array, intervals: Sequence[Sequence[Span]]) -> Ellipsoid | None:
-    samples = [_rows(readings, spans) for spans in intervals]
-    if not samples:
+def _ellipsoid(readings: RowSums, intervals: Sequence[Sequence[Span]]) -> Ellipsoid | None:
+    if not intervals:
         return None
     try:
         return fit_ellipsoid(
-            np.array([run.mean(axis=0) for run in samples]), np.array([_uncertainty(run) for run in samples])
+            np.array([readings.mean(spans) for spans in intervals]),
+            np.array([readings.uncertainty(spans) for spans in intervals]),
         )
     except EstimateError:
         return None
 
 
-def _rows(readings: Array, spans: Sequence[Span]) -> Array:
-    """Return the rows of some intervals; of a single one as it stands in the log, without a copy."""
-    parts = [readings[start:end] for start, end in spans]
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-def _uncertainty(samples: Array) -> Array:
-    """Standard uncertainty of the mean, as :func:`tiltcal.core.statistics.summarise` has it, on arrays."""
-    size = len(samples) // BLOCKS
-    if size < 2:
-        return np.asarray(samples.std(axis=0, ddof=1) / sqrt(len(samples)))
-    means = samples[: BLOCKS * size].reshape(BLOCKS, size, -1).mean(axis=1)
-    return np.asarray(means.std(axis=0, ddof=1) / sqrt(BLOCKS))
-
-
-def _merged(readings: Array, spans: Sequence[Span]) -> list[list[Span]]:
+def _merged(readings: RowSums, spans: Sequence[Span]) -> list[list[Span]]:
     """Intervals that follow each other in one attitude, together."""
     if not spans:
         return []
-    means = np.array([readings[slice(*span)].mean(axis=0) for span in spans])
+    means = np.array([readings.mean([span]) for span in spans])
     middle = (means.max(axis=0) + means.min(axis=0)) / 2
     directions = means - middle
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
@@ -227,12 +276,16 @@ def _merged(readings: Array, spans: Sequence[Span]) -> list[list[Span]]:
     return intervals
 
 
-def _too_few(tried: Sequence[StaticDetection], lost: Mask) -> str:
+def _too_few(tried: Sequence[StaticDetection], readings: Rows, stuck: Sequence[Span]) -> str:
     most = max((len(choice.intervals) for choice in tried), default=0)
     windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried)) or "any number of"
-    stuck = f" ({int(lost.sum())} rows are missing, or stuck at one value)" if lost.any() else ""
+    lost = sum(
+        int(lost_rows(readings[start : start + _PIECE], start, stuck).sum())
+        for start in range(0, len(readings), _PIECE)
+    )
+    why = f" ({lost} rows are missing, or stuck at one value)" if lost else ""
     return (
         "no threshold finds enough attitudes to determine the sensor and check the result: at most "
-        f"{most} static intervals in windows of {windows} rows{stuck}. Hold the sensor still for longer and in more "
+        f"{most} static intervals in windows of {windows} rows{why}. Hold the sensor still for longer and in more "
         "attitudes, 12 to 18 or more; try a shorter --window; or give the intervals with --segments"
     )

@@ -9,16 +9,18 @@ import pytest
 import scipy
 
 from tiltcal.core.detection import (
+    Stillest,
     bursts,
     distances,
     identical_by_chance,
     is_still,
     jumps,
+    long_runs,
     outliers,
     repeated,
     runs,
-    stuck_rows,
     stuck_runs,
+    stuck_spans,
     window_scatter,
     window_variances,
 )
@@ -50,10 +52,10 @@ class TestStuck:
     def test_identical_samples_of_a_noisy_reading(self) -> None:
         samples = np.rint(REST)  # noise of a whole step
         samples[100:140] = samples[100]
-        assert np.flatnonzero(stuck_rows(samples, 25)).tolist() == list(range(100, 140))
+        assert stuck_spans(samples, 25) == [(100, 140)]
 
     def test_a_coarse_reading_that_hardly_changes_is_not_stuck(self) -> None:
-        assert not stuck_rows(np.rint(0.3 + 0.08 * REST), 25).any()
+        assert not stuck_spans(np.rint(0.3 + 0.08 * REST), 25)
 
     def test_identical_samples_and_their_probability(self) -> None:
         """No step holds more of normal noise than the middle one: its share to the power of the count."""
@@ -65,9 +67,7 @@ class TestStuck:
 
 
 def test_variance_in_a_window_is_that_of_numpy() -> None:
-    lost = np.zeros(len(REST), dtype=bool)
-    lost[1000] = True
-    found = window_variances(REST + 1e6, lost, 50)
+    found = np.concatenate(list(window_variances(REST + 1e6, [(1000, 1001)], 50)))
     assert found[7] == pytest.approx(REST[7:57].var(axis=0, ddof=1), rel=1e-6)
     assert np.flatnonzero(np.isinf(found[:, 0])).tolist() == list(range(951, 1001))
 
@@ -109,8 +109,26 @@ def test_the_median_is_that_of_numpy(n: int, decimals: int) -> None:
 def test_the_scatter_of_a_long_log_takes_little_memory() -> None:
     samples = np.asfortranarray(np.random.default_rng(1).normal(0.0, 1.0, (300_000, 3)))
     tracemalloc.start()
-    scatter = window_scatter(samples, np.zeros(len(samples), dtype=bool), 100)
+    rows = sum(map(len, window_scatter(samples, [], 100)))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert len(scatter) == 300_000 - 99
-    assert peak < 2 * scatter.nbytes + (4 << 20)  # itself in pieces and whole, and the variances of one piece
+    assert rows == 300_000 - 99
+    assert peak < 6 << 20  # of one piece
+
+
+@pytest.mark.parametrize("n", [1, 3, 101, 150_000])
+def test_the_stillest_part_is_the_quantile_of_numpy(n: int) -> None:
+    """The scatter falls towards the end of the record, so what was kept first is not what counts."""
+    scatter = np.random.default_rng(n).exponential(size=n) * np.linspace(2.0, 1.0, n)
+    found = Stillest(n)
+    for piece in np.array_split(scatter, 1 + n // 1000):
+        found.add(piece)
+    assert found.result() == np.quantile(scatter, 0.01)
+    assert Stillest(n).result() is None
+
+
+def test_long_runs_go_on_from_one_mask_to_the_next() -> None:
+    mask = np.array([*"..###.##....######.#"]) == "#"
+    for cuts in ([], [3], [4, 8, 14], [0, 5, 15, 19]):
+        assert long_runs(np.split(mask, cuts), 3) == [(2, 5), (12, 18)]
+    assert long_runs([], 3) == []

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from tiltcal.core.detection import window_scatter
 from tiltcal.errors import EstimateError
-from tiltcal.logs.static_detection import STUCK, choice_table, find_still, still_intervals, still_segments
+from tiltcal.logs.static_detection import STUCK, RowSums, choice_table, find_still, still_intervals, still_segments
+from tiltcal.logs.stored_rows import StoredRows
 
 Array = NDArray[np.float64]
 HELD, MOVED = 300, 120
@@ -145,7 +146,7 @@ class TestHolds:
         level=st.sampled_from([0.0, 1e5]),
     )
     def test_the_scatter_is_the_standard_deviation(self, values: Array, window: int, level: float) -> None:
-        found = window_scatter(values + level, np.zeros(60, dtype=bool), window)
+        (found,) = window_scatter(values + level, [], window)
         expected = [
             np.sqrt(np.sum(np.var(values[start : start + window], axis=0, ddof=1))) for start in range(61 - window)
         ]
@@ -154,18 +155,48 @@ class TestHolds:
     def test_small_noise_far_down_a_long_log_is_not_lost(self) -> None:
         rng = np.random.default_rng(4)
         log = np.repeat([[1e4, -1e4, 0.0]], 200_000, axis=0) + 1e-3 * rng.normal(size=(200_000, 3))
-        scatter = window_scatter(log, np.zeros(len(log), dtype=bool), 100)
+        scatter = np.concatenate(list(window_scatter(log, [], 100)))
         assert scatter[-1] == pytest.approx(np.sqrt(np.sum(np.var(log[-100:], axis=0, ddof=1))), rel=1e-6)
         assert len(scatter) == 199_901
 
     def test_a_window_with_a_lost_row_is_never_still(self) -> None:
-        lost = np.zeros(50, dtype=bool)
-        lost[20] = True
-        scatter = window_scatter(np.zeros((50, 3)), lost, 10)
+        (scatter,) = window_scatter(np.zeros((50, 3)), [(20, 21)], 10)
         assert np.flatnonzero(np.isinf(scatter)).tolist() == list(range(11, 21))
 
     def test_identical_samples_are_no_hold(self) -> None:
-        assert still_intervals(np.ones((400, 3)), np.zeros(351), 50, 1.0) == []
+        with StoredRows(1) as scatter:
+            scatter.append(np.zeros((1, 351)))
+            assert still_intervals(RowSums(np.ones((400, 3))), scatter, 50, 1.0) == []
+
+
+class TestRowSums:
+    spans = ((5, 4000), (4100, 4130), (6000, 12_000))
+
+    @pytest.mark.parametrize("count", [1, 3])
+    def test_mean_and_uncertainty_of_long_intervals(self, count: int) -> None:
+        readings = np.cumsum(np.random.default_rng(6).normal(size=(12_345, 3)), axis=0)
+        spans = self.spans[:count]
+        samples = np.concatenate([readings[start:end] for start, end in spans])
+        blocks = samples[: len(samples) // 10 * 10].reshape(10, -1, 3).mean(axis=1)
+        sums = RowSums(readings)
+        assert sums.mean(spans) == pytest.approx(samples.mean(axis=0), rel=1e-12)
+        assert sums.uncertainty(spans) == pytest.approx(blocks.std(axis=0, ddof=1) / np.sqrt(10), rel=1e-9)
+
+    def test_a_change_in_the_last_row(self) -> None:
+        readings = np.ones((5000, 3))
+        readings[4321, 1] = 2.0
+        assert [RowSums(readings).change((7, end)) for end in (4321, 4322)] == [False, True]
+
+
+def test_the_same_is_found_in_a_file_as_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tiltcal.logs.stored_rows._MEMORY", 1000)
+    log = np.insert(handled(), 900, np.nan, axis=0)
+    log[50 : 50 + 2 * STUCK] = log[50]
+    with StoredRows(4, 3) as rows:
+        for part in np.array_split(np.column_stack([log, np.arange(len(log))]), 7):
+            rows.append(part.T)
+        assert np.concatenate(list(rows.blocks()), axis=1)[3].tolist() == list(range(len(log)))
+        assert find_still(rows)[0].intervals == find_still(log)[0].intervals
 
 
 def test_segments_and_the_table_that_is_shown() -> None:

@@ -1,0 +1,65 @@
+"""The rows of a log in a temporary file, for what has to go over them more than once; few of them stay in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from tempfile import SpooledTemporaryFile
+from types import TracebackType
+
+import numpy as np
+
+from tiltcal.core.model import Array
+
+_MEMORY = 32 << 20
+"""Bytes up to which there is no file."""
+
+_ROWS = 1 << 16
+"""Of a block."""
+
+
+class StoredRows:
+    """Rows of numbers; a slice reads some of them from the file.
+
+    Parameters
+    ----------
+    columns : int
+        Of a row.
+    shown : int, optional
+        The first of them, which slices have; all without it.
+    """
+
+    def __init__(self, columns: int, shown: int | None = None) -> None:
+        self._file = SpooledTemporaryFile(_MEMORY)  # noqa: SIM115 (closed where the rows are left)
+        self._columns, self._shown = columns, shown
+        self._rows = 0
+
+    def __enter__(self) -> StoredRows:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, raised: BaseException | None, at: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def __len__(self) -> int:
+        return self._rows
+
+    def append(self, values: Array) -> None:
+        """Store the next rows, shape (columns, n)."""
+        self._file.seek(0, 2)
+        self._file.write(values.T.tobytes())
+        self._rows += values.shape[1]
+
+    def __getitem__(self, rows: slice) -> Array:
+        """Return some rows, shape (n, shown), each column contiguous."""
+        return np.asfortranarray(self._read(*rows.indices(self._rows)[:2])[:, : self._shown])
+
+    def blocks(self) -> Iterator[Array]:
+        """Yield all rows, shape (columns, n)."""
+        for start in range(0, self._rows, _ROWS):
+            yield np.ascontiguousarray(self._read(start, min(start + _ROWS, self._rows)).T)
+
+    def _read(self, start: int, end: int) -> Array:
+        size = 8 * self._columns
+        self._file.seek(start * size)
+        return np.frombuffer(self._file.read(max(end - start, 0) * size)).reshape(-1, self._columns)
