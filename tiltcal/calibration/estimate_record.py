@@ -54,10 +54,7 @@ def rounded(found: DeterminedCoefficients) -> Coefficients:
 def uncertainty_of(found: DeterminedCoefficients, reading: Mapping[str, float]) -> Uncertainty:
     """Return the standard uncertainties of an estimate with their covariance and coverage factors.
 
-    Parameters
-    ----------
-    reading : mapping of str to float
-        Standard uncertainty of a single reading by channel, unit, and of its temperature, °C; where they are known.
+    ``reading`` has those of a single reading by channel, unit, and of its temperature, °C, where they are known.
     """
     u = found.uncertainty()
     return Uncertainty(
@@ -107,10 +104,7 @@ def derived_record(found: DeterminedCoefficients, assumed: str, *, mounted: bool
 def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
     """Return how well the positions agree, and where the uncertainty comes from.
 
-    Parameters
-    ----------
-    noise : float
-        The largest standard uncertainty of a reading, unit.
+    ``noise`` is the largest standard uncertainty of a reading, unit.
     """
     scale = max(noise, float(np.max(np.abs(found.residuals))))
     residuals = {

@@ -176,15 +176,7 @@ class FleetHistory:
 
 
 def fleet_history(library: CalibrationLibrary, interval: timedelta, now: datetime) -> FleetHistory:
-    """Return the history of all sensors of a folder.
-
-    Parameters
-    ----------
-    interval : timedelta
-        In which each sensor is calibrated again.
-    now : datetime
-        UTC.
-    """
+    """Return the history of all sensors of a folder, each calibrated again in an interval; ``now`` is in UTC."""
     histories, problems = [], [str(problem) for problem in library.index.problems]
     for serial in library.serials:
         try:

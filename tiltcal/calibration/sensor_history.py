@@ -171,10 +171,7 @@ def stated_stability(history: SensorHistory, milligravity: float) -> Stability:
 def estimated_stability(history: SensorHistory, fleet: Sequence[SensorHistory]) -> Stability:
     """Estimate how far a sensor wanders, from its own history where that is long enough, or with its fleet's.
 
-    Parameters
-    ----------
-    fleet : sequence of SensorHistory
-        Sensors of the same model and unit, itself among them.
+    The fleet has the same model and unit, and the sensor is among it.
     """
     own = len(history.contrasts("offset", steady=True)) >= OWN_CONTRASTS
     asked = [history] if own else fleet

@@ -118,10 +118,7 @@ def swept(
 def with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) -> CalibrationRecord:
     """Return a calibration whose drift has terms of 0 up to a higher order, and the uncertainty of that order.
 
-    Parameters
-    ----------
-    highest : CalibrationRecord
-        From the same measurements, with the higher order.
+    ``highest`` is from the same measurements, with the higher order.
     """
     thermal, wider = calibration.coefficients.thermal, highest.coefficients.thermal
     if thermal is None or wider is None or thermal.drift.shape == wider.drift.shape:

@@ -47,15 +47,8 @@ def require_no_jig(procedure: Procedure, jig: float | None) -> None:
 def directed(sensors: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
     """Return the sensors of a fixture with the directions that their readings show, for the estimator to refine.
 
-    Parameters
-    ----------
-    sensors : sequence of MeasuredSensor
-        One of three channels among them: the ellipsoid of its readings gives the directions for all.
-
-    Raises
-    ------
-    EstimateError
-        No sensor has three channels, or the readings lie on no ellipsoid.
+    The ellipsoid of the readings of one with three channels gives the directions for all. An EstimateError where no
+    sensor has three, or the readings lie on no ellipsoid.
     """
     leader = next((sensor for sensor in sensors if set(AXES) <= set(sensor.sensor.channels)), None)
     if leader is None:
@@ -65,22 +58,10 @@ def directed(sensors: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
 
 
 def directions(positions: Sequence[Mapping[str, SampleSummary]]) -> Array:
-    """Return a first estimate of the direction of gravity in each position.
+    """Return a first estimate of the direction of gravity in each position, shape (positions, 3), from x, y and z.
 
-    Parameters
-    ----------
-    positions : sequence of mapping of str to SampleSummary
-        What x, y and z read in each.
-
-    Returns
-    -------
-    ndarray, shape (positions, 3)
-        Unit vectors, in the frame in which the sensitivity matrix is upper triangular.
-
-    Raises
-    ------
-    EstimateError
-        The readings are fewer than nine, or lie on no ellipsoid.
+    Unit vectors, in the frame in which the sensitivity matrix is upper triangular. An EstimateError where the readings
+    are fewer than nine, or lie on no ellipsoid.
     """
     means = np.array([[summaries[channel].mean for channel in AXES] for summaries in positions])
     return fit_ellipsoid(means, np.zeros_like(means)).attitudes

@@ -172,17 +172,9 @@ def read_calibration(path: str | Path) -> CalibrationRecord:
 
 
 def dump_calibration(calibration: CalibrationRecord) -> str:
-    """Return the text of a calibration file; the same calibration gives the same text.
+    """Return the text of a calibration file, its numbers as they are: round them before.
 
-    Parameters
-    ----------
-    calibration : CalibrationRecord
-        Its numbers are written as they are; round them before.
-
-    Raises
-    ------
-    InputError
-        A record holds NaN, an infinity or data that is not plain.
+    An InputError names a NaN, an infinity or data that is not plain.
     """
     return yaml_text(TILT.write(calibration), _comments(calibration.sensor.unit))
 

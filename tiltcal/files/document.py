@@ -46,17 +46,9 @@ def read_document(path: str | Path) -> Node:
 
 
 def read_tiltcal_file(path: str | Path, kind: str) -> Node:
-    """Read one of our own files, and check the two keys that say which it is; the others are still to be checked.
+    """Read one of our own files, and check its version and that its kind is the one of ``KINDS`` that is needed.
 
-    Parameters
-    ----------
-    kind : str
-        The one that is needed, of ``KINDS``.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_document`, and where version or kind is another.
+    The other keys are still to be checked.
     """
     return checked_kind(read_document(path), kind)
 
@@ -107,18 +99,7 @@ def read_text(path: str | Path) -> str:
 
 
 def parse_document(text: str, file: str | None = None) -> Node:
-    """Parse one YAML document.
-
-    Parameters
-    ----------
-    file : str, optional
-        For messages.
-
-    Raises
-    ------
-    InputError
-        Not YAML, or uses what is refused here.
-    """
+    """Parse one YAML document; an InputError names ``file`` and line of what is not YAML, or is refused here."""
     return _Composer(file).compose(text)
 
 

@@ -102,15 +102,7 @@ class Node:
         return self.content.text
 
     def number(self, *, minimum: float | None = None, above: float | None = None) -> float:
-        """Return a finite number written without quotes.
-
-        Parameters
-        ----------
-        minimum : float, optional
-            The smallest number that is allowed.
-        above : float, optional
-            A bound that the number must exceed.
-        """
+        """Return a finite number written without quotes, of at least ``minimum`` and more than ``above``."""
         literal = self._plain(_FLOAT)
         value = float(self._based()) if literal is None else float(literal)
         if not math.isfinite(value):
@@ -163,15 +155,7 @@ class Node:
         return self.content
 
     def mapping(self, *, required: Sequence[str] = (), optional: Sequence[str] = ()) -> dict[str, Node]:
-        """Return the members of a mapping with fixed keys.
-
-        Parameters
-        ----------
-        required : sequence of str
-            Keys that must be there.
-        optional : sequence of str
-            Keys that may be there; one that holds null is taken as absent.
-        """
+        """Return the members of a mapping with fixed keys; an optional one that holds null is taken as absent."""
         entries = self.entries()
         known = [*required, *optional]
         for name, node in entries.items():
@@ -259,17 +243,7 @@ class Node:
 def document_of(data: Any, file: str | None = None, line: int | None = None) -> Node:
     """Return plain data as a document, so that the code that checks a file checks a record too.
 
-    Parameters
-    ----------
-    data : dict, list, str, int, float, bool or None
-        As :meth:`Node.plain` gives it.
-    line : int, optional
-        Where the record stands, for messages.
-
-    Raises
-    ------
-    InputError
-        Data of another type, or too deep.
+    Errors name ``file`` and ``line``, where the record stands; data of other types, or too deep, is one.
     """
     return _node_of(data, file, line, None, 0)
 

@@ -69,43 +69,16 @@ def find_procedure(name_or_path: str, angle: float | None = None) -> Procedure:
 
 
 def read_procedure(path: str | Path, angle: float | None = None) -> Procedure:
-    """Read and check a procedure file.
-
-    Parameters
-    ----------
-    angle : float, optional
-        In place of the angle that the procedure leaves free, degrees.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
-    UsageError
-        An angle that the procedure cannot take.
-    """
+    """Read and check a procedure file; ``angle`` is as in :func:`find_procedure`, and so are the errors."""
     return PROCEDURE.read(read_tiltcal_file(path, "procedure"), Context(given=angle))
 
 
 def procedure_from_record(
     record: Mapping[str, Any], angle: float | None = None, *, file: str | None = None, line: int | None = None
 ) -> Procedure:
-    """Return the procedure of a journal's header.
+    """Return the procedure of a journal's header, from its :attr:`Procedure.record` and the angle that was given.
 
-    Parameters
-    ----------
-    record : mapping
-        :attr:`Procedure.record` of the procedure that was run.
-    angle : float, optional
-        As it was given then, degrees.
-    file, line
-        Where the record stands, for messages.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong.
-    UsageError
-        An angle that the procedure cannot take.
+    Errors name ``file`` and ``line``, where the record stands.
     """
     return PROCEDURE.read(checked_kind(document_of(record, file, line), "procedure"), Context(given=angle))
 

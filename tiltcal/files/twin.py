@@ -306,23 +306,9 @@ TWIN = Section(TwinFile, kind="twin")
 
 
 def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Truth]:
-    """Read and check a twin file.
+    """Read and check a twin file; an InputError names file, line and key.
 
-    Parameters
-    ----------
-    seed : int, optional
-        In place of the file's.
-
-    Returns
-    -------
-    model : str or None
-        The sensor model that the file is for; None where it fits any.
-    truth : Truth
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
+    Return the sensor model that it is for, None where it fits any, and the truth; ``seed`` replaces the file's.
     """
     found = TWIN.read(read_tiltcal_file(path, "twin"))
     return found.model, replace(found.truth, seed=found.seed if seed is None else seed)
