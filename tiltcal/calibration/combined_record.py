@@ -48,7 +48,7 @@ def combined_record(
         coefficients=replace(rounded(found), mounting=found.coefficients.mounting),
         uncertainty=_uncertainty(sessions, found),
         limits=_limits(records, [session.record for session in scaled] or records),
-        derived=replace(derived, assumed=tuple(kept)),
+        derived=replace(derived, assumed=kept),
         fit=_fit(sessions, found, renamed, remarks),
         procedure=_procedure(sessions, renamed),
         positions=positions,

@@ -58,13 +58,7 @@ class DatedCalibration:
 
 @dataclass(frozen=True)
 class SensorHistory:
-    """The calibrations of one sensor, in the order of time.
-
-    Attributes
-    ----------
-    remarks : tuple of str
-        Sessions that overlap, and files that are copies.
-    """
+    """The calibrations of one sensor in the order of time, and remarks on sessions that overlap and on copies."""
 
     calibrations: tuple[DatedCalibration, ...]
     remarks: tuple[str, ...] = ()

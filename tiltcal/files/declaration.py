@@ -193,10 +193,7 @@ class Flag(Format[bool]):
 class Number(Format[float]):
     """A finite number, at least ``minimum``, more than ``above``, and at most ``maximum``.
 
-    Attributes
-    ----------
-    says : str
-        The message for a larger number, in which ``{found}`` stands for it.
+    ``says`` is the message for a larger number, in which ``{found}`` stands for it.
     """
 
     minimum: float | None = None
@@ -306,13 +303,7 @@ class ByName(Format[Mapping[str, T]]):
 
 @frozen
 class ByKey(ByName[T]):
-    """A mapping with a few fixed keys, whose values are of one kind.
-
-    Attributes
-    ----------
-    complete : bool
-        Whether none may be left out.
-    """
+    """A mapping with a few fixed keys, whose values are of one kind; where ``complete``, none may be left out."""
 
     keys: Sequence[str]
     complete: bool = False

@@ -98,13 +98,7 @@ class Uncertainty(Mapping[str, float]):
 
 @frozen
 class StatedUncertainty:
-    """The uncertainty that a calibration file states, as the inputs of an angle's uncertainty.
-
-    Attributes
-    ----------
-    remarks : tuple of str
-        What had to be assumed.
-    """
+    """The uncertainty that a file states, as the inputs of an angle's uncertainty, and remarks on what it assumes."""
 
     inputs: UncertaintyInputs
     remarks: tuple[str, ...]
