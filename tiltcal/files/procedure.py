@@ -191,21 +191,16 @@ class PositionSection:
 
 
 def _position_of(section: PositionSection, node: Node, context: Context) -> Position:
-    entries, tilt = node.entries(), section.tilt
+    entries = node.entries()
     if (section.tilt is None) == (section.gravity is None):
         raise node.error("a position has either tilt: {x: degrees, y: degrees} or gravity: [gx, gy, gz]")
     known = {"angle": context.angle, "temperature": section.temperature}
-    return Position(
-        name=section.name,
-        prompt=_filled_in(section.prompt, entries["prompt"], known),
-        gravity=entries["gravity"].converted(normalised, section.gravity or ())
-        if tilt is None
-        else entries["tilt"].converted(gravity_from_tilt, tilt),
-        tilt=tilt,
-        heading=section.heading,
-        temperature=section.temperature,
-        stage=section.stage,
-    )
+    prompt = _filled_in(section.prompt, entries["prompt"], known)
+    if section.tilt is not None:
+        gravity = entries["tilt"].converted(gravity_from_tilt, section.tilt)
+    else:
+        gravity = entries["gravity"].converted(normalised, section.gravity or ())
+    return Position(**vars(section) | {"prompt": prompt, "gravity": gravity})
 
 
 def _distinct(positions: tuple[Position, ...], node: Node, context: Context) -> tuple[Position, ...]:

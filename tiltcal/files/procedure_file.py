@@ -119,14 +119,11 @@ class RotationProcedure:
 
 def _of_rotation(found: RotationProcedure, node: Node, context: Context) -> Procedure:
     return Procedure(
-        name=found.name,
-        title=found.title,
-        source=found.source,
+        **vars(found),
         determines=Determines(()),
         positions=(),
         angle=chosen_angle(found.name, None, context.given),
         record=node.plain(),
-        rotation=found.rotation,
     )
 
 
