@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from math import hypot, radians
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -68,23 +68,18 @@ class SensorIdentity:
 
 
 @frozen
-class Ranges(Format[Mapping[str, tuple[float, float]]]):
+class Ranges(ByChannel[tuple[float, float]]):
     """A range for each of some channels or axes, or one for all of them."""
 
-    of: Literal["channels", "axes"]
+    item: Format[tuple[float, float]] = Range()
 
     def read(self, node: Node, context: Context = ANY) -> dict[str, tuple[float, float]]:
         # A third column of a two-channel sensor is no axis whose tilt is reported.
         known = context.channels if self.of == "channels" else context.axes[: len(context.channels)]
-        if node.is_mapping:
-            return {name: value.interval() for name, value in node.mapping(optional=known).items()}
-        return dict.fromkeys(known, node.interval())
-
-    def write(self, value: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
-        return {name: list(bounds) for name, bounds in value.items()}
+        return self._read(node, known, context) if node.is_mapping else dict.fromkeys(known, node.interval())
 
     def schema(self) -> dict[str, Any]:
-        return {"anyOf": [Range().schema(), ByChannel(Range()).schema()]}
+        return {"anyOf": [self.item.schema(), super().schema()]}
 
 
 @frozen(kw_only=True)
@@ -92,11 +87,11 @@ class LimitsSection:
     """The section ``limits`` as it stands in a file."""
 
     tilt: Mapping[str, tuple[float, float]] = entry(
-        Ranges("axes"), "`[low, high]` per axis, or for all of them, degrees", default={}
+        Ranges(of="axes"), "`[low, high]` per axis, or for all of them, degrees", default={}
     )
     temperature: tuple[float, float] | None = entry(Range(), "`[low, high]`, °C", default=None)
     reading: Mapping[str, tuple[float, float]] = entry(
-        Ranges("channels"), "the rails `[low, high]` per channel, or for all of them, unit", default={}
+        Ranges(of="channels"), "the rails `[low, high]` per channel, or for all of them, unit", default={}
     )
 
 
