@@ -17,6 +17,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from copy import copy
 from dataclasses import MISSING, field, fields, replace
+from importlib import import_module
 from typing import Any, Generic, Literal, TypeVar, overload
 
 from tiltcal.core.model import AXES
@@ -393,6 +394,26 @@ class Either(Format[T]):
 
     def schema(self) -> dict[str, Any]:
         return {"anyOf": [self.usual.schema(), self.other.schema()]}
+
+
+@frozen
+class Imported(Format[T]):
+    """A format whose module is imported only where a file has it."""
+
+    module: str
+    name: str
+
+    def read(self, node: Node, context: Context = ANY) -> T:
+        return self.form.read(node, context)
+
+    def schema(self) -> dict[str, Any]:
+        return self.form.schema()
+
+    @property
+    def form(self) -> Format[T]:
+        """The format."""
+        found: Format[T] = getattr(import_module(self.module), self.name)
+        return found
 
 
 @frozen

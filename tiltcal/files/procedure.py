@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tiltcal.core.gravity_direction import Vector, gravity_from_tilt, normalised
 from tiltcal.core.model import AXES
@@ -28,8 +28,10 @@ from tiltcal.files.declaration import (
     entry,
 )
 from tiltcal.files.node import Node
-from tiltcal.files.rotation import Rotation
 from tiltcal.frozen import frozen
+
+if TYPE_CHECKING:
+    from tiltcal.files.rotation import Rotation
 
 ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
 """Limits of a temperature, °C; no sensor is hotter, and the square of a far larger number is infinite."""

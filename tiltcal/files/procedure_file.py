@@ -8,7 +8,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tiltcal.errors import UsageError
 from tiltcal.files.declaration import (
@@ -16,6 +16,7 @@ from tiltcal.files.declaration import (
     Converted,
     Either,
     Format,
+    Imported,
     Section,
     Text,
     entry,
@@ -28,8 +29,10 @@ from tiltcal.files.procedure import (
     Procedure,
     chosen_angle,
 )
-from tiltcal.files.rotation import ROTATION, Rotation
 from tiltcal.frozen import frozen
+
+if TYPE_CHECKING:
+    from tiltcal.files.rotation import Rotation
 
 LEVEL = (0.0, 0.0, 1.0)
 """Up in the application's frame where it is level."""
@@ -114,7 +117,9 @@ class RotationProcedure:
     name: str = entry(IDENTIFIER, "a letter, then letters, digits, `-`, `_`, `.`")
     title: str = entry(Text(), "what it is for, in one line")
     source: str = entry(Text(), "the document it comes from", default="")
-    rotation: Rotation = entry(ROTATION, "which pairs are matched while the stage turns")
+    rotation: Rotation = entry(
+        Imported("tiltcal.files.rotation", "ROTATION"), "which pairs are matched while the stage turns"
+    )
 
 
 def _of_rotation(found: RotationProcedure, node: Node, context: Context) -> Procedure:
