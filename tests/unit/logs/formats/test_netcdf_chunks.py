@@ -32,7 +32,7 @@ def test_the_library_unpacks_what_was_packed(tmp_path: Path, rows: int, shuffle:
         }
         starts = range(0, rows, 1000)
         tables = ({name: column[start : start + 1000] for name, column in columns.items()} for start in starts)
-        _write_chunks(variables, tables, min(rows, 1000))
+        _write_chunks(variables, tables, min(rows, 1000), lambda: None)
     with h5py.File(tmp_path / "log.nc") as file:
         for name, column in columns.items():
             np.testing.assert_array_equal(file[name][:], column)
