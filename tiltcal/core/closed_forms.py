@@ -1,7 +1,8 @@
 """The formulas of the source documents, by name.
 
 Each is one procedure's solution in closed form; the estimator that serves all procedures is checked against them.
-Readings are in the sensor's unit (V, count, duty), sensitivities in unit/g, angles in radians, temperatures in °C.
+Readings and offsets are in the sensor's unit (V, count, duty), sensitivities and scale factors in unit/g, temperature
+coefficients in unit/°C, angles in radians, temperatures in °C, unless a function states something else.
 
 Sources: *Cross-axis Compensation* (VTI Technologies, 2005) and *A Solid State Tilt Meter for Current Meter Attitude
 Determination* (A. J. Williams 3rd, Woods Hole Oceanographic Institution).
@@ -22,17 +23,10 @@ def sensitivity_from_pair(reading_tilt1: float, reading_tilt2: float, tilt1: flo
 
     Parameters
     ----------
-    reading_tilt1 : float
-        Reading with the axis tilted up, unit.
-    reading_tilt2 : float
-        Reading with the axis tilted down, unit.
+    reading_tilt1, reading_tilt2 : float
+        With the axis tilted up, and down.
     tilt1, tilt2 : float
-        How far it is tilted in each position, both as magnitudes, radians.
-
-    Returns
-    -------
-    float
-        unit/g.
+        How far it is tilted in each position, both as magnitudes.
 
     Raises
     ------
@@ -47,19 +41,7 @@ def sensitivity_from_pair(reading_tilt1: float, reading_tilt2: float, tilt1: flo
 
 
 def offset_from_pair(reading_tilt1: float, reading_tilt2: float, tilt1: float, tilt2: float) -> float:
-    """Reading at 0 g that goes with :func:`sensitivity_from_pair` (or, at ±90°, with eq. 3).
-
-    Parameters
-    ----------
-    reading_tilt1, reading_tilt2 : float
-        Readings with the axis tilted up and down, unit.
-    tilt1, tilt2 : float
-        Magnitudes of the two tilts, radians.
-
-    Returns
-    -------
-    float
-        unit. With equal tilts it is the mean of the two readings.
+    """Reading at 0 g that goes with :func:`sensitivity_from_pair`, of the same arguments (or, at ±90°, with eq. 3).
 
     Raises
     ------
@@ -69,23 +51,13 @@ def offset_from_pair(reading_tilt1: float, reading_tilt2: float, tilt1: float, t
     Notes
     -----
     The document leaves the offset to the reader: it is what remains when the sensitivity of eq. 2 is put back into
-    ``u = offset + S sin tilt`` at either position.
+    ``u = offset + S sin tilt`` at either position. With equal tilts it is the mean of the two readings.
     """
     return (reading_tilt1 * sin(tilt2) + reading_tilt2 * sin(tilt1)) / _span(tilt1, tilt2)
 
 
 def sensitivity_from_upright_pair(reading_up: float, reading_down: float) -> float:
-    """Sensitivity along an axis that points straight up, then straight down.
-
-    Parameters
-    ----------
-    reading_up, reading_down : float
-        Readings at +90° and -90°, unit.
-
-    Returns
-    -------
-    float
-        unit/g.
+    """Sensitivity along an axis that points straight up (+90°), then straight down (-90°).
 
     Notes
     -----
@@ -95,19 +67,14 @@ def sensitivity_from_upright_pair(reading_up: float, reading_down: float) -> flo
 
 
 def cross_axis_sensitivity(own: float, cross_1: float, cross_2: float) -> float:
-    """Cross-axis sensitivity of one channel.
+    """Cross-axis sensitivity of one channel, percent; negative where ``own`` is.
 
     Parameters
     ----------
     own : float
-        Sensitivity in the measuring direction, unit/g.
+        Sensitivity in the measuring direction.
     cross_1, cross_2 : float
-        Sensitivities of the same channel in the two perpendicular directions, unit/g.
-
-    Returns
-    -------
-    float
-        Percent; negative where ``own`` is.
+        Sensitivities of the same channel in the two perpendicular directions.
 
     Raises
     ------
@@ -124,19 +91,7 @@ def cross_axis_sensitivity(own: float, cross_1: float, cross_2: float) -> float:
 
 
 def tilt_from_channel(reading: float, offset: float, sensitivity: float) -> float:
-    """Tilt of the axis that one channel measures.
-
-    Parameters
-    ----------
-    reading, offset : float
-        unit.
-    sensitivity : float
-        unit/g.
-
-    Returns
-    -------
-    float
-        Radians; NaN where the argument of the arcsine is beyond ±1, which no tilt explains.
+    """Tilt of the axis that one channel measures; NaN where the argument of the arcsine is beyond ±1.
 
     Notes
     -----
@@ -152,19 +107,8 @@ def first_order_compensation(
 
     Parameters
     ----------
-    reading_x, reading_y : float
-        unit.
-    offset_y : float
-        Offset of channel Y, unit.
-    sensitivity_xy : float
-        Sensitivity of channel X along the Y axis, unit/g, from :func:`sensitivity_from_pair`.
-    sensitivity_yy : float
-        Sensitivity of channel Y along the Y axis, unit/g, from the same two positions.
-
-    Returns
-    -------
-    float
-        unit.
+    sensitivity_xy, sensitivity_yy : float
+        Of channel X and of channel Y along the Y axis, from :func:`sensitivity_from_pair` in the same two positions.
 
     Notes
     -----
@@ -184,17 +128,8 @@ def first_order_compensation_from_tilt(reading_x: float, tilt_y: float, sensitiv
 
     Parameters
     ----------
-    reading_x : float
-        unit.
     tilt_y : float
-        Tilt of the Y axis, from :func:`tilt_from_channel`, radians.
-    sensitivity_xy : float
-        Sensitivity of channel X along the Y axis, unit/g.
-
-    Returns
-    -------
-    float
-        unit.
+        From :func:`tilt_from_channel`.
 
     Notes
     -----
@@ -204,21 +139,14 @@ def first_order_compensation_from_tilt(reading_x: float, tilt_y: float, sensitiv
 
 
 def full_compensation(readings: Array, offset: Array, sensitivity: Array) -> Array:
-    """Acceleration along every axis at once, by the inverse of the whole sensitivity matrix.
+    """Acceleration along every axis at once, by the inverse of the whole sensitivity matrix, g.
 
     Parameters
     ----------
     readings : ndarray, shape (..., channels)
-        unit.
     offset : ndarray, shape (channels,)
-        unit.
     sensitivity : ndarray, shape (channels, channels)
-        Row = channel, column = axis, unit/g.
-
-    Returns
-    -------
-    ndarray, shape (..., channels)
-        g.
+        Row = channel, column = axis.
 
     Raises
     ------
@@ -241,15 +169,8 @@ def scale_from_tilt(reading_tilted: float, reading_level: float, tilt: float) ->
 
     Parameters
     ----------
-    reading_tilted, reading_level : float
-        unit.
     tilt : float
-        The angle actually set, with its sign, radians.
-
-    Returns
-    -------
-    float
-        unit/g.
+        The angle actually set, with its sign.
 
     Raises
     ------
@@ -270,18 +191,6 @@ def tempco_from_two_temperatures(
 ) -> float:
     """Temperature coefficient of the zero offset from level readings at two temperatures.
 
-    Parameters
-    ----------
-    reading_1, reading_2 : float
-        unit.
-    temperature_1, temperature_2 : float
-        °C.
-
-    Returns
-    -------
-    float
-        unit/°C.
-
     Raises
     ------
     EstimateError
@@ -301,25 +210,9 @@ def tempco_from_two_temperatures(
 def referenced_reading(reading: float, temperature: float, tempco: float, reference: float = 0.0) -> float:
     """Return what a reading would be at the reference temperature.
 
-    Parameters
-    ----------
-    reading : float
-        unit.
-    temperature : float
-        °C.
-    tempco : float
-        unit/°C.
-    reference : float
-        °C; the paper takes 0 °C.
-
-    Returns
-    -------
-    float
-        unit.
-
     Notes
     -----
-    A Solid State Tilt Meter, section C.
+    A Solid State Tilt Meter, section C, whose reference is 0 °C.
     """
     return reading - tempco * (temperature - reference)
 
@@ -329,25 +222,14 @@ def referenced_tilt(
 ) -> float:
     """Tilt of one axis from the paper's coefficients: two per axis, four per sensor, and the offset at level.
 
+    NaN where the argument of the arcsine is beyond ±1.
+
     Parameters
     ----------
-    reading : float
-        unit.
-    temperature : float
-        °C.
     offset : float
-        Reading at level, itself referenced to the reference temperature, unit.
-    scale : float
-        unit/g, from :func:`scale_from_tilt`.
-    tempco : float
-        unit/°C, from :func:`tempco_from_two_temperatures`.
-    reference : float
-        °C; the paper takes 0 °C.
-
-    Returns
-    -------
-    float
-        Radians; NaN where the argument of the arcsine is beyond ±1.
+        Reading at level, itself referenced to the reference temperature.
+    scale, tempco : float
+        From :func:`scale_from_tilt` and :func:`tempco_from_two_temperatures`.
 
     Notes
     -----

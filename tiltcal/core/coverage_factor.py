@@ -116,12 +116,11 @@ class CoverageFactors:
         from scipy.special import stdtrit
 
         upper = 0.5 + COVERAGE / 2.0
-        self.normal = NORMAL_FACTOR
         at = (np.arange(FACTOR_STEPS) + 0.5) / FACTOR_STEPS
         self._factors = np.asarray(stdtrit(1.0 / at, upper))
         """By one over the degrees of freedom, from 0 to 1."""
-        whole = np.concatenate([[self.normal], self._factors, [float(stdtrit(1.0, upper))]])
-        self._inverse_dof = np.interp(self.normal / np.sqrt(at), whole, np.concatenate([[0.0], at, [1.0]]))
+        whole = np.concatenate([[NORMAL_FACTOR], self._factors, [float(stdtrit(1.0, upper))]])
+        self._inverse_dof = np.interp(NORMAL_FACTOR / np.sqrt(at), whole, np.concatenate([[0.0], at, [1.0]]))
         """One over the degrees of freedom, by the square of the normal factor over Student's."""
 
     def whole(self, estimated: Array, widened: Array | float, known: Array) -> tuple[Array, Array]:
@@ -159,7 +158,7 @@ class CoverageFactors:
             if not np.max(own) < _NARROW:
                 narrow = np.broadcast_to(~(own < _NARROW), total.shape)
                 whole = known + (estimated * widened if stretched else widened)
-                factor[narrow] = self.normal * np.sqrt(whole[narrow] / total[narrow])
+                factor[narrow] = NORMAL_FACTOR * np.sqrt(whole[narrow] / total[narrow])
         return total, factor
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from tiltcal.core.model import Array
 
 LARGEST_SHARE = 0.25
-"""Largest part of the values that may be outliers."""
+"""Largest part of the values that may be outliers; one may be in any case."""
 
 
-def extreme_values(values: Array, false_alarm: float, most: int | None = None) -> list[int]:
+def extreme_values(values: Array, false_alarm: float) -> list[int]:
     """Return the places of the values that are too far from the others for a normal distribution.
 
     Parameters
@@ -24,8 +24,6 @@ def extreme_values(values: Array, false_alarm: float, most: int | None = None) -
     values : ndarray, shape (n,)
     false_alarm : float
         The probability that any value of a normal distribution is found.
-    most : int, optional
-        Largest number of outliers; a quarter of the values, and one at least.
 
     Returns
     -------
@@ -36,7 +34,7 @@ def extreme_values(values: Array, false_alarm: float, most: int | None = None) -
 
     n = len(values)
     left, removed, found = list(range(n)), [], 0
-    for i in range(min(n - 2, max(1, int(LARGEST_SHARE * n)) if most is None else most)):
+    for i in range(min(n - 2, max(1, int(LARGEST_SHARE * n)))):
         kept = values[left]
         spread = float(kept.std(ddof=1))
         if not spread > 0.0:

@@ -47,6 +47,9 @@ from tiltcal.frozen import frozen
 LARGEST_JIG = radians(45.0)
 """Standard deviation of a set angle above which the positions are not those that were set, radians."""
 
+SUSPICION = 0.01
+"""Probability, over all positions together, of suspecting one of a jig that is as stated."""
+
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
 BELOW_NOISE = "the residuals are smaller than the noise of the readings, by chance: the noise counts"
 GAUGE = (
@@ -126,15 +129,9 @@ class Estimate(DeterminedCoefficients):
     noise_dof: float | None = None
     notes: tuple[str, ...] = ()
 
-    def suspects(self, significance: float = 0.01) -> list[AttitudeError]:
-        """Return the positions that were further off than the stated jig allows, the worst first.
-
-        Parameters
-        ----------
-        significance : float
-            Probability, over all positions together, of suspecting one of a jig that is as stated.
-        """
-        worst = [attitude for attitude in self.attitudes if attitude.p < significance / len(self.attitudes)]
+    def suspects(self) -> list[AttitudeError]:
+        """Return the positions that were further off than the stated jig allows, the worst first."""
+        worst = [attitude for attitude in self.attitudes if attitude.p < SUSPICION / len(self.attitudes)]
         return sorted(worst, key=lambda attitude: attitude.chi_square, reverse=True)
 
 
