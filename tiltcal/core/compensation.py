@@ -259,11 +259,6 @@ class Compensation:
         out : Compensated, optional
             Room for n rows, from :meth:`Compensated.empty`, that an earlier call has filled: its memory is used again.
 
-        Returns
-        -------
-        Compensated
-            ``out`` where it was given.
-
         Raises
         ------
         ValueError

@@ -82,7 +82,7 @@ def half_width(spread: Array, weights: Array) -> Array:
 
 
 def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float | Array]]) -> Array:
-    """Effective degrees of freedom of a sum of variances (GUM, eq. G.2b).
+    """Effective degrees of freedom of sums of variances (GUM, eq. G.2b); infinite where no part was estimated.
 
     Parameters
     ----------
@@ -90,11 +90,6 @@ def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float | Ar
         The sums.
     parts : sequence of (ndarray of shape (k,), float or ndarray of shape (k,))
         The parts, each with its degrees of freedom; infinite where it was not estimated.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Infinite where no part was estimated.
     """
     weighted = np.zeros_like(variance)
     for part, dof in parts:

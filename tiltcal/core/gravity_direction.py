@@ -13,17 +13,12 @@ LEVEL: Vector = (0.0, 0.0, 1.0)
 
 
 def gravity_from_tilt(tilt: Mapping[str, float]) -> Vector:
-    """Up in the sensor frame when axes are tilted.
+    """Up in the sensor frame when axes are tilted: (g_x, g_y, g_z) with g_z = +sqrt(1 - g_x² - g_y²).
 
     Parameters
     ----------
     tilt : mapping of str to float
         Tilt of axes x and y in degrees; an axis that is left out is level. Tilt of axis i is asin(g_i).
-
-    Returns
-    -------
-    tuple of float
-        (g_x, g_y, g_z) with g_z = +sqrt(1 - g_x² - g_y²).
 
     Raises
     ------

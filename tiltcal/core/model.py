@@ -109,7 +109,7 @@ class Coefficients:
         return np.hstack([self.offset[:, None], self.sensitivity, *thermal, *shares])
 
     def predict(self, gravity: Array, temperature: Array | None = None) -> Array:
-        """Compute the readings that the model expects.
+        """Compute the readings that the model expects, shape (n, channels), in the unit of the offset.
 
         Parameters
         ----------
@@ -117,11 +117,6 @@ class Coefficients:
             Up, in the sensor frame, g.
         temperature : ndarray, shape (n,), optional
             °C; the reference temperature where it is left out.
-
-        Returns
-        -------
-        ndarray, shape (n, channels)
-            In the unit of the offset.
         """
         columns = [AXES.index(axis) for axis in self.axes]
         readings = np.asarray(gravity, dtype=float)[:, columns] @ self.sensitivity.T
@@ -162,17 +157,13 @@ def overlap(first: tuple[float, float] | None, second: tuple[float, float] | Non
 
 
 def polynomial(coefficients: Array, variable: Array) -> Array:
-    """Evaluate a polynomial without a constant term, by Horner's rule in place.
+    """Evaluate a polynomial without a constant term, by Horner's rule in place; the shape is that of the variable.
 
     Parameters
     ----------
     coefficients : ndarray, shape (order,)
         Element k multiplies variable**(k+1). With shape (..., order) the result has a row for each polynomial.
     variable : ndarray, any shape
-
-    Returns
-    -------
-    ndarray, the shape of ``variable``
     """
     value = np.zeros(_polynomial_shape(coefficients, variable))
     for power in range(coefficients.shape[-1], 0, -1):

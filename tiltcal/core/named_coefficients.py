@@ -110,7 +110,7 @@ class DeterminedCoefficients:
 def known(
     coefficients: Coefficients, names: Sequence[str], covariance: Array, factors: Array, reference: float | None = None
 ) -> dict[str, KnownCoefficient]:
-    """Return the standard uncertainty of each coefficient, at another reference temperature where one is given.
+    """Return the standard uncertainty of each uncertain coefficient, at another reference temperature if one is given.
 
     Parameters
     ----------
@@ -121,11 +121,6 @@ def known(
         Of each standard uncertainty for an interval of 95 %: the degrees of freedom follow from Student's t.
     reference : float, optional
         °C; None for the coefficients' own.
-
-    Returns
-    -------
-    dict of str to KnownCoefficient
-        By dotted name; those that are certain are not there.
     """
 
     def numbers(vector: Array) -> Array:

@@ -17,18 +17,15 @@ LARGEST_SHARE = 0.25
 
 
 def extreme_values(values: Array, false_alarm: float) -> list[int]:
-    """Return the places of the values that are too far from the others for a normal distribution.
+    """Return the places of the values that are too far from the others for a normal distribution, the farthest first.
+
+    Of fewer than three values none is.
 
     Parameters
     ----------
     values : ndarray, shape (n,)
     false_alarm : float
         The probability that any value of a normal distribution is found.
-
-    Returns
-    -------
-    list of int
-        The most extreme first; none of fewer than three values.
     """
     from scipy.special import stdtrit
 

@@ -170,17 +170,12 @@ def _block_means(parts: Sequence[Moments]) -> list[float]:
 
 
 def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:
-    """Change over the span of ``times`` along the least-squares line, and its standard uncertainty.
+    """Change over ``times`` along the least-squares line, and its standard uncertainty, in the unit of the samples.
 
     Parameters
     ----------
     times : sequence of float
         Seconds, not decreasing, at least three. Where all are one instant nothing can have changed.
-
-    Returns
-    -------
-    change, uncertainty : float
-        In the unit of the samples.
     """
     n = len(samples)
     middle, mean = fsum(times) / n, fsum(samples) / n

@@ -43,7 +43,7 @@ class ThermalLag:
         self._time = self._temperature = self._filtered = np.nan
 
     def __call__(self, time: Array, temperature: Array) -> Array:
-        """Return the temperatures of the element in some more rows, °C, shape (n,).
+        """Return the temperatures of the element in some more rows, °C, shape (n,); NaN where they are not known.
 
         Parameters
         ----------
@@ -51,11 +51,6 @@ class ThermalLag:
             s; NaN where it is missing.
         temperature : ndarray, shape (n,)
             Of the thermometer, °C; NaN where it is missing.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            NaN where the time or the temperature is missing.
         """
         if self._lag == 0.0:
             return np.array(temperature, dtype=float)

@@ -142,17 +142,14 @@ class Propagation:
             self._directions(application, variances, room[:, len(self._axes) :])
 
     def half_widths(self, chunk: KernelChunk, gradients: Sequence[UpGradient]) -> tuple[Array, Array]:
-        """Return half of the 95 % interval of any quantities that follow from up, and the coverage factors.
+        """Return half of the 95 % interval of quantities that follow from up, in their units, and the coverage factors.
+
+        Both have the shape (quantities, n).
 
         Parameters
         ----------
         gradients : sequence of UpGradient
             One for each quantity.
-
-        Returns
-        -------
-        tuple of ndarray, shape (quantities, n)
-            In the unit of each quantity.
         """
         halves, factors = np.ones((2, len(gradients), len(chunk.out.flag)))
         for start in range(0, halves.shape[1], _ROWS):

@@ -90,16 +90,13 @@ def heading_rotations(heading: Array) -> Array:
 
 
 def rotation_vectors(gravity: Array, basis: Array, angles: Array) -> Array:
-    """Return the arcs as rotation vectors in the fixture's frame.
+    """Return the arcs as right-handed rotation vectors of gravity in the fixture's frame, shape (n, 3), radians.
+
+    None has a part along gravity.
 
     Parameters
     ----------
     gravity, basis, angles : ndarray
         As for :func:`turned`.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Right-handed rotation vectors of gravity, radians; none has a part along gravity.
     """
     return np.cross(gravity, np.einsum("nij,nj->ni", basis, angles))

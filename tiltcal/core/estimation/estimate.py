@@ -147,17 +147,12 @@ def estimate(observations: Sequence[Observation], design: Design) -> Estimate:
 
 
 def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, ...]:
-    """Determine the coefficients of all sensors of a fixture, whose attitude errors are common to them.
+    """Determine the coefficients of each sensor of a fixture; their attitude errors are common to them.
 
     Parameters
     ----------
     sensors : sequence of SensorObservations
         With the same jig, table and thermometer. Positions belong together by their names.
-
-    Returns
-    -------
-    tuple of Estimate
-        One a sensor, in their order.
 
     Raises
     ------

@@ -33,17 +33,13 @@ DAMPING = (0.0, 1e-6, 1e-4, 1e-2, 1.0, 1e2, 1e4)
 
 
 def minimise(system: System, start: Array) -> Array:
-    """Find where the sum of squared residuals is least.
+    """Find where the sum of squared residuals is least, shape (unknowns,).
 
     Parameters
     ----------
     system : System
         Coefficients that are held stay where they start.
     start : ndarray, shape (unknowns,)
-
-    Returns
-    -------
-    ndarray, shape (unknowns,)
 
     Raises
     ------

@@ -68,16 +68,11 @@ def require_determined(system: System, z: Array) -> None:
 
 
 def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
-    """Return the coefficients that the rows of a Jacobian leave free: single ones, or a combination.
+    """Return the coefficients that the rows of a Jacobian leave free: single ones, or a combination; none if none is.
 
     Parameters
     ----------
     jacobian : ndarray, shape (rows, coefficients)
-
-    Returns
-    -------
-    list of str
-        Empty where all are determined.
     """
     if not names:
         return []
@@ -121,7 +116,9 @@ def undetermined_unknowns(near: LinearSolution) -> list[str]:
 
 
 def _positions_to_add(model: ChannelModel, theta: Array, gravity: Array, dt: Array, rows: Array) -> list[str]:
-    """Return positions that would determine all coefficients of a channel, the most informative first.
+    """Return positions that would determine all coefficients of a channel, in words, the most informative first.
+
+    There is none where no few positions do.
 
     Parameters
     ----------
@@ -132,11 +129,6 @@ def _positions_to_add(model: ChannelModel, theta: Array, gravity: Array, dt: Arr
         Temperature of each position from the reference, °C.
     rows : ndarray, shape (rows, coefficients)
         What is there already: the positions' derivatives, and priors.
-
-    Returns
-    -------
-    list of str
-        In words; empty where no few positions do.
     """
     chosen: list[str] = []
     candidates = dict(_candidates(model, theta, gravity, dt))

@@ -96,7 +96,7 @@ def predict_uncertainty(
     sensors: int = 1,
     level: bool = False,
 ) -> Prediction:
-    """Compute the uncertainty that a planned session will reach, at nominal coefficients.
+    """Compute the uncertainty that a planned session will reach for each of the sensors, at nominal coefficients.
 
     Parameters
     ----------
@@ -115,11 +115,6 @@ def predict_uncertainty(
         How many alike sit on the fixture and are estimated together.
     level : bool
         Every position has to be level, so none in another direction is proposed.
-
-    Returns
-    -------
-    Prediction
-        For one of the sensors.
 
     Raises
     ------

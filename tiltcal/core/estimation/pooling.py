@@ -151,14 +151,12 @@ def noise_of_means(
 ) -> tuple[Array, Array, Array]:
     """Return the noise of the means of one channel's positions: variance, degrees of freedom, rounding uncertainty.
 
+    Each has the shape (positions,).
+
     Parameters
     ----------
     summaries : sequence of SampleSummary
         One a position.
-
-    Returns
-    -------
-    variance, dof, rounding : ndarray, shape (positions,)
     """
     variance = np.array([summary.noise**2 for summary in summaries])
     dof = np.array([summary.dof for summary in summaries])
@@ -201,7 +199,7 @@ def _alike(summaries: Sequence[SampleSummary], step: float) -> Array:
 
 
 def pooled(variance: Array, dof: Array) -> tuple[Array, Array]:
-    """Improve the estimates of the variances of several positions by pooling.
+    """Improve variances of several positions, and their degrees of freedom, by pooling; shape (n,) each.
 
     Parameters
     ----------
@@ -209,10 +207,6 @@ def pooled(variance: Array, dof: Array) -> tuple[Array, Array]:
         Of each position's mean, from its own samples.
     dof : ndarray, shape (n,)
         Degrees of freedom of each; infinite ones are known, and stay as they are.
-
-    Returns
-    -------
-    variance, dof : ndarray, shape (n,)
     """
     drawn = np.isfinite(dof)
     if np.sum(drawn) < 2 or not np.any(variance[drawn] > 0.0):

@@ -23,7 +23,7 @@ from tiltcal.core.model import AXES, Array
 
 
 def second_order_bias(near: LinearSolution, z: Array) -> Array:
-    """Compute the second-order bias of the coefficients, where attitudes are among the unknowns.
+    """Compute the second-order bias of the coefficients where attitudes are unknowns, shape (coefficients,).
 
     Parameters
     ----------
@@ -31,10 +31,6 @@ def second_order_bias(near: LinearSolution, z: Array) -> Array:
         With attitude angles, at the minimum.
     z : ndarray, shape (unknowns,)
         The minimum.
-
-    Returns
-    -------
-    ndarray, shape (coefficients,)
     """
     system, first, q = near.system, near.shared - near.angles, near.jig**2
     covariance = near.shared_covariance[:, first:] / q

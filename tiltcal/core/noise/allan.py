@@ -194,17 +194,12 @@ def degrees_of_freedom(kind: Kind, samples: float, factor: float) -> float:
 
 
 def limits(variance: Array, dof: Array) -> tuple[Array, Array]:
-    """Return the interval that holds the true deviation with a probability of 95 %.
+    """Return the ends of the interval that holds the true Allan deviation with a probability of 95 %, shape (k,) each.
 
     Parameters
     ----------
     variance, dof : ndarray, shape (k,)
         Allan variance and its equivalent degrees of freedom.
-
-    Returns
-    -------
-    low, high : ndarray, shape (k,)
-        Allan deviation.
     """
     from scipy.special import chdtri
 

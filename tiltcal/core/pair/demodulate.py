@@ -43,7 +43,7 @@ _DRIFT_UNIT = 1e6
 
 
 def harmonic_columns(angle: Array, harmonics: int) -> Array:
-    """sin θ, cos θ, sin 2θ, cos 2θ, ... and 1.
+    """sin θ, cos θ, sin 2θ, cos 2θ, ... and 1, shape (2 harmonics + 1, n).
 
     Parameters
     ----------
@@ -51,10 +51,6 @@ def harmonic_columns(angle: Array, harmonics: int) -> Array:
         Turns.
     harmonics : int
         At least 1.
-
-    Returns
-    -------
-    ndarray, shape (2 harmonics + 1, n)
     """
     phase = 2.0 * pi * (angle - np.floor(angle))
     columns = np.empty((2 * harmonics + 1, len(angle)))

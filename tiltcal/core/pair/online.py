@@ -294,7 +294,7 @@ class Online:
         self._sectors = 0
 
     def push(self, theta: Array, readings: Array) -> list[Notice]:
-        """Take samples, one or many.
+        """Take samples, one or many, and return where the estimators were held, and went on.
 
         Parameters
         ----------
@@ -302,11 +302,6 @@ class Online:
             Degrees; NaN where it is missing.
         readings : ndarray, shape (n, channels)
             NaN where a value is missing.
-
-        Returns
-        -------
-        list of Notice
-            Where the estimators were held, and went on.
         """
         notices = []
         for item in self.stream.push(theta, readings):

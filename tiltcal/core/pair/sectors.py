@@ -133,7 +133,7 @@ class SectorStream:
         return self._gaps > _MOST_GAPS * self._entered
 
     def push(self, theta: Array, readings: Array) -> list[Sector | Notice]:
-        """Take samples.
+        """Take samples, and return the sectors that they end, and where the stream is held and goes on, in order.
 
         Parameters
         ----------
@@ -141,11 +141,6 @@ class SectorStream:
             Degrees; NaN where it is missing.
         readings : ndarray, shape (n, channels)
             NaN where a value is missing.
-
-        Returns
-        -------
-        list of Sector or Notice
-            In order.
         """
         first, self.rows = self.rows, self.rows + len(theta)
         known = np.flatnonzero(np.isfinite(theta)).astype(np.int64)
