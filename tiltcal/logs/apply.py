@@ -9,6 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tiltcal.calibration.calibration import read
 from tiltcal.errors import InputError
 from tiltcal.files.atomic import require_apart
 from tiltcal.frozen import frozen
@@ -27,8 +28,8 @@ from tiltcal.logs.columns import (
 from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
-from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare, prepare_file
-from tiltcal.logs.streams import STANDARD, log_sink, with_writeback
+from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
+from tiltcal.logs.streams import STANDARD, log_sink, sha256_of, with_writeback
 
 NO_TIME = (
     "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "
@@ -232,11 +233,12 @@ def prepare_any(
             return lambda log, columns: prepare_library(found, log, options, columns, say)
         calibration = found
     options.require_file()
-    prepared = (
-        prepare_file(calibration, options, say)
-        if isinstance(calibration, str | Path)
-        else prepare(calibration, options, say)
-    )
+    if isinstance(calibration, str | Path):
+        path, stated = Path(calibration), read(calibration)
+        origin = {"calibration": path.name, "sha256": sha256_of(path)}
+        prepared = prepare(stated, options, say, file=path, origin=origin)
+    else:
+        prepared = prepare(calibration, options, say)
     return lambda log, columns: prepared
 
 

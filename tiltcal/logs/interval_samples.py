@@ -61,7 +61,6 @@ class Sums:
         Which, and by how much; empty without.
     beyond : mapping of str to (float, int)
         The first reading of a channel at a rail, and how many are.
-    channels : mapping of str to Moments
     """
 
     limit: float
@@ -77,8 +76,6 @@ class Line:
 
     Attributes
     ----------
-    n : int
-    mean : float
     product, squares : float
         Sums of the products with the places and of the squares, both about their means.
     """
@@ -120,13 +117,7 @@ class Line:
 
 @frozen
 class Temperatures:
-    """The temperatures of a piece without those that are far off.
-
-    Attributes
-    ----------
-    jumped : sequence of float
-        Those that are.
-    """
+    """The temperatures of a piece without those that are far off, which have ``jumped``."""
 
     jumped: Sequence[float]
     line: Line
@@ -161,8 +152,6 @@ class IntervalSamples:
 
     Parameters
     ----------
-    parts : sequence of Segment
-        Its rows.
     channels : sequence of str
         Of the rows that are added; behind them may be the temperature.
     submit : callable
@@ -170,9 +159,6 @@ class IntervalSamples:
 
     Attributes
     ----------
-    last : Segment
-        Of its parts, by rows.
-    pieces : list of Future
     before : Line or None
         Of the temperature up to the interval's end, where it is judged over more rows than these.
     """
@@ -338,15 +324,7 @@ def _temperatures(values: Array) -> Temperatures:
 
 
 class RecentTemperatures:
-    """The temperatures of the latest rows, two million at most.
-
-    Parameters
-    ----------
-    soak : float
-        s.
-    timed : bool
-        Whether their times are known.
-    """
+    """The temperatures of the latest rows, two million at most, for a soak in seconds."""
 
     def __init__(self, soak: float, *, timed: bool) -> None:
         self._soak, self._timed = soak, timed
@@ -363,6 +341,8 @@ class RecentTemperatures:
     def line_before(self, start: int, end: int, first: int) -> Line | None:
         """Return the line up to the end of a segment: over several soaks, or over as many times its own rows.
 
+        None where it would begin with the segment.
+
         A short segment of a steady ramp looks still, and the sensor is as far behind its thermometer as in a long one.
 
         Parameters
@@ -371,11 +351,6 @@ class RecentTemperatures:
             The segment's rows, of which the last has just come.
         first : int
             The row behind the segment before, from which on rows are of this one where the log has no times.
-
-        Returns
-        -------
-        Line or None
-            None where it would begin with the segment.
         """
         values = np.concatenate(self._blocks, axis=1)[:, : end - self._first]
         begin = max(first, start - (SOAKS - 1) * (end - start))

@@ -89,8 +89,8 @@ def demodulate_log(
         The stage does not turn as it must.
     """
     stage, demodulator, tally = AngleTracker(), Demodulator(channels), _Tally(len(channels))
-    angles = _Angles(phase)
-    rows = tally.counted(angles.with_angle(_blocks(log, channels, phase)))
+    angles, rows = _EstimatedAngles(), _blocks(log, channels, phase)
+    rows = tally.counted(angles.with_angle(rows) if phase is None else rows)
     for block in StuckValues(channels, say).cleaned(rows):
         theta, readings, numbers = block.complete()
         demodulator.add(stage.follow(theta), readings, numbers)
@@ -131,18 +131,13 @@ class _Tally:
         return None if self._begin is None or self._end <= self._begin else self._end - self._begin
 
 
-class _Angles:
-    """The stage angle of a log's rows, as it was measured, or estimated where it was not."""
+class _EstimatedAngles:
+    """The stage angle of a log's rows, estimated where it was not measured."""
 
-    def __init__(self, phase: str | None) -> None:
-        self._measured = phase is not None
-        self.spin: Spin | None = None
+    spin: Spin | None = None
 
     def with_angle(self, blocks: Iterator[PairBlock]) -> Iterator[PairBlock]:
         """Yield the blocks with their stage angle."""
-        if self._measured:
-            yield from blocks
-            return
         held: deque[PairBlock] = deque()
         rows = 0
         for block in blocks:

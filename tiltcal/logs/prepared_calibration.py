@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tiltcal
-from tiltcal.calibration.calibration import Calibration, read
+from tiltcal.calibration.calibration import Calibration
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import HEADING, TIME, SensorColumns
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
-from tiltcal.logs.streams import sha256_of
 from tiltcal.stated_numbers import is_number, require_from_zero
 
 if TYPE_CHECKING:
@@ -139,22 +138,6 @@ def _three_columns(role: str, names: Sequence[str] | str) -> tuple[str, ...]:
     if len(set(columns)) != 3 or not all(columns):
         raise UsageError(f"--{role} names three columns, along x, y and z, such as {_EXAMPLES[role]}; not {names!r}")
     return columns
-
-
-def prepare_file(
-    path: str | Path, options: ApplyOptions, say: Callable[[str], None] = lambda line: None
-) -> PreparedCalibration:
-    """Read a calibration file, of a sensor or of pairs, and make it ready.
-
-    Raises
-    ------
-    UsageError
-        The file is of pairs, and the options are for tilt.
-    InputError
-        Anything in the file is wrong.
-    """
-    path = Path(path)
-    return prepare(read(path), options, say, file=path, origin={"calibration": path.name, "sha256": sha256_of(path)})
 
 
 def prepare(

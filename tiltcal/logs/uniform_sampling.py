@@ -30,20 +30,9 @@ _GAP_SHARE = 100
 
 @dataclass
 class SamplingInterval:
-    """How the rows of a log follow each other.
+    """How the rows of a log follow each other: seconds from row to row, gaps, and the rows that are lost in them.
 
-    Attributes
-    ----------
-    interval : float
-        Seconds from row to row.
-    rows : int
-        In the log.
-    gaps : int
-        Places where rows are missing.
-    lost : int
-        Rows that are missing there.
-    faulty : int
-        Rows that could not be parsed.
+    Faulty rows are those that could not be parsed.
     """
 
     interval: float = 0.0

@@ -114,11 +114,7 @@ def _shares(counts: dict[int, int], names: dict[int, str], rows: int) -> list[Sh
 
 def _percent(count: int, rows: int) -> str:
     """Return a share in per cent that is never rounded to 0 or 100."""
-    share = 100.0 * count / rows
-    if 0 < count < rows:
-        share = min(max(share, 0.001), 99.999)
-        return f"{share:.3f}"
-    return "100.000"
+    return "100.000" if count == rows else f"{min(max(100.0 * count / rows, 0.001), 99.999):.3f}"
 
 
 def _angle_rows(overview: ColumnStatistics) -> list[AngleRow]:
