@@ -95,7 +95,10 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
             raise UsageError("a report of pairs is about one file; give it alone, with its LOG if there is one")
         if columns:
             raise UsageError("--columns is for tilt calibrations; the columns of pairs are named in their file")
-        return _pair_page(PAIR.read(checked_kind(documents[0], "pair")), _source(names[0]), logs, skip_bad_rows)
+        from tiltcal.report.pair_page import pair_page
+
+        pairs = PAIR.read(checked_kind(documents[0], "pair"))
+        return pair_page(pairs, _source(names[0]), [_spectra(log, pairs, skip_bad_rows) for log in logs])
     calibrations = [TILT.read(checked_kind(document, "tilt")) for document in documents]
     for earlier in calibrations[:-1]:
         require_same_sensor(earlier, calibrations[-1])
@@ -144,12 +147,6 @@ def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: st
         time = rows.names.index(clock) if clock in rows.names else None
         overview, compensated = look_over(rows, prepared, columns, time)
         return ReportedLog(Path(rows.name).name, rows.sha256, overview, compensated, time is not None)
-
-
-def _pair_page(calibration: PairRecord, source: FileRecord, logs: Sequence[str], skip_bad_rows: bool) -> str:
-    from tiltcal.report.pair_page import pair_page
-
-    return pair_page(calibration, source, [_spectra(log, calibration, skip_bad_rows) for log in logs])
 
 
 def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[str, PairDrawing]:

@@ -285,15 +285,12 @@ class LiveStream:
 
     Attributes
     ----------
-    endless : bool
-        Whether nothing but Ctrl-C, or the other side, will end it; a file has its own end.
     interrupted : bool
         Whether Ctrl-C has ended it.
     """
 
     def __init__(self, stream: io.BufferedReader) -> None:
         self._stream = stream
-        self.endless = has_no_end(stream)
         self.interrupted = False
         self._waiting = False
         self._begun = b""
@@ -322,7 +319,7 @@ class LiveStream:
     def ended_by_ctrl_c(self) -> Iterator[None]:
         """Let Ctrl-C end a stream and leave what was read of it; it interrupts the command where a file is read."""
         before = signal.getsignal(signal.SIGINT)
-        if not self.endless or before is not signal.default_int_handler:
+        if not has_no_end(self._stream) or before is not signal.default_int_handler:
             yield
             return
 
