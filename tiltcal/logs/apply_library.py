@@ -54,15 +54,6 @@ _OUTSIDE = 1 << 16  # steps before the first calibration and after the last one 
 _GROWTH = 8  # steps of the time outside, for each doubling of it
 
 
-@dataclass(frozen=True)
-class _Sensor:
-    """A sensor of a log: its history, and what its columns begin with."""
-
-    serial: str
-    history: SensorHistory
-    lead: str
-
-
 def prepare_library(
     library: CalibrationLibrary,
     log: LogReader,
@@ -82,20 +73,21 @@ def prepare_library(
     start = None if options.start is None else moment(options.start).timestamp()
     for problem in library.index.problems:
         say(f"note: left out: {problem}")
-    sensors = [_Sensor(serial, library.history(serial), lead) for serial, lead in _serials(library, log, options, say)]
+    found = _serials(library, log, options, say)
+    leads = [lead for _, lead in found]
     parts = []
-    for sensor in sensors:
-        for remark in sensor.history.remarks:
+    for history in [library.history(serial) for serial, _ in found]:
+        for remark in history.remarks:
             say(f"note: {remark}")
-        stability = library.stability(sensor.serial, options.stability) if options.uncertainty else None
-        _say_stability(sensor.history, stability, say)
-        parts.append(_prepare_sensor(sensor, stability, options, start, log.name, say))
+        stability = library.stability(history.sensor.serial, options.stability) if options.uncertainty else None
+        _say_stability(history, stability, say)
+        parts.append(_prepare_sensor(history, stability, options, start, log.name, say))
     others = parts[0].roles
     named = named_columns(columns, [name for part in parts for name in part.channels], others)
     roles = others if start is not None and named.get(TIME, TIME) not in log.names else (TIME, *others)
-    if len(sensors) == 1 and not sensors[0].lead:
+    if leads == [""]:
         return replace(parts[0], roles=roles)
-    return _bench(sensors, parts, log.names, roles)
+    return _bench(leads, parts, log.names, roles)
 
 
 def _serials(
@@ -149,20 +141,20 @@ def _say_stability(history: SensorHistory, stability: Stability | None, say: Cal
 
 
 def _prepare_sensor(
-    sensor: _Sensor,
+    history: SensorHistory,
     stability: Stability | None,
     options: ApplyOptions,
     start: float | None,
     log: str,
     say: Callable[[str], None],
 ) -> PreparedCalibration:
-    calibrations = sensor.history.calibrations
+    calibrations = history.calibrations
     origin = {
         "calibration": ", ".join(calibration.name for calibration in calibrations),
         "sha256": ", ".join(sha256_of(calibration.path) for calibration in calibrations),
     }
     template = prepare(Calibration(calibrations[-1].record), options, say, origin=origin)
-    kernel = LibraryKernel(sensor.history, stability, options, template.kernel.columns, template.rails, start, log)
+    kernel = LibraryKernel(history, stability, options, template.kernel.columns, template.rails, start, log)
     return replace(template, kernel=kernel)
 
 
@@ -400,30 +392,28 @@ class BenchKernel:
 
 
 def _bench(
-    sensors: Sequence[_Sensor], parts: Sequence[PreparedCalibration], names: Sequence[str], roles: tuple[str, ...]
+    leads: Sequence[str], parts: Sequence[PreparedCalibration], names: Sequence[str], roles: tuple[str, ...]
 ) -> PreparedCalibration:
-    """Return the calibrations of several sensors as one."""
+    """Return the calibrations of several sensors as one; ``leads`` are what the names of their columns begin with."""
     kernels: list[tuple[SensorColumns, Kernel]] = []
     channels: list[str] = []
-    for sensor, part in zip(sensors, parts, strict=True):
+    for lead, part in zip(leads, parts, strict=True):
         first = len(channels)
-        channels += [f"{sensor.lead}{channel}" for channel in part.channels]
+        channels += [f"{lead}{channel}" for channel in part.channels]
         own = tuple(range(first, len(channels)))
-        thermometer = f"{sensor.lead}{TEMPERATURE}"
+        thermometer = f"{lead}{TEMPERATURE}"
         if thermometer in names:
             channels.append(thermometer)
-        columns = SensorColumns(sensor.lead, own, len(channels) - 1 if thermometer in names else None)
+        columns = SensorColumns(lead, own, len(channels) - 1 if thermometer in names else None)
         kernels.append((columns, part.kernel))
 
     def led(wanted: Callable[[PreparedCalibration], Sequence[str]]) -> tuple[str, ...]:
-        return tuple(
-            f"{sensor.lead}{name}" for sensor, part in zip(sensors, parts, strict=True) for name in wanted(part)
-        )
+        return tuple(f"{lead}{name}" for lead, part in zip(leads, parts, strict=True) for name in wanted(part))
 
     def led_values(wanted: Callable[[PreparedCalibration], Mapping[str, T]]) -> dict[str, T]:
         return {
-            f"{sensor.lead}{name}": value
-            for sensor, part in zip(sensors, parts, strict=True)
+            f"{lead}{name}": value
+            for lead, part in zip(leads, parts, strict=True)
             for name, value in wanted(part).items()
         }
 
