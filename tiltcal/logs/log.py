@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, BinaryIO, ClassVar
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,14 +205,7 @@ class LogWriter(ABC):
         What the added columns were made with: ``software``, ``calibration``, ...
     units : mapping of str to str or None
         The unit of added columns that have that of a column of the log; None where that one states none.
-
-    Attributes
-    ----------
-    frames : bool
-        Whether the blocks must have their columns with types.
     """
-
-    frames: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -227,6 +220,11 @@ class LogWriter(ABC):
         self._added = tuple(added)
         self._origin = dict(origin or {})
         self._units = dict(units or {})
+
+    @property
+    def frames(self) -> bool:
+        """Whether the blocks must have their columns with types."""
+        return False
 
     @abstractmethod
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:

@@ -234,6 +234,11 @@ class CsvWriter(LogWriter):
     ISO 8601, missing values as nothing.
     """
 
+    @property
+    def frames(self) -> bool:
+        """Whether the blocks must have their columns with types, because the log has no text of its own."""
+        return not isinstance(self._log, CsvReader)
+
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
         """Write each block while the next is read and compensated; a single thread keeps the order."""
         with ThreadPoolExecutor(max_workers=1) as thread:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -69,16 +69,18 @@ class ParquetReader(LogReader):
             if index != time:
                 self._require_numbers(self.names[index])
         done, timed = 0, time is None
+        scan = self._scan if frames else self._scan.select([self.names[index] for index in columns])
         with self._refusing_damage():
-            for frame in self._scan.collect_batches(chunk_size=_ROWS, maintain_order=True):
-                values = {index: (_times if index == time else _numbers)(frame.to_series(index)) for index in columns}
+            for frame in scan.collect_batches(chunk_size=_ROWS, maintain_order=True):
+                cells = {index: frame[self.names[index]] for index in columns}
+                values = {index: (_times if index == time else _numbers)(cells[index]) for index in columns}
                 wrong = None
                 if time is not None and not timed:
                     timed = bool(np.isfinite(values[time]).any())
-                    wrong = None if timed else self._wrong_time(frame.to_series(time), time, done)
+                    wrong = None if timed else self._wrong_time(cells[time], time, done)
                 done += len(frame)
                 self._library_has_read(done, self._rows)
-                yield LogBlock(values, frame=frame, wrong_time=wrong)
+                yield LogBlock(values, frame=frame if frames else None, wrong_time=wrong)
         if done != self._rows:
             # The engine ends in silence where one of its threads fails on a damaged page.
             raise InputError(f"the file is damaged: it gives {done} of {self._rows} rows", file=self.name)
@@ -113,7 +115,10 @@ class ParquetWriter(LogWriter):
     the kernel handed to it, it would call it on several blocks at once, and a pair's needs theirs in order.
     """
 
-    frames: ClassVar[bool] = True
+    @property
+    def frames(self) -> bool:
+        """Whether the blocks must have their columns with types: the log's own are written, too."""
+        return True
 
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
         from polars.io.plugins import register_io_source
