@@ -166,4 +166,4 @@ class PairKernel:
         self.columns = compensation.columns
 
     def __call__(self, values: RoleValues) -> Table:
-        return self._compensation.table(self._compensation(values.readings))
+        return self._compensation(values.readings)

@@ -8,7 +8,6 @@ system.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from math import inf, isfinite
 
 import numpy as np
@@ -40,16 +39,16 @@ def stated_budgets(
     shown : NoiseVariance, optional
         Where the residuals show the noise.
     """
-    shares = _shares(near)
+    variances, of_noise = _variances(near)
     budgets = []
-    for own, covariance, variance in _by_sensor(near, shares.variance, bias):
+    for own, covariance, variance in _by_sensor(near, variances, bias):
         if shown is not None:
             total = np.diag(covariance)
             safe = np.where(total > 0.0, total, 1.0)
             of_jig = variance.get(JIG, np.zeros_like(total)) / safe
             budgets.append(Budget(covariance, variance, shown.dof((variance[NOISE] + variance[ADC]) / safe, of_jig)))
             continue
-        estimated = [(shares.estimated[own], 1.0)]
+        estimated = [(of_noise[own], 1.0)]
         if isfinite(thermometer_dof):
             estimated.append((variance[THERMOMETER], thermometer_dof))
         budgets.append(Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), estimated)))
@@ -86,12 +85,12 @@ def estimated_jig_budgets(near: LinearSolution, components: VarianceComponents, 
     put right to first order by twice the covariance of what the weights' error does (Kenward and Roger, 1997). The
     degrees of freedom of the estimate go into Student's t (GUM, eq. G.2b).
     """
-    shares = _shares(near)
+    variances, of_noise = _variances(near)
     budgets = []
     d2 = near.spectrum[1] ** 2
     # Columns: what the error of each combination of the angles does to the coefficients.
     by_angle = near.response[:, near.shared - near.angles :] * near.unobserved
-    for own, covariance, variance in _by_sensor(near, shares.variance, bias):
+    for own, covariance, variance in _by_sensor(near, variances, bias):
         if not components.detectable:
             budgets.append(Budget(covariance, variance, np.full(len(covariance), components.noise_dof)))
             continue
@@ -111,25 +110,9 @@ def estimated_jig_budgets(near: LinearSolution, components: VarianceComponents, 
             parts.append((noise, components.noise_dof))
         else:
             kept = 1.0 - components.by_noise * angles / np.where(noise > 0.0, noise, 1.0)
-            parts.append((shares.estimated[own] * kept, 1.0))
+            parts.append((of_noise[own] * kept, 1.0))
         budgets.append(Budget(covariance, variance, welch_satterthwaite(np.diag(covariance), parts)))
     return budgets
-
-
-@dataclass(frozen=True)
-class _Shares:
-    """Variances of all coefficients by source.
-
-    Attributes
-    ----------
-    variance : dict of str to ndarray, shape (coefficients,)
-        By source.
-    estimated : ndarray, shape (coefficients,)
-        A variance whose square is the sum of the squares of all estimated parts over their degrees of freedom.
-    """
-
-    variance: dict[str, Array]
-    estimated: Array
 
 
 def _by_sensor(
@@ -150,8 +133,11 @@ def _by_sensor(
             yield rows_of_sensor, covariance, sources
 
 
-def _shares(near: LinearSolution) -> _Shares:
-    """Separate the variances by their sources."""
+def _variances(near: LinearSolution) -> tuple[dict[str, Array], Array]:
+    """Return the variances of all coefficients by their sources, shape (coefficients,) each, and the estimated part.
+
+    That is a variance whose square is the sum of the squares of all estimated parts over their degrees of freedom.
+    """
     system, count = near.system, near.system.coefficients
     spread = near.response * near.variances
     noise, adc, prior, thermometer, estimated = (np.zeros(count) for _ in range(5))
@@ -186,7 +172,7 @@ def _shares(near: LinearSolution) -> _Shares:
         part = by_shared[:, columns.start - system.local : columns.stop - system.local]
         part = part / (near.jig if source == JIG else u)
         variance[source] = variance.get(source, np.zeros(count)) + np.sum(part**2, axis=1)
-    return _Shares(variance, np.sqrt(estimated))
+    return variance, np.sqrt(estimated)
 
 
 def _estimated(shares: Array, block: EquationBlock) -> Array:

@@ -11,7 +11,6 @@ The orthogonal accelerometer reads a gradient too, with the opposite sign, so a 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -25,15 +24,6 @@ from tiltcal.core.pair.model import matched_sum
 
 GRADIENT = "gradient"
 _HARMONICS = 2
-
-
-@dataclass(frozen=True)
-class Matched:
-    """What the kernel makes of n rows: columns by name, and the flags of every row."""
-
-    values: dict[str, Array]
-    flag: Bytes
-    reason: Bytes
 
 
 class PairCompensation:
@@ -68,12 +58,8 @@ class PairCompensation:
             names += [f"{GRADIENT}_sin", f"{GRADIENT}_cos"]
         return (*names, "flag", "reason")
 
-    def table(self, matched: Matched) -> dict[str, Array | Bytes]:
-        """Return the columns of a result, in order."""
-        return {**matched.values, "flag": matched.flag, "reason": matched.reason}
-
-    def __call__(self, readings: Array) -> Matched:
-        """Compensate some rows.
+    def __call__(self, readings: Array) -> dict[str, Array | Bytes]:
+        """Compensate some rows, and return the columns by name, in the order of :attr:`columns`.
 
         Parameters
         ----------
@@ -94,11 +80,8 @@ class PairCompensation:
         lost = ~np.isfinite(readings[:, : len(self._readings)]).all(axis=1)
         for column in values.values():
             column[lost] = np.nan
-        return Matched(
-            values,
-            np.where(lost, MISSING, PASS).astype(np.uint8),
-            np.where(lost, NOT_A_NUMBER, 0).astype(np.uint8),
-        )
+        flag, reason = (np.where(lost, *pair).astype(np.uint8) for pair in ((MISSING, PASS), (NOT_A_NUMBER, 0)))
+        return {**values, "flag": flag, "reason": reason}
 
     def _gradient(self, sums: Sequence[Array]) -> Array:
         first, other = self._matchings
