@@ -30,12 +30,7 @@ class AngleUncertainty:
 
 
 class CompensationWithUncertainty:
-    """A compensation with the uncertainty of each angle.
-
-    Parameters
-    ----------
-    coefficients : Coefficients
-        Those of the compensation.
+    """A compensation, of the same coefficients, with the uncertainty of each angle.
 
     Raises
     ------

@@ -21,14 +21,9 @@ _REACH = 180.0
 
 
 class ColumnStatistics:
-    """Angles and flags of a log, summed up row after row.
+    """Named angles and flags of a log, summed up row after row.
 
     The rows are parted into stretches of one length; when there are twice as many as are needed, neighbours are joined.
-
-    Parameters
-    ----------
-    angles : sequence of str
-        Names of the angles.
 
     Attributes
     ----------

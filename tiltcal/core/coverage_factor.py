@@ -47,12 +47,7 @@ def coverage_factor(dof: Array) -> Array:
 
 
 def degrees_of_freedom(factors: Array) -> Array:
-    """Return the degrees of freedom with which Student's t has coverage factors; infinite for the normal one.
-
-    Parameters
-    ----------
-    factors : ndarray, shape (k,)
-    """
+    """Return the degrees of freedom of coverage factors, shape (k,), by Student's t; infinite for the normal one."""
     dof, wider = np.full(factors.shape, np.inf), factors > NORMAL_FACTOR * (1.0 + NEGLIGIBLE)
     if wider.any():
         from scipy.special import stdtridf

@@ -104,13 +104,7 @@ class EarthFrame:
         return cls(up, along * sine + right * cosine, along * cosine - right * sine, full_circle(heading, 2 * np.pi))
 
     def velocity(self, instrument: Array) -> Array:
-        """Return a velocity's components east, north and up, shape (3, n).
-
-        Parameters
-        ----------
-        instrument : ndarray, shape (3, n)
-            In the application's frame.
-        """
+        """Return the components east, north and up of a velocity in the application's frame, both of shape (3, n)."""
         known = np.isfinite(self.heading)
         turned = np.stack([np.einsum("in,in->n", instrument, axis) for axis in (self.east, self.north, self.up)])
         turned[:2, ~known] = np.nan
@@ -157,13 +151,7 @@ class FieldLength:
         return mark_columns(table, self.wanders(length_of(field.T)), SUSPECT, MAGNETIC)
 
     def wanders(self, lengths: Array) -> Mask:
-        """Return the rows whose length differs by more than :data:`FIELD_TOLERANCE`; NaN does not.
-
-        Parameters
-        ----------
-        lengths : ndarray, shape (n,)
-            Of the next rows, in order.
-        """
+        """Return which of the next lengths, shape (n,), differ by more than :data:`FIELD_TOLERANCE`; NaN does not."""
         usual = np.full(len(lengths), np.nan)
         row = 0
         while row < len(lengths) and len(self._first) < _USUAL:

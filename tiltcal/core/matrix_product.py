@@ -18,13 +18,7 @@ _ONE_THREAD = 1 << 18
 
 
 def product(matrix: Array, columns: Array, out: Array | None = None) -> Array:
-    """Return ``matrix @ columns``, in one thread however many columns there are.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (k, m)
-    columns : ndarray, shape (m, n)
-    """
+    """Return ``matrix @ columns``, shapes (k, m) and (m, n), in one thread however many columns there are."""
     found = np.empty((len(matrix), columns.shape[1])) if out is None else out
     step = columns_of_one_thread(matrix)
     for start in range(0, columns.shape[1], step):

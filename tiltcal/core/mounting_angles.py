@@ -105,13 +105,7 @@ def mounting_angles(matrix: Array) -> MountingAngles:
 
 
 def is_locked(pitch: float, u: float) -> bool:
-    """Return whether cos(pitch) is within its 95 % interval of zero: roll and yaw cannot be separated there.
-
-    Parameters
-    ----------
-    pitch, u : float
-        Of a mounting, and its standard uncertainty, radians.
-    """
+    """Return whether cos(pitch) is 0 within its 95 % interval, so that roll and yaw cannot be separated; radians."""
     return cos(pitch) <= NORMAL_FACTOR * u
 
 

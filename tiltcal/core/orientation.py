@@ -35,13 +35,7 @@ class Orientation:
         return first, second, third
 
     def seen(self, vector: Vector) -> Vector:
-        """Return a vector of the fixture's frame in the sensor's.
-
-        Parameters
-        ----------
-        vector : tuple of float
-            Such as gravity's direction.
-        """
+        """Return a vector of the fixture's frame, such as gravity's direction, in the sensor's."""
         x, y, z = (sum(a * b for a, b in zip(row, vector, strict=True)) for row in self.matrix)
         return x, y, z
 

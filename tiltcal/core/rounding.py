@@ -35,13 +35,7 @@ def round_to(value: float, uncertainty: float) -> float:
 
 
 def significant(value: float, digits: int) -> float:
-    """Round a value to a number of significant decimal digits; never -0.0.
-
-    Parameters
-    ----------
-    digits : int
-        At least 1; more than 17 changes nothing.
-    """
+    """Round a value to so many significant decimal digits, 1 or more; never -0.0."""
     if not isfinite(value):
         return float(value)
     return _positive_zero(Context(prec=digits).create_decimal(repr(float(value))))

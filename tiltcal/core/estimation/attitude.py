@@ -90,13 +90,8 @@ def heading_rotations(heading: Array) -> Array:
 
 
 def rotation_vectors(gravity: Array, basis: Array, angles: Array) -> Array:
-    """Return the arcs as right-handed rotation vectors of gravity in the fixture's frame, shape (n, 3), radians.
+    """Return the arcs of :func:`turned` as right-handed rotation vectors in the fixture's frame, shape (n, 3), radians.
 
     None has a part along gravity.
-
-    Parameters
-    ----------
-    gravity, basis, angles : ndarray
-        As for :func:`turned`.
     """
     return np.cross(gravity, np.einsum("nij,nj->ni", basis, angles))

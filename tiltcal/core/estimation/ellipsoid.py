@@ -94,13 +94,7 @@ class Ellipsoid:
 
 
 def count_distinct(attitudes: Array) -> int:
-    """Count the attitudes that differ by at least :data:`DIFFERENT_ATTITUDE` from each one that was counted before.
-
-    Parameters
-    ----------
-    attitudes : ndarray, shape (n, 3)
-        Unit vectors.
-    """
+    """Count the unit vectors, shape (n, 3), that differ by :data:`DIFFERENT_ATTITUDE` from each one counted before."""
     count, left = 0, attitudes
     while len(left):
         count, left = count + 1, left[1:][left[1:] @ left[0] < cos(radians(DIFFERENT_ATTITUDE))]

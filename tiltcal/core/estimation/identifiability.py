@@ -68,12 +68,7 @@ def require_determined(system: System, z: Array) -> None:
 
 
 def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
-    """Return the coefficients that the rows of a Jacobian leave free: single ones, or a combination; none if none is.
-
-    Parameters
-    ----------
-    jacobian : ndarray, shape (rows, coefficients)
-    """
+    """Return the coefficients that a Jacobian, shape (rows, coefficients), leaves free: one, a combination, or none."""
     if not names:
         return []
     size = np.linalg.norm(jacobian, axis=0)

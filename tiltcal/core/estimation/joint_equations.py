@@ -448,13 +448,7 @@ class System:
         return LocalEquations(unknowns, residual, jacobian, shared, self._shared_columns[number].reshape(shape), held)
 
     def degrees_of_freedom(self, undetermined: int) -> int:
-        """Return the number of equations minus that of unknowns.
-
-        Parameters
-        ----------
-        undetermined : int
-            Number of directions of the table's lean that no reading shows.
-        """
+        """Return equations minus unknowns; ``undetermined`` counts the directions of the lean that no reading shows."""
         left = self.readings + self.priors - (self.unknowns - int(self.fixed.sum()))
         if self.lean_rotations is None or self.table_stated:
             return left

@@ -140,12 +140,7 @@ def predict_uncertainty(
 
 
 def strong_correlations(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
-    """Return pairs of coefficients that are correlated strongly, the strongest first.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (k, k)
-    """
+    """Return pairs of coefficients that a covariance, shape (k, k), correlates strongly, the strongest first."""
     u = np.sqrt(np.diag(covariance))
     found = [
         (names[i], names[j], round(float(covariance[i, j] / (u[i] * u[j])), 3))

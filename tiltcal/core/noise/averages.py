@@ -41,13 +41,7 @@ class Average:
 
 
 class Averager:
-    """Collects averages of one size along the samples of some channels.
-
-    Parameters
-    ----------
-    samples : int
-        In each average.
-    """
+    """Collects averages of so many samples each along some channels."""
 
     def __init__(self, samples: int, channels: int) -> None:
         self._samples = samples

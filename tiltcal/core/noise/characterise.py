@@ -84,13 +84,7 @@ class ChannelNoise:
 
 
 class Characteriser:
-    """Collects all of it along the samples of some channels.
-
-    Parameters
-    ----------
-    sizes : sequence of int
-        Sizes of averages that are asked for beside 1, 10, 100, ...
-    """
+    """Collects all of it along the samples of some channels; ``sizes`` of averages add to 1, 10, 100, ..."""
 
     def __init__(self, channels: int, sizes: Sequence[int] = ()) -> None:
         self._asked = frozenset(sizes)
@@ -103,13 +97,7 @@ class Characteriser:
         self._averagers = [Averager(size, channels) for size in sorted({*decades(_LARGEST, 1), *sizes})]
 
     def add(self, samples: Array) -> None:
-        """Take more samples, evenly spaced in time behind the last ones.
-
-        Parameters
-        ----------
-        samples : ndarray, shape (n, channels)
-            NaN where a value is missing.
-        """
+        """Take more samples, evenly spaced behind the last ones, shape (n, channels); NaN where a value is missing."""
         there = np.isfinite(samples)
         self.rows += len(samples)
         self._count += there.sum(axis=0)

@@ -67,13 +67,7 @@ class Disturbances:
             self._coarsen()
 
     def moved(self, step: Array) -> list[RowRange]:
-        """Rows in which the sensor was moved.
-
-        Parameters
-        ----------
-        step : ndarray, shape (channels,)
-            Of the readings; 0 where they are continuous.
-        """
+        """Rows in which the sensor was moved; ``step``, shape (channels,), is 0 where a reading is continuous."""
         blocks = _joined(self._blocks)
         if len(blocks.counts) < _FEWEST_BLOCKS:
             return []

@@ -59,13 +59,7 @@ class PairCompensation:
         return (*names, "flag", "reason")
 
     def __call__(self, readings: Array) -> dict[str, Array | Bytes]:
-        """Compensate some rows, and return the columns by name, in the order of :attr:`columns`.
-
-        Parameters
-        ----------
-        readings : ndarray, shape (n, channels)
-            NaN where a value is missing.
-        """
+        """Return the columns of some rows by name; ``readings``, shape (n, channels), are NaN where one is missing."""
         by_name = dict(zip(self.channels, readings.T, strict=True))
         sums = []
         for matching in self._matchings:

@@ -71,13 +71,7 @@ def matching_coefficients(scale: Array, misalignment: Array) -> tuple[float, flo
 
 
 def matched_sum(first: Array, second: Array, orthogonal: Array, p: float, q: float) -> Array:
-    """I1 + (I2 + q I4) / (1 - p), in the unit of the readings.
-
-    Parameters
-    ----------
-    first, second, orthogonal : ndarray, all of one shape
-        Readings, or components of readings.
-    """
+    """I1 + (I2 + q I4) / (1 - p) of readings, or of components of readings, all of one shape; in their unit."""
     return np.asarray(first + (second + q * orthogonal) / (1.0 - p), dtype=float)
 
 

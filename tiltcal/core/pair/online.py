@@ -85,12 +85,7 @@ class Controller:
 
 
 class TrimmingLoops:
-    """The two loops of the source: p first, then q.
-
-    Parameters
-    ----------
-    channels : sequence of str
-        Of the stream.
+    """The two loops of the source, on the channels of a stream: p first, then q.
 
     Attributes
     ----------
@@ -173,13 +168,7 @@ class TrimmingLoops:
 
 
 class Recursive:
-    """Recursive least squares with exponential forgetting.
-
-    Parameters
-    ----------
-    channels : sequence of str
-        Of the stream.
-    """
+    """Recursive least squares with exponential forgetting, on the channels of a stream."""
 
     def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
         self.p = self.q = 0.0
@@ -270,12 +259,7 @@ class OnlineHistory:
 
 
 class Online:
-    """Both estimators on one stream.
-
-    Parameters
-    ----------
-    channels : sequence of str
-        Of the stream.
+    """Both estimators on one stream of some channels.
 
     Attributes
     ----------

@@ -63,13 +63,7 @@ class RampRecord:
 
 
 class RecordAverager:
-    """Makes a record of rows as they come.
-
-    Parameters
-    ----------
-    row : int
-        The number of the first row.
-    """
+    """Makes a record of rows as they come; the first one has the number ``row``."""
 
     def __init__(self, channels: int, row: int = 0) -> None:
         self._jumps = JumpDetector(row)

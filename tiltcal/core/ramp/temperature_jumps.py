@@ -64,13 +64,7 @@ class TemperatureJumps:
 
 
 class JumpDetector:
-    """Finds the jumps in rows as they come.
-
-    Parameters
-    ----------
-    row : int
-        The number of the first row.
-    """
+    """Finds the jumps in rows as they come; the first one has the number ``row``."""
 
     def __init__(self, row: int = 0) -> None:
         self.found: TemperatureJumps | None = None
@@ -79,13 +73,7 @@ class JumpDetector:
         self._step, self._interval = 0.0, np.inf
 
     def __call__(self, time: Array, temperature: Array) -> Mask:
-        """Return which of some more rows jump, shape (n,).
-
-        Parameters
-        ----------
-        time, temperature : ndarray, shape (n,)
-            s and °C; NaN where one is missing.
-        """
+        """Return which of some more rows jump, shape (n,); time in s, temperature in °C, NaN where one is missing."""
         jumps = np.zeros(len(time), dtype=bool)
         known = np.flatnonzero(np.isfinite(time) & np.isfinite(temperature))
         if len(known):
