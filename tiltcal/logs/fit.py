@@ -294,7 +294,7 @@ class FitSource:
                     file=self._name,
                 )
         with self._record(sensor, (TIME, TEMPERATURE)) as record:
-            found = read_ramp(record, segment)
+            found, missing = read_ramp(record, segment)
         first = procedure.positions[0]
         known = {position.name: position.gravity for position in procedure.positions}
         gravity = first.gravity
@@ -310,8 +310,8 @@ class FitSource:
         segments = None if segment is None else _origin(self.segments, SegmentsRecord)
         provenance = self._provenance(record, segments)
         if provenance.log is not None:
-            provenance = replace(provenance, log=replace(provenance.log, missing=found.missing or None))
-        return FitPositions([attitude], provenance, found.record)
+            provenance = replace(provenance, log=replace(provenance.log, missing=missing or None))
+        return FitPositions([attitude], provenance, found)
 
     def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
         """Positions of a sensor of three channels in the directions that its readings show.

@@ -201,17 +201,11 @@ def prepare(
 def _of_pairs(
     calibration: PairCalibration, options: ApplyOptions, origin: Mapping[str, str], file: str
 ) -> PreparedCalibration:
-    for name, given in (
-        ("--first-order", options.first_order),
-        ("--uncertainty", options.uncertainty),
-        ("--mounting", options.mounting),
-        ("--magnetometer", options.magnetometer),
-        ("--velocity", options.velocity),
-        ("--average", options.average),
-        ("--every", options.every),
-    ):
-        if given:
-            raise UsageError(f"{name} is for tilt calibrations; {file} is of pairs, which have no tilt")
+    for name in ("first_order", "uncertainty", "mounting", "magnetometer", "velocity", "average", "every"):
+        if getattr(options, name):
+            raise UsageError(
+                f"--{name.replace('_', '-')} is for tilt calibrations; {file} is of pairs, which have no tilt"
+            )
     matched = calibration.compensation()
     return PreparedCalibration(PairKernel(matched), matched.channels, {}, (), (), origin)
 

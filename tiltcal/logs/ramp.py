@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from tiltcal.core.ramp.record import RampRecord, RecordAverager
 from tiltcal.errors import InputError
 from tiltcal.files.segments import Segment
@@ -11,22 +9,10 @@ from tiltcal.logs.interval_samples import TO_THE_END
 from tiltcal.logs.recorded_readings import RecordedReadings
 
 
-@dataclass(frozen=True)
-class RampLog:
-    """A record, and how many rows are not in it.
+def read_ramp(record: RecordedReadings, segment: Segment | None = None) -> tuple[RampRecord, int]:
+    """Return the record of a ramp from a log with temperatures and times, and how many of its rows were left out.
 
-    Attributes
-    ----------
-    missing : int
-        Of these, within the segment: rows that miss a value, or whose temperature jumps, and were left out.
-    """
-
-    record: RampRecord
-    missing: int
-
-
-def read_ramp(record: RecordedReadings, segment: Segment | None = None) -> RampLog:
-    """Read the record of a ramp from a log with temperatures and times.
+    These miss a value, or their temperature jumps.
 
     Parameters
     ----------
@@ -51,4 +37,4 @@ def read_ramp(record: RecordedReadings, segment: Segment | None = None) -> RampL
             f"segment {segment.name} ends at row {segment.end}, and the log has {record.rows}", file=record.name
         )
     found = averager.record()
-    return RampLog(found, used - found.rows)
+    return found, used - found.rows

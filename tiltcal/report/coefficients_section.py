@@ -219,13 +219,12 @@ def _mounting(calibration: CalibrationRecord) -> CoefficientGroup:
         remark = "Gimbal lock: roll and yaw cannot be separated at this pitch; yaw contains both. " + remark
     if mounting is None:
         return CoefficientGroup("Mounting", (), remark)
-    angles = {angle: degrees(getattr(mounting, angle)) for angle in ANGLES}
-    u = {angle: calibration.uncertainty.get(f"mounting.{angle}", 0.0) for angle in ANGLES}
-    known = calibration.uncertainty.coverage_factor
-    rows = [
-        Row(f"mounting.{angle}", angle.capitalize(), ("", ""), value, u[angle], "°", known.get(f"mounting.{angle}"))
-        for angle, value in angles.items()
-    ]
+    u = calibration.uncertainty
+    rows = []
+    for angle in ANGLES:
+        name, value = f"mounting.{angle}", degrees(getattr(mounting, angle))
+        factor = u.coverage_factor.get(name)
+        rows.append(Row(name, angle.capitalize(), ("", ""), value, u.get(name, 0.0), "°", factor))
     return _group("Mounting", rows, remark=remark or "Roll first, then pitch, then yaw.")
 
 
@@ -241,11 +240,11 @@ def _by_channel(
     factors: Mapping[str, float] | None = None,
 ) -> list[Row]:
     """Return the rows of one derived quantity, one for each channel, or for each pair of them such as ``xy``."""
-    return [
-        Row("", sentence.format(" and ".join(name) if len(name) == 2 else name), ("", ""), value, u.get(name), unit, k)
-        for name, value in values.items()
-        for k in ((factors or {}).get(name),)
-    ]
+    known, rows = factors or {}, []
+    for name, value in values.items():
+        said = sentence.format(" and ".join(name) if len(name) == 2 else name)
+        rows.append(Row("", said, ("", ""), value, u.get(name), unit, known.get(name)))
+    return rows
 
 
 def _quantities(rows: Sequence[Row]) -> list[CoefficientRow]:
