@@ -179,17 +179,15 @@ def describe(
     quantity = name.removeprefix(share or _STANDARD).removeprefix(_EXPANDED)
     unit = units[quantity] if units and quantity in units else _unit(name, like)
     return {
-        "long_name": _long_name(name),
+        "long_name": _long_name(name, quantity, share),
         **({} if unit is None else {"units": unit}),
         **({} if name.startswith((_STANDARD, _EXPANDED)) else {"ancillary_variables": " ".join(beside)}),
-        **_error_correlation(quantity, share, added, dimension, is_quantity=name == quantity),
+        **_error_correlation(name, quantity, share, added, dimension),
         **place,
     }
 
 
-def _error_correlation(
-    quantity: str, share: str, added: Sequence[str], dimension: str, *, is_quantity: bool
-) -> dict[str, Any]:
+def _error_correlation(name: str, quantity: str, share: str, added: Sequence[str], dimension: str) -> dict[str, Any]:
     """Return what obsarray and punpy take random and systematic errors from (obsarray, user guide, templater)."""
     if share:
         return {
@@ -200,7 +198,7 @@ def _error_correlation(
             "pdf_shape": "gaussian",
         }
     shares = [lead + quantity for lead in _SHARES if lead + quantity in added]
-    return {"unc_comps": shares} if is_quantity and shares else {}
+    return {"unc_comps": shares} if name == quantity and shares else {}
 
 
 def _unit(name: str, like: Mapping[str, Any]) -> Any:
@@ -209,15 +207,12 @@ def _unit(name: str, like: Mapping[str, Any]) -> Any:
     return "1" if name.startswith("g_") else "degree"
 
 
-def _long_name(name: str) -> str:
-    for share in _SHARES:
-        if name.startswith(share):
-            kind = "random" if share == "u_random_" else "common to all rows"
-            return f"standard uncertainty of {name.removeprefix(share)}, {kind}"
+def _long_name(name: str, quantity: str, share: str) -> str:
     if name.startswith(_STANDARD):
-        return f"standard uncertainty of {name.removeprefix(_STANDARD)}"
+        kind = {"": "", "u_random_": ", random", "u_common_": ", common to all rows"}[share]
+        return f"standard uncertainty of {quantity}{kind}"
     if name.startswith(_EXPANDED):
-        return f"half width of the 95 % interval of {name.removeprefix(_EXPANDED)}"
+        return f"half width of the 95 % interval of {quantity}"
     kind, _, of = name.partition("_")
     return {
         "g": f"share of gravity along {of}, up",
