@@ -14,7 +14,7 @@ from tiltcal.core.model import Array
 ARITHMETIC = 1e-12
 """Differences below this share of the values come from arithmetic, and are no step of the reading."""
 
-HARMONICS = np.arange(1, 1001)
+_HARMONICS = np.arange(1, 1001)
 """Of the rounding error as a function of the reading, whose period is a step."""
 
 MOST_VALUES = 4096
@@ -207,7 +207,9 @@ def noise_under_rounding(scatter: float, step: float) -> float:
     low, high = 0.0, sqrt(scatter) + step
     for _ in range(60):
         noise = (low + high) / 2.0
-        expected = noise**2 + step**2 / 12.0 - rounding_variance(noise, step)
+        power = np.exp(-((2.0 * np.pi * _HARMONICS * noise / step) ** 2)) / _HARMONICS**2
+        in_means = float(step**2 / (2.0 * np.pi**2) * power.sum())  # the mean square of their rounding error
+        expected = noise**2 + step**2 / 12.0 - in_means
         low, high = (noise, high) if expected < scatter else (low, noise)
     return (low + high) / 2.0
 
@@ -254,9 +256,3 @@ def _rounded() -> tuple[Array, Array]:
     mean = np.sum((upper - lower) * value, axis=0)
     variance = np.sum((upper - lower) * value**2, axis=0) - mean**2
     return variance, np.sqrt(np.mean((mean - place) ** 2, axis=1))
-
-
-def rounding_variance(noise: float, step: float) -> float:
-    """Compute the mean square of the rounding error in the mean of many readings, unit²."""
-    power = np.exp(-((2.0 * np.pi * HARMONICS * noise / step) ** 2)) / HARMONICS**2
-    return float(step**2 / (2.0 * np.pi**2) * power.sum())
