@@ -28,15 +28,16 @@ from tiltcal.frozen import frozen
 _DIGITS = 4
 
 
-_ABOVE_ZERO = Converted(Number(above=0.0), lambda value, node, context: value, lambda value: significant(value, 9))
+_NINE_DIGITS = Converted(Number(above=0.0), lambda value, node, context: value, lambda value: significant(value, 9))
+"""A number above 0, written with nine digits."""
 
 
 @frozen(kw_only=True)
 class SpinRecord:
     """The spin of the stage."""
 
-    turns: float = entry(_ABOVE_ZERO, "turns of the stage in the record")
-    frequency: float | None = entry(_ABOVE_ZERO, "Hz; absent where the record has no time", default=None)
+    turns: float = entry(_NINE_DIGITS, "turns of the stage in the record")
+    frequency: float | None = entry(_NINE_DIGITS, "Hz; absent where the record has no time", default=None)
     phase: str | None = entry(
         Text(),
         "the column of the stage angle, degrees; absent where the spin was estimated. `apply` demodulates the gradient "
