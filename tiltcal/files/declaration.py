@@ -132,8 +132,6 @@ def entry(form: Format[Any], text: str, *, default: Any = MISSING, **more: Any) 
 
     Parameters
     ----------
-    form : Format
-        The kind of value.
     text : str
         What the value means, a phrase without a full stop; the reference and the JSON Schema have it.
     default : optional
@@ -404,14 +402,12 @@ class Imported(Format[T]):
     name: str
 
     def read(self, node: Node, context: Context = ANY) -> T:
-        return self.form.read(node, context)
+        return self._form().read(node, context)
 
     def schema(self) -> dict[str, Any]:
-        return self.form.schema()
+        return self._form().schema()
 
-    @property
-    def form(self) -> Format[T]:
-        """The format."""
+    def _form(self) -> Format[T]:
         found: Format[T] = getattr(import_module(self.module), self.name)
         return found
 
