@@ -349,7 +349,7 @@ def test_ctrl_c_leaves_nothing_behind(warm: WarmStart, bench: Path) -> None:
         stream.write(b"x,y\n" + b"3.5,2.5\n" * 500_000)
         stream.flush()  # most of it has been read when this returns, and the end is still to come
         process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
-    assert process.returncode == 130
+        assert process.wait(timeout=30) == 130
+    process.communicate()
     assert (bench / "out.parquet").read_text() == "the one before"
     assert sorted(os.listdir(bench)) == ["cal.yaml", "in.csv", "log.parquet", "out.parquet"]

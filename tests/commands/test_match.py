@@ -263,8 +263,8 @@ class TestLiveStream:
         process = self.begun(warm, "-o", tmp_path / "p.yaml")
         self.fed(process, lines[:300])
         process.send_signal(signal.SIGINT)
-        said = process.communicate(timeout=60)[1].decode()
-        assert process.returncode == 130
+        assert process.wait(timeout=60) == 130  # before its standard input ends, which would end it too
+        said = process.communicate()[1].decode()
         assert "whole turns and need 2" in said
         assert "let the stream run for longer" in said
         assert not (tmp_path / "p.yaml").exists()
