@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.ads1115 import CONFIG, CONVERSION, DONE, RANGES, RATES, RESET, START
+from tiltcal.drivers.twin.counts import at_time
 from tiltcal.drivers.twin.noise import uniform
 from tiltcal.errors import BusError
 
@@ -71,10 +72,7 @@ class Ads1115Twin:
 
     def recall(self, out: bytes, now_ns: int) -> None:
         """Repeat a write of an earlier time, whose effect a real part would have kept."""
-        present_ns = self._clock.now_ns()
-        self._clock.seek(now_ns)
-        self._write(out)
-        self._clock.seek(present_ns)
+        at_time(self._clock, now_ns, lambda: self._write(out))
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
