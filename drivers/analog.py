@@ -25,7 +25,6 @@ from tiltcal.drivers import adxl202, sca100t
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.converter import (
     NOMINAL,
-    Converter,
     FrontEnd,
     Supply,
     find_front_end,
@@ -110,10 +109,10 @@ class WiredAnalog:
 class AnalogSensor:
     """The driver of an analog sensor behind any converter."""
 
-    def __init__(self, part: AnalogPart, wired: WiredAnalog, converter: Converter) -> None:
+    def __init__(self, part: AnalogPart, wired: WiredAnalog, link: Link, clock: Clock) -> None:
         self._part = part
         self._wired = wired
-        self._converter = converter
+        self._converter = wired.front_end.driver(link, clock)
 
     def probe(self) -> Mapping[str, str]:
         """Check that the sensor answers plausibly.
@@ -174,10 +173,6 @@ def _wire(part: AnalogPart, address: Address) -> WiredAnalog:
     return WiredAnalog(front_end, tuple(numbers.values()), supply)
 
 
-def _driver(part: AnalogPart, wired: WiredAnalog, link: Link, clock: Clock) -> AnalogSensor:
-    return AnalogSensor(part, wired, wired.front_end.driver(link, clock))
-
-
 def _twin(wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.analog import SensorWiring
 
@@ -208,7 +203,7 @@ def _model(part: AnalogPart, address: Address) -> Model:
         resolution=front_end.step * NOMINAL / wired.supply.volts,
         interval=part.interval,
         thermometer=False,
-        driver=partial(_driver, part, wired),
+        driver=partial(AnalogSensor, part, wired),
         twin=partial(_twin, wired),
         not_modelled=(
             *part.not_modelled,

@@ -30,7 +30,6 @@ from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.converter import (
-    Converter,
     FrontEnd,
     Supply,
     find_front_end,
@@ -166,9 +165,9 @@ class WiredThermistor:
 class Thermistor:
     """The driver of a thermistor behind any converter."""
 
-    def __init__(self, wired: WiredThermistor, converter: Converter) -> None:
+    def __init__(self, wired: WiredThermistor, link: Link, clock: Clock) -> None:
         self._wired = wired
-        self._converter = converter
+        self._converter = wired.front_end.driver(link, clock)
 
     def probe(self) -> Mapping[str, str]:
         """Check that the thermometer answers plausibly.
@@ -243,10 +242,6 @@ def _wire(address: Address) -> WiredThermistor:
     return WiredThermistor(front_end, number, Divider(_curve(address), fixed, tied == "ground"), supply)
 
 
-def _driver(wired: WiredThermistor, link: Link, clock: Clock) -> Thermistor:
-    return Thermistor(wired, wired.front_end.driver(link, clock))
-
-
 def _twin(wired: WiredThermistor, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     from tiltcal.drivers.twin.analog import ThermistorWiring
 
@@ -285,7 +280,7 @@ def _model(address: Address) -> Model:
         resolution=0.0,
         interval=0.01,
         thermometer=True,
-        driver=partial(_driver, wired),
+        driver=partial(Thermistor, wired),
         twin=partial(_twin, wired),
         not_modelled=(
             "lag behind the chamber, self-heating, noise",
