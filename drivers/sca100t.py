@@ -147,7 +147,10 @@ class Inclinometer:
 
     def _sample(self) -> tuple[dict[str, int], float]:
         """Return every word in counts and the temperature in °C, once it is sure that a part has sent them."""
-        answers = [*(self._fresh(command, 0, 0) for command in self.COMMANDS.values()), self._fresh(RWTR, 0)]
+        answers = []
+        for frame in (*((command, 0, 0) for command in self.COMMANDS.values()), (RWTR, 0)):
+            self._clock.sleep(self.REFRESH)
+            answers.append(require_length(self._link.exchange(bytes(frame)), len(frame), "frame"))
         check_data_line(b"".join(answers))
         words = {
             channel: self._checked(channel, answer) for channel, answer in zip(self.COMMANDS, answers, strict=False)
