@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from tempfile import SpooledTemporaryFile
+from tempfile import SpooledTemporaryFile, gettempdir
 from types import TracebackType
 
 import numpy as np
 
 from tiltcal.core.model import Array
+from tiltcal.errors import UsageError
 
 _MEMORY = 32 << 20
 """Bytes up to which there is no file."""
@@ -45,9 +46,21 @@ class StoredRows:
         return self._rows
 
     def append(self, values: Array) -> None:
-        """Store the next rows, shape (columns, n)."""
-        self._file.seek(0, 2)
-        self._file.write(values.T.tobytes())
+        """Store the next rows, shape (columns, n).
+
+        Raises
+        ------
+        UsageError
+            The folder of temporary files has no room for them.
+        """
+        try:
+            self._file.seek(0, 2)
+            self._file.write(values.T.tobytes())
+        except OSError as failure:
+            raise UsageError(
+                f"the rows of the log cannot be kept in {gettempdir()}: {failure.strerror}; make room there, or name "
+                "another folder in TMPDIR"
+            ) from failure
         self._rows += values.shape[1]
 
     def __getitem__(self, rows: slice) -> Array:
