@@ -6,7 +6,10 @@ None of these libraries is imported here: a frame brings its own.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from datetime import UTC, date, timedelta
+from decimal import Decimal
 from io import BytesIO
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -132,8 +135,16 @@ def rows_of(frame: Any, name: str, keys: Collection[str] = ()) -> list[dict[str,
             raise UsageError(f"{name} is a list of rows: each is a mapping, such as {{'position': 'level', 'x': 2.5}}")
         rows = [dict(row) for row in frame]
     else:
-        rows = list(_eager(frame, name).rows(named=True))
-    return [{key: cell for key, cell in row.items() if cell is not None and cell == cell} for row in rows]
+        rows = _Table(_eager(frame, name)).rows()
+    # A column of whole numbers is one of floats where pandas or an array has none for a row.
+    return [
+        {
+            key: int(cell) if isinstance(cell, float) and cell.is_integer() else cell
+            for key, cell in row.items()
+            if not _is_missing(cell)
+        }
+        for row in rows
+    ]
 
 
 def _columns_of(frame: Any, name: str) -> _Table | _Arrays | _Dataset:
@@ -161,21 +172,38 @@ def _eager(frame: Any, name: str) -> Any:
 
 
 class _Table:
-    """A polars, pandas or pyarrow frame, by way of narwhals."""
+    """A polars, pandas or pyarrow frame, by way of narwhals; the index of pandas is a column where it has a name."""
 
     def __init__(self, frame: Any) -> None:
-        self._frame = frame
-        self._named = {str(name): name for name in frame.columns}  # a pandas frame may have numbers for names
+        import narwhals.stable.v2 as nw
+
+        index = getattr(nw.maybe_get_index(frame), "name", None)
+        self._index = index if isinstance(index, str) and index not in frame.columns else None
+        self._given = frame
+        self._frame = frame if self._index is None else nw.from_native(frame.to_native().reset_index())
+        self._named = {str(name): name for name in self._frame.columns}  # a pandas frame may have numbers for names
         self.names = tuple(self._named)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the rows, by the names of the columns."""
+        return list(self._frame.rows(named=True))
 
     def unit(self, name: str) -> str | None:
         return None
 
     def kind(self, name: str) -> object:
-        return self._column(name).dtype
+        own = self._column(name).to_native()
+        return own.type if hasattr(own, "type") else own.dtype
 
     def _column(self, name: str) -> Any:
         return self._frame.get_column(self._named[name])
+
+    def _objects(self, column: Any) -> NDArray[Any] | None:
+        """Return a column of Python's own values as an array; None where it holds others, or has another type."""
+        import narwhals.stable.v2 as nw
+
+        untyped = isinstance(column.dtype, nw.Object | nw.Unknown) or column.null_count() == len(column)
+        return _of_objects(column.to_list()) if untyped else None
 
     def dimensions(self, name: str) -> tuple[str, ...]:
         """Return along what a column has its values; a column of a log has one."""
@@ -185,7 +213,10 @@ class _Table:
         import narwhals.stable.v2 as nw
 
         column = self._column(name)
-        return _floats(column.cast(nw.Float64)) if column.dtype.is_numeric() else None
+        if column.dtype.is_numeric():
+            return _floats(column.cast(nw.Float64))
+        values = self._objects(column)
+        return None if values is None else _numeric(values)
 
     def times(self, name: str) -> Array | None:
         import narwhals.stable.v2 as nw
@@ -198,6 +229,9 @@ class _Table:
             moment = isinstance(kind, nw.Datetime)
             micros = column.dt.timestamp("us") if moment else column.dt.total_microseconds()
             return _floats(micros.cast(nw.Float64)) / 1e6
+        values = self._objects(column)
+        if values is not None:
+            return _timed(values)
         if not isinstance(kind, nw.String):
             return self.numbers(name)
         return _seconds([cell if isinstance(cell, str) else None for cell in column.to_list()])  # pandas has NaN, too
@@ -224,14 +258,15 @@ class _Table:
         """Return other rows as a frame of this kind."""
         import narwhals.stable.v2 as nw
 
-        return _Table(nw.from_dict(rows.to_dict(as_series=False), backend=self._frame.implementation))
+        made = nw.from_dict(rows.to_dict(as_series=False), backend=self._frame.implementation)
+        return _Table(made if self._index is None else nw.maybe_set_index(made, self._index))
 
     def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any:
         import narwhals.stable.v2 as nw
 
-        backend = self._frame.implementation
+        backend = self._given.implementation
         added = [nw.new_series(name, np.ascontiguousarray(values), backend=backend) for name, values in table.items()]
-        return self._frame.with_columns(*added).to_native()
+        return self._given.with_columns(*added).to_native()
 
 
 class _Arrays:
@@ -239,7 +274,7 @@ class _Arrays:
 
     def __init__(self, arrays: Mapping[str, Any]) -> None:
         self._given = dict(arrays)
-        self._arrays = {str(name): _array(values) for name, values in arrays.items()}
+        self._arrays = {str(name): _typed(_array(values)) for name, values in arrays.items()}
         self.names = tuple(self._arrays)
 
     def unit(self, name: str) -> str | None:
@@ -285,15 +320,15 @@ class _Dataset:
         return tuple(map(str, self._data[name].dims))
 
     def numbers(self, name: str) -> Array | None:
-        return _numeric(np.asarray(self._data[name].values))
+        return _numeric(_typed(self._data[name].values))
 
     def times(self, name: str) -> Array | None:
-        found = _timed(np.asarray(self._data[name].values))
+        found = _timed(_typed(self._data[name].values))
         return None if found is None else seconds_since_1970(found, self.unit(name))
 
     def polars(self, reading: str) -> pl.DataFrame:
         dims = self._data[reading].dims
-        return _polars({name: self._data[name].values for name in self.names if self._data[name].dims == dims})
+        return _polars({name: _typed(self._data[name].values) for name in self.names if self._data[name].dims == dims})
 
     def of_rows(self, rows: pl.DataFrame) -> _Dataset:
         (dimension,) = self._data[rows.columns[0]].dims
@@ -321,6 +356,41 @@ class _Dataset:
 def _array(values: Any) -> NDArray[Any]:
     """Return values as an array, which keeps its mask."""
     return values if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
+
+
+def _typed(values: NDArray[Any]) -> NDArray[Any]:
+    """Return an array of Python's own numbers, moments or durations as one of that type, every other as it is."""
+    if values.dtype.kind != "O" or values.ndim != 1 or np.ma.isMaskedArray(values):
+        return values
+    found = _of_objects(values.tolist())
+    return values if found is None else found
+
+
+def _is_missing(cell: Any) -> bool:
+    """Return whether a cell is None, NaN, or NA or NaT of pandas."""
+    return type(cell).__name__ in ("NoneType", "NAType", "NaTType") or (isinstance(cell, float) and cell != cell)
+
+
+def _of_objects(cells: Sequence[Any]) -> NDArray[Any] | None:
+    """Return Python's own numbers, moments or durations as an array of that type; None where they are something else.
+
+    A moment without a zone is UTC.
+    """
+    there = [not _is_missing(cell) for cell in cells]
+    present = [cell for cell in cells if not _is_missing(cell)]
+    if all(isinstance(cell, Real | Decimal) and not isinstance(cell, bool) for cell in present):
+        found = np.full(len(cells), np.nan)
+    elif all(isinstance(cell, date) for cell in present):
+        present = [
+            cell.astimezone(UTC).replace(tzinfo=None) if getattr(cell, "tzinfo", None) else cell for cell in present
+        ]
+        found = np.full(len(cells), np.datetime64("NaT", "us"))
+    elif all(isinstance(cell, timedelta) for cell in present):
+        found = np.full(len(cells), np.timedelta64("NaT", "us"))
+    else:
+        return None
+    found[there] = present
+    return found
 
 
 def _polars(columns: Mapping[str, NDArray[Any]]) -> pl.DataFrame:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta, timezone
+from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -124,6 +126,112 @@ class TestMissingValues:
     def test_a_masked_cell_of_a_table_is_missing(self) -> None:
         masked = {"position": ["level", "x-45"], "temperature": np.ma.masked_array([20.0, 999.0], mask=[False, True])}
         assert rows_of(masked, "the table") == [{"position": "level", "temperature": 20.0}, {"position": "x-45"}]
+
+
+class TestPythonValues:
+    """Numbers and moments of Python, in columns without a type of their own, count as those of arrays do."""
+
+    COLUMNS: ClassVar[dict[str, list[Any]]] = READINGS | {"x": [1024, None], "temperature": [Decimal("20.5"), None]}
+    SAME: ClassVar[dict[str, list[float]]] = READINGS | {"x": [1024.0, np.nan], "temperature": [20.5, np.nan]}
+
+    @pytest.mark.parametrize(
+        "made",
+        [
+            dict,
+            lambda columns: {name: np.array(cells, object) for name, cells in columns.items()},
+            lambda columns: pd.DataFrame(columns, dtype=object),
+            lambda columns: pl.DataFrame({name: pl.Series(cells, dtype=pl.Object) for name, cells in columns.items()}),
+            lambda columns: xarray.Dataset({name: ("row", np.array(c, object)) for name, c in columns.items()}),
+        ],
+        ids=["lists", "arrays", "pandas", "polars", "xarray"],
+    )
+    def test_numbers(self, made: Callable[[dict[str, Any]], Any], calibration: Calibration) -> None:
+        expected = apply_frame(calibration, self.SAME)
+        assert expected["flag"].tolist() == [1, 9]
+        found = apply_frame(calibration, made(self.COLUMNS))
+        for name in ("tilt_x", "tilt_y", "flag", "reason"):
+            np.testing.assert_array_equal(array(found, name), expected[name])
+
+    @pytest.mark.parametrize("made", [dict, pl.DataFrame, pd.DataFrame, pa.table])
+    def test_a_column_without_a_value(self, made: Callable[[dict[str, Any]], Any], calibration: Calibration) -> None:
+        """As an empty column of CSV: reason 16 of SPEC 10, temperature missing."""
+        found = apply_frame(calibration, made(READINGS | {"temperature": [None, None]}))
+        assert array(found, "reason").tolist() == [16, 16]
+
+    @pytest.mark.parametrize("cells", [[True, False], ["1", None], [1.0, "2"], [[1.0], [2.0, 3.0]]])
+    def test_what_is_no_number(self, cells: list[Any], calibration: Calibration) -> None:
+        columns = READINGS | {"x": pd.Series(cells, dtype=object)}
+        for frame in (columns, pd.DataFrame(columns)):
+            with pytest.raises(InputError, match=r"column 'x' holds .*, not numbers"):
+                apply_frame(calibration, frame)
+
+    @pytest.mark.parametrize(
+        "times",
+        [
+            [datetime(2026, 5, 1, 12, tzinfo=UTC), datetime(2026, 5, 1, 14, 0, 5, tzinfo=timezone(timedelta(hours=2)))],
+            [datetime(2026, 5, 1, 12), datetime(2026, 5, 1, 12, 0, 5)],
+            [pd.Timestamp("2026-05-01T12:00:00Z"), pd.Timestamp("2026-05-01T12:00:05Z")],
+        ],
+        ids=["zones", "no zone", "pandas"],
+    )
+    def test_moments(self, times: list[Any], calibration: Calibration) -> None:
+        columns = READINGS | {"time": times}
+        for how in ({"average": 2}, {"every": "10s"}):
+            assert apply_frame(calibration, columns, **how)["time"] == [np.datetime64("2026-05-01T12:00:02.5")]
+
+    def test_durations(self, calibration: Calibration) -> None:
+        found = apply_frame(calibration, READINGS | {"time": [timedelta(0), timedelta(seconds=5)]}, every="10s")
+        assert found["time"] == [np.timedelta64(2500, "ms")]
+
+    def test_a_moment_that_is_missing(self, calibration: Calibration) -> None:
+        times = [datetime(2026, 5, 1, 12), None]
+        assert apply_frame(calibration, READINGS | {"time": times}, every="10s")["time"] == [np.datetime64(times[0])]
+
+
+class TestIndexOfPandas:
+    """One that has a name is a column, such as the time that ``resample`` needs there."""
+
+    TIMES = pd.DatetimeIndex(["2026-05-01T12:00:00Z", "2026-05-01T12:00:05Z"], name="time")
+
+    def test_it_holds_the_time(self, calibration: Calibration) -> None:
+        frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]}, index=self.TIMES)
+        found = apply_frame(calibration, frame, every="10s")
+        assert found.index.tolist() == [pd.Timestamp("2026-05-01T12:00:02.5Z")]
+        assert found["count"].tolist() == [2]
+        assert found.index.name == "time"
+
+    def test_it_stays(self, calibration: Calibration) -> None:
+        found = apply_frame(calibration, pd.DataFrame(READINGS, index=self.TIMES))
+        assert found.index.equals(self.TIMES)
+        assert list(found.columns[:3]) == ["x", "y", "g_x"]
+
+    def test_a_column_of_its_name_is_meant(self, calibration: Calibration) -> None:
+        frame = pd.DataFrame(READINGS | {"time": [0.0, 5.0]}, index=self.TIMES)
+        assert apply_frame(calibration, frame, every="10s")["time"].tolist() == [2.5]
+
+
+class TestRowsOfATable:
+    TABLE: ClassVar[dict[str, list[Any]]] = {"position": ["level", "x-45"], "x": [2.5, 3.0], "n": [100, None]}
+
+    @pytest.mark.parametrize(
+        "made",
+        [
+            pl.DataFrame,
+            pd.DataFrame,
+            lambda columns: pd.DataFrame(columns).convert_dtypes(),
+            lambda columns: pd.DataFrame(columns, dtype=object),
+            lambda columns: pd.DataFrame(columns).set_index("position"),
+            pa.table,
+            dict,
+            lambda columns: columns | {"n": np.array([100, np.nan])},
+            lambda columns: [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)],
+        ],
+        ids=["polars", "pandas", "nullable", "objects", "index", "pyarrow", "dict", "arrays", "rows"],
+    )
+    def test_a_missing_whole_number_leaves_the_others_whole(self, made: Callable[[dict[str, Any]], Any]) -> None:
+        rows = rows_of(made(self.TABLE), "the table")
+        assert rows == [{"position": "level", "x": 2.5, "n": 100}, {"position": "x-45", "x": 3}]
+        assert isinstance(rows[0]["n"], int)
 
 
 class TestMeans:
