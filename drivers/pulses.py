@@ -135,6 +135,9 @@ class PulseTrains:
         while len(xs) > 1 and len(ys) > 1:
             x, y = xs[0], ys[0]
             about = xs[1].rise - x.rise
+            if about <= 0:
+                self._clear()
+                raise DeviceFault("two pulses of x rise at one time, or in the wrong order: check the times of the edges")
             if y.centre - x.centre > about / 2:
                 xs.popleft()
                 continue

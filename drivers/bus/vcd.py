@@ -203,6 +203,8 @@ def _header(path: str, tokens: Iterator[Any]) -> tuple[dict[str, str], Fraction]
         elif token.kind is TokenKind.TIMESCALE:
             exponents = {"s": 9, "ms": 6, "us": 3, "ns": 0, "ps": -3, "fs": -6}
             scale = int(token.timescale.magnitude) * Fraction(10) ** exponents[token.timescale.unit.value]
+            if not scale:
+                raise BusError(f"{path}: its time scale is 0: capture it again, or correct its $timescale")
         elif token.kind is TokenKind.VAR and token.var.size == 1:
             signals[".".join([*scopes, token.var.ref_str])] = token.var.id_code
         elif token.kind is TokenKind.ENDDEFINITIONS:

@@ -273,7 +273,7 @@ def test_a_pulse_that_never_came_gives_no_period() -> None:
     assert collector.torn >= 1
 
 
-def test_a_dead_line_and_two_sensors_are_named() -> None:
+def test_a_dead_line_two_sensors_and_equal_times_are_named() -> None:
     only_x = [edge for edge in trains(1000, [(500, 500)] * 20, centred=True) if edge.line == 0]
     renumbered = [edge._replace(number=n) for n, edge in enumerate(only_x)]
     strangers = [
@@ -287,7 +287,12 @@ def test_a_dead_line_and_two_sensors_are_named() -> None:
             )
         )
     ]
-    for edges, why in ((renumbered, "x pulses and y does not"), (strangers, "both lines of one sensor")):
+    at_one_time = [edge._replace(time_ns=0) for edge in trains(1000, [(500, 250)] * 3, centred=False)]
+    for edges, why in (
+        (renumbered, "x pulses and y does not"),
+        (strangers, "both lines of one sensor"),
+        (at_one_time, "two pulses of x rise at one time"),
+    ):
         driver = Adxl202Edges(ArrivingPieces(pack_edges(edges)), VirtualClock())
         with pytest.raises(DeviceFault, match=why):
             driver.read()

@@ -193,6 +193,7 @@ def two_records(log: EventLog, capture: Path) -> bytes:
         ("$timescale 1 ns $end $scope module m $end", "header does not end"),
         (HAND_WRITTEN.replace("D1", "CLK"), r"no signal is called 'D1' \(it has D0, CLK\)"),
         ("", "not a value change dump"),
+        (HAND_WRITTEN.replace("10 us", "0 ms"), "its time scale is 0"),
     ],
 )
 def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, why: str) -> None:
