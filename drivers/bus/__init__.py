@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import MutableMapping
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -12,25 +12,39 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.modbus import ModbusLine
     from tiltcal.drivers.device import Model
 
-__all__ = ["link_letter", "open_link"]
+__all__ = ["BUSES", "link_letter", "open_link"]
 
-_LETTERS = {"spi": "s", "i2c": "i", "serial": "r", "gpio": "e", "vcd": "e", "modbus": "m"}
 
-_OPENERS = {
-    "spi": "tiltcal.drivers.bus.spi:open_spi",
-    "i2c": "tiltcal.drivers.bus.i2c:open_i2c",
-    "serial": "tiltcal.drivers.bus.serial:open_serial",
-    "gpio": "tiltcal.drivers.bus.edges:open_gpio",
-    "vcd": "tiltcal.drivers.bus.vcd:open_vcd",
-    "modbus": "tiltcal.drivers.bus.modbus:open_modbus",
+class Bus(NamedTuple):
+    """One kind of bus.
+
+    Attributes
+    ----------
+    letter : str
+        In a journal.
+    opener : str
+        Module and function: ``opener(address, model)`` returns the link.
+    """
+
+    letter: str
+    opener: str
+
+
+BUSES = {
+    "spi": Bus("s", "tiltcal.drivers.bus.spi:open_spi"),
+    "i2c": Bus("i", "tiltcal.drivers.bus.i2c:open_i2c"),
+    "serial": Bus("r", "tiltcal.drivers.bus.serial:open_serial"),
+    "gpio": Bus("e", "tiltcal.drivers.bus.edges:open_gpio"),
+    "vcd": Bus("e", "tiltcal.drivers.bus.vcd:open_vcd"),
+    "modbus": Bus("m", "tiltcal.drivers.bus.modbus:open_modbus"),
 }
-"""By the last part of a scheme: ``opener(address, model)`` returns the link."""
+"""By the last part of a scheme; a converter may stand before it, as in ``ads1115+i2c``."""
 
 
 def link_letter(address: Address, model: Model) -> str:
     """Return the letter of a device's bus in a journal; a twin has the first bus of its model."""
     scheme = model.schemes[0] if address.simulated else address.scheme
-    return _LETTERS[scheme.rpartition("+")[2]]
+    return _bus_of(scheme).letter
 
 
 def open_link(address: Address, model: Model, lines: MutableMapping[str, ModbusLine] | None = None) -> Link:
@@ -58,10 +72,12 @@ def open_link(address: Address, model: Model, lines: MutableMapping[str, ModbusL
     if address.scheme not in model.schemes:
         ways = " or ".join(f"{scheme}:" for scheme in (*model.schemes, "sim"))
         address.refuse(f"{model.name} is reached by {ways} (such as {model.addresses[0]}), not by {address.scheme}:")
-    bus = address.scheme.rpartition("+")[2]
-    if bus not in _OPENERS:
-        address.refuse(f"this version of tiltcal cannot open {address.scheme}: yet")
-    module, _, opener = _OPENERS[bus].partition(":")
+    bus = _bus_of(address.scheme)
+    module, _, opener = bus.opener.partition(":")
     open_bus = getattr(import_module(module), opener)
-    link: Link = open_bus(address, model, lines) if bus == "modbus" else open_bus(address, model)
+    link: Link = open_bus(address, model, lines) if bus is BUSES["modbus"] else open_bus(address, model)
     return link
+
+
+def _bus_of(scheme: str) -> Bus:
+    return BUSES[scheme.rpartition("+")[2]]

@@ -25,14 +25,15 @@ from math import isfinite
 from typing import NoReturn
 from urllib.parse import unquote
 
+from tiltcal.drivers.bus import BUSES
 from tiltcal.errors import UsageError
 
 _SCHEME = re.compile(r"[a-z][a-z0-9]*(\+[a-z][a-z0-9]*)*")
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
-SCHEMES = ("spi", "i2c", "serial", "gpio", "vcd", "modbus", "sim")
-"""Last part of every known scheme; a converter may stand before it, as in ``ads1115+i2c``."""
+SCHEMES = (*BUSES, "sim")
+"""Last part of every known scheme."""
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from time import sleep
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from tiltcal.drivers.bus.device_node_errors import no_permission
+from tiltcal.drivers.bus.library import import_library
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
@@ -204,13 +205,13 @@ class GpioLink:
 
 def _gpiod() -> Any:
     """Import gpiod; version 2 is needed to request both lines with an event clock."""
-    advice = "install it with  pip install 'tiltcal[gpio]'"
-    try:
-        import gpiod
-    except ImportError as cause:
-        raise HardwareError(f"edges of GPIO lines need the Python package gpiod, for Linux only: {advice}") from cause
+    install = "'tiltcal[gpio]'"
+    gpiod = import_library("gpiod", "edges of GPIO lines need the Python package gpiod, for Linux only", install)
     if not hasattr(gpiod, "request_lines"):
-        raise HardwareError(f"the gpiod package here is older than version 2 (a distribution's package?): {advice}")
+        raise HardwareError(
+            "the gpiod package here is older than version 2 (a distribution's package?): install it with  pip install "
+            f"{install}"
+        )
     return gpiod
 
 

@@ -7,7 +7,8 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.drivers.bus.device_node_errors import node_error
-from tiltcal.errors import BusError, HardwareError
+from tiltcal.drivers.bus.library import import_library
+from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -65,7 +66,7 @@ class I2cLink:
     def __init__(self, device: str, address: int) -> None:
         self._device = device
         self._address = address
-        self._library = _smbus2()
+        self._library = import_library("smbus2", "I2C needs the Python package smbus2, for Linux only", "smbus2")
         self._bus: Any = self._library.SMBus()
         try:
             self._bus.open(device)
@@ -94,17 +95,6 @@ class I2cLink:
     def close(self) -> None:
         """Release the device node, so that a new link can open it."""
         self._bus.close()
-
-
-def _smbus2() -> Any:
-    """Import smbus2, which needs an operating system with fcntl."""
-    try:
-        import smbus2
-    except ImportError as cause:
-        raise HardwareError(
-            "I2C needs the Python package smbus2, for Linux only: install it with  pip install smbus2"
-        ) from cause
-    return smbus2
 
 
 def _why_not_opened(device: str, cause: OSError) -> str:

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.drivers.bus.device_node_errors import no_permission, no_serial_port
+from tiltcal.drivers.bus.library import import_library
 from tiltcal.drivers.bus.serial import PARITIES, require_line
-from tiltcal.errors import BusError, HardwareError
+from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -256,16 +257,11 @@ class ModbusLink:
 
 def _pymodbus() -> Any:
     """Import the clients of pymodbus, and silence its log, because our errors report lost frames."""
-    try:
-        import pymodbus.client
-    except ImportError as cause:
-        raise HardwareError(
-            "Modbus needs the Python package pymodbus: install it with  pip install 'tiltcal[modbus]'"
-        ) from cause
+    client = import_library("pymodbus.client", "Modbus needs the Python package pymodbus", "'tiltcal[modbus]'")
     logger = logging.getLogger("pymodbus")
     if not logger.handlers:
         logger.addHandler(logging.NullHandler())
-    return pymodbus.client
+    return client
 
 
 def _why_not_opened(place: str) -> str:

@@ -10,7 +10,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from tiltcal.drivers.bus.device_node_errors import no_permission, no_serial_port
-from tiltcal.errors import BusError, HardwareError
+from tiltcal.drivers.bus.library import import_library
+from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -71,7 +72,7 @@ def open_serial(address: Address, model: Model) -> SerialLink:
     }
     require_line(address)
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=3600.0)
-    serial = _pyserial()
+    serial = import_library("serial", "a serial line needs the Python package pyserial", "pyserial")
     try:
         port = serial.serial_for_url(address.path, do_not_open=True, exclusive=True, **settings)
     except (ValueError, re.error) as cause:
@@ -171,16 +172,6 @@ class SerialLink:
 
     def _fail(self, cause: Exception) -> NoReturn:
         raise BusError(_why(self._place, cause)) from cause
-
-
-def _pyserial() -> Any:
-    try:
-        import serial
-    except ImportError as cause:
-        raise HardwareError(
-            "a serial line needs the Python package pyserial: install it with  pip install pyserial"
-        ) from cause
-    return serial
 
 
 def _why(place: str, cause: Exception) -> str:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.drivers.bus.device_node_errors import node_error
-from tiltcal.errors import BusError, HardwareError
+from tiltcal.drivers.bus.library import import_library
+from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -80,7 +81,9 @@ class SpiLink:
 
     def __init__(self, device: str, mode: int, speed: int) -> None:
         self._device = device
-        self._bus: Any = _spidev().SpiDev()
+        self._bus: Any = import_library(
+            "spidev", "SPI needs the Python package spidev, for Linux only", "'tiltcal[spi]'"
+        ).SpiDev()
         try:
             self._bus.open_path(device)
             self._bus.mode = mode
@@ -101,17 +104,6 @@ class SpiLink:
     def close(self) -> None:
         """Release the device node, so that a new link can open it."""
         self._bus.close()
-
-
-def _spidev() -> Any:
-    """Import spidev, which exists for Linux only."""
-    try:
-        import spidev
-    except ImportError as cause:
-        raise HardwareError(
-            "SPI needs the Python package spidev, for Linux only: install it with  pip install 'tiltcal[spi]'"
-        ) from cause
-    return spidev
 
 
 def _why(device: str, cause: OSError) -> str:

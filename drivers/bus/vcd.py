@@ -10,8 +10,9 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges, unpack_edges
+from tiltcal.drivers.bus.library import import_library
 from tiltcal.drivers.bus.link import CaptureEnded
-from tiltcal.errors import BusError, HardwareError
+from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -161,17 +162,12 @@ def _skip_preface(path: str, file: BufferedReader) -> None:
 
 def _tokens(path: str, file: BufferedReader) -> Iterator[Any]:
     """Iterate over the tokens of the file, and raise damage as a BusError."""
-    try:
-        from vcd.reader import VCDParseError, tokenize
-    except ImportError as cause:
-        raise HardwareError(
-            "a logic analyser's capture needs the Python package pyvcd: install it with  pip install 'tiltcal[vcd]'"
-        ) from cause
+    reader = import_library("vcd.reader", "a logic analyser's capture needs the Python package pyvcd", "'tiltcal[vcd]'")
 
     def checked() -> Iterator[Any]:
         try:
-            yield from tokenize(file)
-        except VCDParseError as cause:
+            yield from reader.tokenize(file)
+        except reader.VCDParseError as cause:
             raise BusError(f"{path}: it is not a value change dump, or is damaged: {cause}") from cause
         except (ValueError, AssertionError, OSError) as cause:
             raise BusError(f"{path}: it is not a value change dump, or is damaged ({cause})") from cause
