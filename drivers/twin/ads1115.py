@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.ads1115 import CONFIG, CONVERSION, DONE, RANGES, RATES, RESET, START
-from tiltcal.drivers.twin.counts import at_time
+from tiltcal.drivers.twin.link import TwinLink, at_time
 from tiltcal.drivers.twin.noise import uniform
 from tiltcal.errors import BusError
 
@@ -34,7 +34,7 @@ class Conversion:
     done_ns: int
 
 
-class Ads1115Twin:
+class Ads1115Twin(TwinLink):
     """An ADS1115 on the I2C bus, bit by bit.
 
     Its state is that of the part: the pointer, the config register, and the last conversion. All three follow from what
@@ -51,8 +51,8 @@ class Ads1115Twin:
     letter = "i"
 
     def __init__(self, wiring: Wiring, clock: Clock) -> None:
+        super().__init__(clock)
         self._wiring = wiring
-        self._clock = clock
         self._pointer = CONVERSION
         self._config = RESET & ~START
         self._conversion = Conversion(0, 0)
@@ -72,10 +72,8 @@ class Ads1115Twin:
 
     def recall(self, out: bytes, now_ns: int) -> None:
         """Repeat a write of an earlier time, whose effect a real part would have kept."""
-        at_time(self._clock, now_ns, lambda: self._write(out))
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""
+        with at_time(self._clock, now_ns):
+            self._write(out)
 
     def _write(self, out: bytes) -> None:
         if out:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.adxl202 import SENSITIVITY_LIMIT, ZERO, Adxl202Variant
 from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges
 from tiltcal.drivers.nmea import checksum
-from tiltcal.drivers.twin.noise import tolerances, uniform
-from tiltcal.drivers.twin.streaming import StreamingTwin, answer_in_line
+from tiltcal.drivers.twin.noise import uniform
+from tiltcal.drivers.twin.streaming import LineTwin, StreamingTwin
+from tiltcal.drivers.twin.tolerances import part_errors
 from tiltcal.drivers.twin.truth import Truth
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def sentences_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTw
     return StreamingTwin(truth, clock, sentence, period=PERIOD, baudrate=BAUDRATE)
 
 
-class EdgesTwin:
+class EdgesTwin(LineTwin):
     """Both outputs of a virtual part on two captured lines, the pulses of x and y with common centres.
 
     The answer depends on the time alone: the edges of the next whole period. An edge that was not read at once is lost,
@@ -86,14 +87,13 @@ class EdgesTwin:
     letter = "e"
 
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
-        self._truth = truth
-        self._clock = clock
+        super().__init__(truth, clock)
         self._pulses = Pulses(truth, fixture, clock)
         self._period_ns = round(self._pulses.period * 1e9)
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Wait for the edges of a period; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        answer_in_line(self._truth, self._clock, silent=count > 0)
+        self._require_line(silent=count > 0)
         if not count:
             return b""
         now_ns = self._clock.now_ns()
@@ -102,9 +102,6 @@ class EdgesTwin:
         self._clock.sleep(((cycle + 1) * self._period_ns - now_ns) / 1e9)
         edges = self._edges(cycle)[: max(count // RECORD.size, 1)]
         return pack_edges(edges)
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""
 
     def _edges(self, cycle: int) -> list[Edge]:
         """Return the four edges of a period in the order of time."""
@@ -133,7 +130,7 @@ def draw_truth(variant: Adxl202Variant, seed: int) -> Truth:
     """
     channels = ("x", "y")
 
-    within = tolerances(seed)
+    within = part_errors(seed)
 
     def row(channel: str) -> dict[str, float]:
         own = variant.duty_per_g * (1.0 + within(SENSITIVITY_LIMIT, f"sensitivity {channel}"))

@@ -28,8 +28,9 @@ from tiltcal.drivers.adxl355 import (
     WHO,
     Adxl355Settings,
 )
-from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import Conversions, CountingUp, I2cTwin, SpiTwin, Tolerances
+from tiltcal.drivers.twin.conversions import Conversions
+from tiltcal.drivers.twin.registers import CountingUp, I2cTwin, SpiTwin
+from tiltcal.drivers.twin.tolerances import Tolerances
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -110,4 +111,4 @@ def draw_truth(settings: Adxl355Settings, seed: int) -> Truth:
         noise=DENSITY * (settings.rate / 4) ** 0.5,
         thermometer=5.0,
     )
-    return counts.draw_truth(("x", "y", "z"), settings.counts_per_g, limits, seed)
+    return limits.draw(("x", "y", "z"), settings.counts_per_g, seed)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 from tiltcal.drivers.converter import NOMINAL
 from tiltcal.drivers.twin.noise import uniform
-from tiltcal.errors import BusError, UsageError
+from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.analog import AnalogPart
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.converter import Supply
     from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Fault, Truth
+    from tiltcal.drivers.twin.truth import Truth
 
 
 class Wiring(ABC):
@@ -63,13 +63,7 @@ class Wiring(ABC):
         BusError
             It is unplugged.
         """
-        fault = self._fault()
-        if fault is not None and fault.kind == "unplugged":
-            raise BusError("the virtual converter is unplugged, a fault that its truth sets: resume the session later")
-        return fault is not None and fault.kind == "silent"
-
-    def _fault(self) -> Fault | None:
-        return self._truth.fault(self._clock.now_ns() / 1e9)
+        return self._truth.fault_on_link(self._clock.now_ns(), "converter").kind == "silent"
 
 
 class SensorWiring(Wiring):
@@ -102,8 +96,7 @@ class SensorWiring(Wiring):
         channel = self._channels.get(number)
         if channel is None:
             return 0.0
-        fault = self._fault()
-        if fault is not None and fault.kind == "parity":
+        if self._truth.fault(now_ns / 1e9).kind == "parity":
             return 0.05 * uniform(self._truth.seed, f"parity {channel}", now_ns)
         temperature = self._fixture.temperature(self._truth.lag)
         return self._truth.sample(channel, self._fixture.gravity, temperature, now_ns, now_ns) / NOMINAL
@@ -142,8 +135,7 @@ class ThermistorWiring(Wiring):
         """Return the voltage at an input, as a share of the supply."""
         if number != self._number:
             return 0.0
-        fault = self._fault()
-        stuck = fault is not None and fault.kind == "stuck"
+        stuck = self._truth.fault(now_ns / 1e9).kind == "stuck"
         temperature = self._truth.ambient if stuck else self._fixture.temperature()
         return self._divided(temperature + self._truth.thermometer_error)
 

@@ -6,8 +6,8 @@ import re
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.columns import TEMPERATURE, ColumnLayout
-from tiltcal.drivers.twin.noise import tolerances
 from tiltcal.drivers.twin.streaming import StreamingTwin
+from tiltcal.drivers.twin.tolerances import part_errors
 from tiltcal.drivers.twin.truth import Truth
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def draw_truth(channels: tuple[str, ...], offset: float, sensitivity: float, see
     seed : int
         The same seed is the same device.
     """
-    within = tolerances(seed)
+    within = part_errors(seed)
 
     def row(channel: str) -> dict[str, float]:
         return {

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.dfrobot import HEADER, REQUEST, checksum
 from tiltcal.drivers.sca100t import RDAX, RDAY, RWTR, decode_word
 from tiltcal.drivers.twin.sca100t import RELOAD_NS, Sca100tTwin
-from tiltcal.drivers.twin.streaming import answer_in_line
+from tiltcal.drivers.twin.streaming import LineTwin
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 BYTE_SECONDS = 10 / 9600
 
 
-class DfrobotTwin:
+class DfrobotTwin(LineTwin):
     """The module on a serial line of 9600 baud.
 
     Parameters
@@ -31,13 +31,12 @@ class DfrobotTwin:
     letter = "r"
 
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
-        self._truth = truth
-        self._clock = clock
+        super().__init__(truth, clock)
         self._sensor = Sca100tTwin(truth, fixture, clock)
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Answer a request; other bytes get no answer. See :class:`~tiltcal.drivers.bus.link.Link`."""
-        answer_in_line(self._truth, self._clock, silent=count > 0)
+        self._require_line(silent=count > 0)
         if out != REQUEST:
             return b""
         self._clock.sleep(len(out) * BYTE_SECONDS)
@@ -47,9 +46,6 @@ class DfrobotTwin:
         answer = HEADER + payload + bytes([checksum(payload)])
         self._clock.sleep(len(answer) * BYTE_SECONDS)
         return answer[:count]
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""
 
     def _read(self, frame: tuple[int, ...]) -> bytes:
         self._clock.sleep(RELOAD_NS / 1e9)

@@ -24,8 +24,9 @@ from tiltcal.drivers.iis2iclx import (
     WHOLE_SAMPLES,
     Iis2iclxSettings,
 )
-from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import Conversions, CountingUp, I2cTwin, SpiTwin, Tolerances
+from tiltcal.drivers.twin.conversions import Conversions
+from tiltcal.drivers.twin.registers import CountingUp, I2cTwin, SpiTwin
+from tiltcal.drivers.twin.tolerances import Tolerances
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -100,4 +101,4 @@ def draw_truth(settings: Iis2iclxSettings, seed: int) -> Truth:
         noise=DENSITY * (settings.rate / 2) ** 0.5,
         thermometer=15.0,
     )
-    return counts.draw_truth(("x", "y"), settings.counts_per_g, limits, seed)
+    return limits.draw(("x", "y"), settings.counts_per_g, seed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.mcp3208 import CODES, PORT
+from tiltcal.drivers.twin.link import TwinLink
 from tiltcal.drivers.twin.noise import uniform
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ SAMPLING_BITS = 1
 """Clocks between the command and the null bit."""
 
 
-class Mcp3208Twin:
+class Mcp3208Twin(TwinLink):
     """An MCP3208 on the SPI bus, bit by bit, without state between frames.
 
     Parameters
@@ -34,8 +35,8 @@ class Mcp3208Twin:
     letter = "s"
 
     def __init__(self, wiring: Wiring, clock: Clock) -> None:
+        super().__init__(clock)
         self._wiring = wiring
-        self._clock = clock
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Answer one frame; see :class:`~tiltcal.drivers.bus.link.Link`."""
@@ -46,9 +47,6 @@ class Mcp3208Twin:
             answer = self._answered(f"{int.from_bytes(out, 'big'):0{length}b}" if out else "")
         self._clock.sleep(length * BIT_SECONDS)
         return int(answer or "0", 2).to_bytes(len(out), "big")
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""
 
     def _answered(self, bits: str) -> str:
         """Return the answer bits; they are random while the part does not drive the line."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.bus.modbus import FAILED
 from tiltcal.drivers.columns import TEMPERATURE
 from tiltcal.drivers.modbus import RegisterColumn, RegisterLayout
-from tiltcal.drivers.twin.counts import Conversions
+from tiltcal.drivers.twin.link import TwinLink
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ TIMEOUT = 1.0
 NO_SUCH_FUNCTION, NO_SUCH_REGISTER = 1, 2
 
 
-class ModbusTwin:
+class ModbusTwin(TwinLink):
     """A device with the columns of an address in its registers.
 
     Parameters
@@ -38,16 +38,14 @@ class ModbusTwin:
     letter = "m"
 
     def __init__(self, layout: RegisterLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        super().__init__(clock)
         self._layout = layout
         self._truth = truth
         self._fixture = fixture
-        self._clock = clock
-        self._conversions = Conversions(truth, fixture, clock)
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Answer one request; see :class:`~tiltcal.drivers.bus.modbus.ModbusLink`."""
-        fault = self._conversions.fault()
-        if fault is not None and fault.kind == "silent":
+        if self._truth.fault_on_link(self._clock.now_ns()).kind == "silent":
             self._clock.sleep(TIMEOUT)
             raise BusError("the virtual device does not answer: a fault that its twin file names")
         self._clock.sleep(ANSWER_SECONDS)
@@ -59,9 +57,6 @@ class ModbusTwin:
             return bytes([function | FAILED, NO_SUCH_REGISTER])
         data = b"".join(held[register] for register in range(first, first + number))
         return bytes([function, len(data)]) + data
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""
 
     def _registers(self) -> dict[int, bytes]:
         held = {}
@@ -80,6 +75,6 @@ class ModbusTwin:
 
     def _number(self, name: str) -> float:
         if name == TEMPERATURE:
-            return self._conversions.temperature()
+            return self._fixture.temperature() + self._truth.thermometer_error
         now_ns, temperature = self._clock.now_ns(), self._fixture.temperature(self._truth.lag)
         return self._truth.sample(name, self._fixture.gravity, temperature, now_ns, int(now_ns / 1e9 * RATE))

@@ -5,7 +5,6 @@ So a session that is killed and resumed has the same noise: sample number n does
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from hashlib import blake2b
 from statistics import NormalDist
 
@@ -16,11 +15,6 @@ def uniform(seed: int, name: str, number: int) -> float:
     """Return a number that is uniformly distributed over the open interval (0, 1)."""
     digest = blake2b(f"{seed}/{name}/{number}".encode(), digest_size=8).digest()
     return ((int.from_bytes(digest, "big") >> 11) + 0.5) / 2**53
-
-
-def tolerances(seed: int) -> Callable[[float, str], float]:
-    """Return a function that draws an error of a part, uniformly distributed within a limit of either sign, by name."""
-    return lambda limit, name: limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
 
 
 def normal(seed: int, name: str, number: int) -> float:

@@ -20,11 +20,10 @@ from tiltcal.drivers.sca100t import (
     STY,
     Sca100tVariant,
 )
-from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import REFERENCE, Tolerances
-from tiltcal.drivers.twin.noise import normal, tolerances, uniform
+from tiltcal.drivers.twin.link import TwinLink
+from tiltcal.drivers.twin.noise import normal, uniform
+from tiltcal.drivers.twin.tolerances import REFERENCE, Tolerances, part_errors
 from tiltcal.drivers.twin.truth import LEVEL, Polynomial, Truth
-from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -41,7 +40,7 @@ POINTS_DOWN = -0.065
 """Below this acceleration, in g, an axis does not count as level for the self-test; the datasheet states no number."""
 
 
-class Sca100tTwin:
+class Sca100tTwin(TwinLink):
     """An SCA100T on the SPI bus, bit by bit.
 
     The answer to a frame depends on the truth, the pose, the temperature and the time alone, so a session that is
@@ -62,27 +61,22 @@ class Sca100tTwin:
     """The sensing element behind each command."""
 
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        super().__init__(clock)
         self._truth = truth
         self._fixture = fixture
-        self._clock = clock
         self._released_ns: int | None = None
         self._latched = self._instant()
         self._pushes = {"x": Push(), "y": Push()}
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Answer one frame; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        fault = self._truth.fault(self._clock.now_ns() / 1e9)
-        if fault is not None and fault.kind == "unplugged":
-            raise BusError("the virtual sensor is unplugged, a fault that its truth sets: resume the session later")
+        fault = self._truth.fault_on_link(self._clock.now_ns())
         self._reload()
         floating = b"\xff" * len(out)
-        driven = b"" if fault is not None and fault.kind == "silent" else self._driven(out, fault)
+        driven = b"" if fault.kind == "silent" else self._driven(out, fault)
         self._clock.sleep(8 * len(out) * BIT_SECONDS)
         self._released_ns = self._clock.now_ns()
         return (driven + floating)[: len(out)]
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""
 
     def _reload(self) -> None:
         """Reload the registers, unless chip select rose too recently."""
@@ -94,7 +88,7 @@ class Sca100tTwin:
         element = fixture.temperature(self._truth.lag)
         return Instant(self._clock.now_ns(), fixture.gravity, element, fixture.temperature())
 
-    def _driven(self, out: bytes, fault: Fault | None) -> bytes:
+    def _driven(self, out: bytes, fault: Fault) -> bytes:
         """Return the bytes that the part drives; none for an invalid command, where the line floats."""
         command = out[0] if out else None
         now_ns = self._clock.now_ns()
@@ -111,11 +105,11 @@ class Sca100tTwin:
             return filler[:1]
         return b""
 
-    def _word(self, channel: str, fault: Fault | None) -> int:
+    def _word(self, channel: str, fault: Fault) -> int:
         """Return the output register of a channel, count."""
-        if fault is not None and fault.kind == "parity":
+        if fault.kind == "parity":
             return int(uniform(self._truth.seed, f"parity {channel}", self._latched.conversion) * LOWEST_SANE_WORD)
-        if fault is not None and fault.kind == "stuck":
+        if fault.kind == "stuck":
             # Held at its level value: a function of the fault alone, so a resumed session reads the same word.
             return self._converted(channel, Instant(round(fault.start * 1e9), LEVEL, self._truth.ambient))
         return self._converted(channel, self._latched)
@@ -217,7 +211,7 @@ def draw_truth(variant: Sca100tVariant, seed: int) -> Truth:
     Truth
         With noise of 0.6 count: the datasheet's 0.0008 °/√Hz is far below the 11-bit step; a bench is not.
     """
-    within = tolerances(seed)
+    within = part_errors(seed)
     # Each term has half of the tolerance, so that their sum keeps it at the end of the range.
     half = sin(radians(variant.nonlinearity)) / 2.0
     return replace(
@@ -251,7 +245,7 @@ def draw_inclinometer(part: Sca100tVariant | OneAxisPart, channels: tuple[str, .
         noise=noise / part.counts_per_g,
         thermometer=2.0,
     )
-    truth = counts.draw_truth(channels, part.counts_per_g, limits, seed)
+    truth = limits.draw(channels, part.counts_per_g, seed)
     _, slope, *higher = recentred(part.population.drift, REFERENCE)
     mean, steepness, *bends = recentred(part.population.gain, REFERENCE)
     return replace(

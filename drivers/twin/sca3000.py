@@ -17,8 +17,9 @@ from tiltcal.drivers.sca3000 import (
     Z_MSB,
     Sca3000Part,
 )
-from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import Conversions, I2cTwin, SpiTwin, Tolerances
+from tiltcal.drivers.twin.conversions import Conversions
+from tiltcal.drivers.twin.registers import I2cTwin, SpiTwin
+from tiltcal.drivers.twin.tolerances import Tolerances
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -41,8 +42,8 @@ class Sca3000Registers:
 
     def read(self, first: int, count: int) -> bytes:
         """Return ``count`` registers from ``first`` down, all of one moment."""
-        fault = self.conversions.fault()
-        held = {REVID: REVISION, STATUS: CHECKSUM_ERROR if fault is not None and fault.kind == "parity" else 0}
+        damaged = self.conversions.fault().kind == "parity"
+        held = {REVID: REVISION, STATUS: CHECKSUM_ERROR if damaged else 0}
         held.update(self._data())
         if self._part.thermometer:
             held.update(self._thermometer())
@@ -87,5 +88,5 @@ TOLERANCES = Tolerances(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.5e-3,
 
 def draw_truth(part: Sca3000Part, seed: int) -> Truth:
     """Draw a plausible part within :data:`TOLERANCES`, with a noise of 1.5 count."""
-    truth = counts.draw_truth(("x", "y", "z"), part.counts_per_g, TOLERANCES, seed)
+    truth = TOLERANCES.draw(("x", "y", "z"), part.counts_per_g, seed)
     return replace(truth, noise=dict.fromkeys(truth.channels, 1.5))

@@ -22,9 +22,10 @@ from tiltcal.drivers.scl3300_frames import (
     WHOAMI,
     crc8,
 )
-from tiltcal.drivers.twin import counts
-from tiltcal.drivers.twin.counts import Conversions, Tolerances
+from tiltcal.drivers.twin.conversions import Conversions
+from tiltcal.drivers.twin.link import RecallingTwin
 from tiltcal.drivers.twin.noise import uniform
+from tiltcal.drivers.twin.tolerances import Tolerances
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -45,7 +46,7 @@ ANGLES = {0x09: 0, 0x0A: 1, 0x0B: 2}
 ENABLE_ANGLES = bytes.fromhex("B0001F6F")
 
 
-class Scl3300Twin:
+class Scl3300Twin(RecallingTwin):
     """An SCL3300-D01 or SCA3300-D01 on the SPI bus, in its state after power-up.
 
     Parameters
@@ -65,38 +66,31 @@ class Scl3300Twin:
     def __init__(
         self, truth: Truth, fixture: HeldPose, clock: Clock, part: Scl3300Part, measuring: MeasuringRange
     ) -> None:
+        super().__init__(clock)
         self._conversions = Conversions(truth, fixture, clock)
-        self._fixture = fixture
-        self._clock = clock
         self._part = part
         self._truths_range = measuring
         self._serial = int(uniform(truth.seed, "serial number", 0) * 2**32)
-        self._recalling = False
         self._reset()
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Answer the frame before this one; see :class:`~tiltcal.drivers.bus.link.Link`."""
         fault = self._conversions.fault()
-        if fault is not None and fault.kind == "silent":
+        if fault.kind == "silent":
             answer = b"\xff" * len(out)
         else:
-            if fault is not None and fault.kind == "parity":
+            if fault.kind == "parity":
                 self._raise(MEMORY)
             answer = self._answer()
             self._take(out)
-        self._clock.sleep(8 * len(out) * BIT_SECONDS)
+        self._clock.sleep(self._seconds(out))
         return answer[: len(out)]
 
-    def recall(self, out: bytes, now_ns: int) -> None:
-        """Take a frame of an earlier time; in mid-session the part is already set up."""
-        if not self._recalling:
-            self._recalling = True
-            self._range, self._standing, self._held = self._truths_range, 0, 0
-        began_ns = now_ns - round(8 * len(out) * BIT_SECONDS * 1e9)
-        counts.at_time(self._clock, began_ns, lambda: self._take(out))
+    def _take_set_up_state(self) -> None:
+        self._range, self._standing, self._held = self._truths_range, 0, 0
 
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""
+    def _seconds(self, out: bytes) -> float:
+        return 8 * len(out) * BIT_SECONDS
 
     def _reset(self) -> None:
         """Take the state after power-up: mode 1, bank 0, angles off, the flag of the supply set."""
@@ -183,4 +177,4 @@ def draw_truth(part: Scl3300Part, measuring: MeasuringRange, seed: int) -> Truth
         noise=measuring.noise,
         thermometer=10.0,
     )
-    return counts.draw_truth(("x", "y", "z"), measuring.counts_per_g, limits, seed)
+    return limits.draw(("x", "y", "z"), measuring.counts_per_g, seed)

@@ -8,8 +8,8 @@ from math import radians
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.twin.gradiometer import CHANNELS, Accelerometer, Disk, Gradiometer
-from tiltcal.drivers.twin.noise import tolerances
 from tiltcal.drivers.twin.streaming import StreamingTwin
+from tiltcal.drivers.twin.tolerances import part_errors
 from tiltcal.drivers.twin.truth import Truth
 
 if TYPE_CHECKING:
@@ -52,8 +52,7 @@ def stage_twin(columns: ColumnLayout, truth: Truth, clock: Clock) -> StreamingTw
 
     def line(number: int) -> bytes:
         fault = truth.fault(number / disk.rate)
-        stuck = fault is not None and fault.kind == "stuck"
-        sample = gradiometer.sample(round(fault.start * disk.rate) if fault is not None and stuck else number)
+        sample = gradiometer.sample(round(fault.start * disk.rate) if fault.kind == "stuck" else number)
         printed = {TIME: number / disk.rate, THETA: sample.theta, **dict(zip(CHANNELS, sample.readings, strict=True))}
         return between.join(f"{printed.get(name, 0.0):.9g}".encode() for name in columns.names) + b"\r\n"
 
@@ -68,7 +67,7 @@ def draw_truth(seed: int) -> StageTruth:
     seed : int
         The same seed is the same disk.
     """
-    within = tolerances(seed)
+    within = part_errors(seed)
 
     parts = tuple(
         Accelerometer(

@@ -1,10 +1,11 @@
-"""A virtual device that streams messages on a serial line."""
+"""Virtual devices on a line, and those that stream messages."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from tiltcal.drivers.twin.link import TwinLink
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
@@ -15,15 +16,39 @@ SILENCE = 5.0
 """Timeout of a virtual line, s."""
 
 
-class StreamingTwin:
+class LineTwin(TwinLink):
+    """A virtual device on a line of its own: serial, or captured edge by edge.
+
+    Parameters
+    ----------
+    truth : Truth
+        Its faults ``unplugged`` and ``silent`` affect the line.
+    """
+
+    def __init__(self, truth: Truth, clock: Clock) -> None:
+        super().__init__(clock)
+        self._truth = truth
+
+    def _require_line(self, *, silent: bool = True) -> None:
+        """Raise the faults of the line that the truth sets now.
+
+        Raises
+        ------
+        BusError
+            The virtual sensor is unplugged, or sends nothing while ``silent`` is set.
+        """
+        if self._truth.fault_on_link(self._clock.now_ns()).kind == "silent" and silent:
+            self._clock.sleep(SILENCE)
+            raise BusError(f"the virtual sensor was silent for {SILENCE:g} s, a fault that its truth sets")
+
+
+class StreamingTwin(LineTwin):
     """Sends message number n at ``n * period``.
 
     The answer depends on the time alone: the next message that begins. A message that was not read at once is lost.
 
     Parameters
     ----------
-    truth : Truth
-        Its faults ``unplugged`` and ``silent`` affect the line.
     clock : Clock
         Advances to the arrival of the last returned byte.
     message : callable
@@ -39,15 +64,14 @@ class StreamingTwin:
     def __init__(
         self, truth: Truth, clock: Clock, message: Callable[[int], bytes], *, period: float, baudrate: int
     ) -> None:
-        self._truth = truth
-        self._clock = clock
+        super().__init__(truth, clock)
         self._message = message
         self._period_ns = round(period * 1e9)
         self._byte_ns = round(10e9 / baudrate)
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Wait for the next message; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        answer_in_line(self._truth, self._clock, silent=count > 0)
+        self._require_line(silent=count > 0)
         if not count:
             return b""
         now_ns = self._clock.now_ns()
@@ -55,22 +79,3 @@ class StreamingTwin:
         arrived = self._message(number)[:count]
         self._clock.sleep((number * self._period_ns + len(arrived) * self._byte_ns - now_ns) / 1e9)
         return arrived
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""
-
-
-def answer_in_line(truth: Truth, clock: Clock, *, silent: bool = True) -> None:
-    """Raise the faults of the line that the truth sets now.
-
-    Raises
-    ------
-    BusError
-        The virtual sensor is unplugged, or sends nothing while ``silent`` is set.
-    """
-    fault = truth.fault(clock.now_ns() / 1e9)
-    if fault is not None and fault.kind == "unplugged":
-        raise BusError("the virtual sensor is unplugged, a fault that its truth sets: resume the session later")
-    if fault is not None and fault.kind == "silent" and silent:
-        clock.sleep(SILENCE)
-        raise BusError(f"the virtual sensor was silent for {SILENCE:g} s, a fault that its truth sets")

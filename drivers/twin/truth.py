@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from tiltcal.drivers.twin.noise import normal
+from tiltcal.errors import BusError
 
 LEVEL = (0.0, 0.0, 1.0)
 """Up in the frame of a level sensor, g."""
@@ -21,7 +22,7 @@ class Fault:
     ----------
     kind : str
         ``parity`` (memory error of the part), ``stuck`` (the reading does not change), ``silent`` (the data line floats
-        high), ``unplugged`` (every transaction fails).
+        high), ``unplugged`` (every transaction fails); empty for no fault.
     start, end : float
         Seconds after the session began.
     """
@@ -29,6 +30,9 @@ class Fault:
     kind: str
     start: float
     end: float
+
+
+NO_FAULT = Fault("", 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -112,20 +116,36 @@ class Truth:
         number : int
             Of the sample, which gives its noise.
         """
-        fault = self.fault(now_ns / 1e9)
-        if fault is not None and fault.kind == "stuck":
+        if self.fault(now_ns / 1e9).kind == "stuck":
             # A function of the fault alone, so a resumed session reads the same.
             return self.reading(channel, LEVEL, self.ambient)
         noise = self.noise.get(channel, 0.0)
         drawn = normal(self.seed, f"noise {channel}", number) if noise else 0.0
         return self.reading(channel, gravity, temperature) + noise * drawn
 
-    def fault(self, seconds: float) -> Fault | None:
-        """Return the fault that is present ``seconds`` after the session began, if any."""
-        for fault in self.faults:
-            if fault.start <= seconds < fault.end:
-                return fault
-        return None
+    def fault(self, seconds: float) -> Fault:
+        """Return the fault that is present ``seconds`` after the session began; :data:`NO_FAULT` if there is none."""
+        return next((fault for fault in self.faults if fault.start <= seconds < fault.end), NO_FAULT)
+
+    def fault_on_link(self, now_ns: int, device: str = "sensor") -> Fault:
+        """Return the fault that is present at a transaction.
+
+        Parameters
+        ----------
+        now_ns : int
+            Nanoseconds since the session began.
+        device : str
+            What is at the link, for the message.
+
+        Raises
+        ------
+        BusError
+            The device is unplugged.
+        """
+        fault = self.fault(now_ns / 1e9)
+        if fault.kind == "unplugged":
+            raise BusError(f"the virtual {device} is unplugged, a fault that its truth sets: resume the session later")
+        return fault
 
 
 def _powers(coefficients: Polynomial, variable: float, lowest: int) -> float:
