@@ -16,13 +16,13 @@ def is_number(value: object, least: float = -inf) -> bool:
 def require_above_zero(option: str, value: object) -> None:
     """Refuse a value that is no number above 0, with a UsageError; None is not stated."""
     if value is not None and not (is_number(value, 0.0) and value):
-        raise UsageError(f"{option} takes a number above 0, not {value!r}")
+        raise UsageError(f"{option} takes a number above 0, not {shown(value)}")
 
 
 def require_from_zero(option: str, value: object) -> None:
     """Refuse a value that is no number from 0, with a UsageError; None is not stated."""
     if value is not None and not is_number(value, 0.0):
-        raise UsageError(f"{option} takes a number from 0, not {value!r}")
+        raise UsageError(f"{option} takes a number from 0, not {shown(value)}")
 
 
 def require_whole(option: str, value: object, least: int, what: str) -> None:
@@ -31,4 +31,9 @@ def require_whole(option: str, value: object, least: int, what: str) -> None:
     ``what`` names what it counts, for the message.
     """
     if value is not None and not (isinstance(value, Integral) and int(value) >= least):
-        raise UsageError(f"{option} takes a number of {what} from {least}, not {value!r}")
+        raise UsageError(f"{option} takes a number of {what} from {least}, not {shown(value)}")
+
+
+def shown(value: object) -> str:
+    """Return a refused value as it is written on the command line and in a program alike: -1 is -1.0."""
+    return f"{value:.15g}" if isinstance(value, Real) else repr(value)

@@ -12,8 +12,9 @@ import pytest
 from tiltcal.bench.measure import measure
 from tiltcal.bench.plan import plan
 from tiltcal.cli.main import group
-from tiltcal.cli.options import FiniteRange
+from tiltcal.cli.options import NumberFromZero
 from tiltcal.cli.talk import wrapped
+from tiltcal.errors import UsageError
 from tiltcal.logs.fit import fit
 from tiltcal.logs.prepared_calibration import ApplyOptions
 
@@ -50,8 +51,8 @@ def test_remarks_break_between_words_at_the_width_of_the_terminal(monkeypatch: p
 @pytest.mark.parametrize("value", ["nan", "inf"])
 def test_no_option_takes_what_is_no_finite_number(value: str) -> None:
     """Click takes nan for a number in any range; ``record --rate nan`` ended in a traceback."""
-    with pytest.raises(click.BadParameter, match="no finite number"):
-        FiniteRange(0.0).convert(value, None, None)
+    with pytest.raises(UsageError, match=f"takes a number from 0, not {value}"):
+        NumberFromZero().convert(value, None, None)
     every = {name: group.get_command(click.Context(group), name) for name in group.list_commands(click.Context(group))}
     loose = [
         (name, one.name)

@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from support import FIXTURES
 from support.command import loaded_by
 from support.command import tiltcal as command
 
@@ -89,6 +92,55 @@ def test_plan_prints_what_the_command_prints(arguments: tuple[str, ...], options
     assert told + "\n" == command("plan", *arguments, "--sensor", "sca100t-d02", *given).stdout
 
 
+CAL = str(FIXTURES / "mavs.yaml")
+ROW = {"x": [1024.0], "y": [1024.0], "temperature": [20.0]}
+FIT = ("fit", "free", "log.csv", "--serial", "S", "--unit", "V", "-o", "S.yaml")
+MEASURE = ("measure", "plane", "--sensor", "sca100t-d02", "--address", "sim:", "--serial", "S", "-o", "S.yaml")
+PLAN = ("plan", "plane", "--sensor", "sca100t-d02")
+
+
+def _apply(**options: Any) -> Callable[[], object]:
+    return lambda: tiltcal.read(CAL).apply(ROW, **options)
+
+
+def _fit(**options: Any) -> Callable[[], object]:
+    return lambda: tiltcal.fit("free", "log.csv", serial="S", unit="V", **options)
+
+
+def _measure(**options: Any) -> Callable[[], object]:
+    sensor = {"sensor": "sca100t-d02", "address": "sim:", "serial": "S", "output": "S.yaml"}
+    return lambda: tiltcal.measure("plane", **sensor, **options)
+
+
+def _plan(**options: Any) -> Callable[[], object]:
+    return lambda: tiltcal.plan("plane", sensor="sca100t-d02", **options)
+
+
+OPTIONS: list[tuple[Callable[[], object], tuple[str, ...]]] = [
+    (_apply(reading_noise=1.0), ("apply", CAL, "log.csv", "--reading-noise", "1")),
+    (_apply(reading_noise=-1, uncertainty=True), ("apply", CAL, "log.csv", "--uncertainty", "--reading-noise", "-1")),
+    (_apply(average=0), ("apply", CAL, "log.csv", "--average", "0")),
+    (_apply(average=2.5), ("apply", CAL, "log.csv", "--average", "2.5")),
+    (_apply(average="two"), ("apply", CAL, "log.csv", "--average", "two")),
+    (_apply(every=-5), ("apply", CAL, "log.csv", "--every", "-5")),
+    (_apply(mounting={"roll": 200}), ("apply", CAL, "log.csv", "--mounting", "roll=200")),
+    (_fit(window=3), (*FIT, "--window", "3")),
+    (_fit(gravity=5), (*FIT, "--gravity", "5")),
+    (_fit(table_lean=-0.1), (*FIT, "--table-lean", "-0.1")),
+    (_fit(thermometer=float("nan")), (*FIT, "--thermometer", "nan")),
+    (_plan(jig="a"), (*PLAN, "--jig", "a")),
+    (_plan(noise=float("inf")), (*PLAN, "--noise", "inf")),
+    (_plan(samples=1), (*PLAN, "--samples", "1")),
+    (_measure(samples=1), (*MEASURE, "--samples", "1")),
+    (_measure(settle=0), (*MEASURE, "--settle", "0")),
+    (lambda: tiltcal.noise(ROW, rate=0, unit="V"), ("noise", "log.csv", "--unit", "V", "--rate", "0")),
+    (
+        lambda: tiltcal.noise(ROW, rate=1, averages=[0], unit="V"),
+        ("noise", "log.csv", "--unit", "V", "--averages", "0"),
+    ),
+]
+
+
 @pytest.mark.parametrize(
     ("call", "arguments"),
     [
@@ -99,8 +151,9 @@ def test_plan_prints_what_the_command_prints(arguments: tuple[str, ...], options
             lambda: tiltcal.fit("plane", "log.csv", serial="S", unit="V"),
             ("fit", "plane", "log.csv", "--serial", "S", "--unit", "V", "-o", "S.yaml"),
         ),
+        *OPTIONS,
     ],
-    ids=["procedure", "model", "file", "fit without segments"],
+    ids=["procedure", "model", "file", "fit without segments", *(f"{a[0]} {a[-2]} {a[-1]}" for _, a in OPTIONS)],
 )
 def test_library_refuses_in_the_words_of_the_command(call: object, arguments: tuple[str, ...]) -> None:
     with pytest.raises(tiltcal.TiltcalError) as refusal:

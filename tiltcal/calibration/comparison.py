@@ -100,7 +100,7 @@ def compare(old: Calibration, new: Calibration) -> Comparison:
     for calibration in (old, new):
         if not isinstance(calibration, Calibration):
             raise UsageError(
-                f"compare takes two tilt calibrations, as tiltcal.read returns them, not {calibration!r:.40}"
+                f"compare takes two tilt calibrations, as tiltcal.read returns them, not a {type(calibration).__name__}"
             )
     return compare_records(old.record, new.record)
 

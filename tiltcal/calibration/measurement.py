@@ -11,11 +11,10 @@ from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model
-from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.position_record import PositionRecord
 from tiltcal.frozen import frozen
-from tiltcal.stated_numbers import is_number
+from tiltcal.stated_numbers import require_from_zero
 
 
 @frozen
@@ -53,8 +52,7 @@ class BenchUncertainty:
             ("--table-lean", self.table),
             ("--heading-uncertainty", self.heading),
         ):
-            if value is not None and not is_number(value, 0.0):
-                raise UsageError(f"{option} {value}: a standard uncertainty is 0 or more")
+            require_from_zero(option, value)
 
 
 @frozen

@@ -14,7 +14,7 @@ from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES, in_degrees
 from tiltcal.files.uncertainty import Covariance
-from tiltcal.stated_numbers import is_number
+from tiltcal.stated_numbers import is_number, shown
 
 REACH = {"roll": 180.0, "pitch": 90.0, "yaw": 180.0}
 """The largest size of each angle, degrees."""
@@ -33,7 +33,9 @@ def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
         if name not in ANGLES:
             raise UsageError(f"--mounting: there is no angle {name!r}; the angles are {', '.join(ANGLES)}, in degrees")
         if not is_number(angle) or abs(angle) > REACH[name]:
-            raise UsageError(f"--mounting: {name} is between -{REACH[name]:g} and {REACH[name]:g} degrees, not {angle}")
+            raise UsageError(
+                f"--mounting: {name} is between -{REACH[name]:g} and {REACH[name]:g} degrees, not {shown(angle)}"
+            )
     return Mounting(**{name: radians(angle) for name, angle in named.items()})
 
 

@@ -116,7 +116,7 @@ Examples:
 )
 @click.option(
     "--average",
-    type=click.IntRange(min=1),
+    type=options.Count(1, "rows"),
     metavar="N",
     help="Average the readings of each N rows before they are converted; adds count.",
 )
@@ -127,7 +127,7 @@ Examples:
 )
 @click.option(
     "--jobs",
-    type=click.IntRange(min=1),
+    type=options.Count(1, "logs"),
     metavar="N",
     help="Process at most N of several logs at a time [the number of processor cores].",
 )
@@ -207,9 +207,6 @@ def command(
         if logs[0].lower().endswith(SUFFIXES):
             raise UsageError(f"{logs[0]} is a calibration, and --calibrations names a folder of them: leave one out")
     given = ApplyOptions(**how)
-    for option, value in (("--stability", given.stability), ("--reading-noise", given.reading_noise)):
-        if value is not None and not given.uncertainty:
-            raise UsageError(f"{option} needs --uncertainty")
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
         tasks = tasks_of(calibration, given, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
         prepare_any(calibration, given, remark)  # an error of the calibration is raised once

@@ -60,11 +60,11 @@ Examples:
 @options.tilt
 @click.option(
     "--gravity",
-    type=click.FloatRange(9.7, 9.9),
+    type=float,
     metavar="M/S2",
-    help="Local gravity: adds the sensitivity per m/s², and for readings in m/s2 the scale error.",
+    help="Local gravity, between 9.7 and 9.9: adds the sensitivity per m/s², and for readings in m/s2 the scale error.",
 )
-@click.option("--window", type=click.IntRange(4), metavar="ROWS", help="Shortest static interval that is found.")
+@click.option("--window", type=int, metavar="ROWS", help="Shortest static interval that is found, 4 rows or more.")
 @options.file_option("--segments-out", metavar="FILE", help="Write the static intervals that were found.")
 @options.alignment
 @options.file_option("--base", metavar="CAL", help=options.BASE)

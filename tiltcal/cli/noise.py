@@ -24,7 +24,7 @@ Examples:
 @click.argument("log", required=False)
 @click.option("--sensor", metavar="MODEL", help="The model of the sensor; for a LOG it gives unit and sensitivity.")
 @click.option("--address", help="Its address, to record it now instead of reading a LOG.")
-@click.option("--samples", type=click.IntRange(2), help="Number of samples to record.")
+@click.option("--samples", type=options.Count(2, "samples"), help="Number of samples to record.")
 @options.above_zero("--for", "seconds", metavar="SECONDS", help="Time to record.")
 @options.above_zero(
     "--rate",
@@ -162,9 +162,6 @@ def _refuse_live(
 
 def _sizes(text: str) -> tuple[int, ...]:
     try:
-        sizes = tuple(int(part) for part in text.split(",") if part.strip())
+        return tuple(int(part) for part in text.split(",") if part.strip())
     except ValueError:
-        sizes = (0,)
-    if any(size < 1 for size in sizes):
-        raise UsageError(f"--averages {text!r}: write whole numbers of samples, such as 5,20")
-    return sizes
+        raise UsageError(f"--averages {text!r}: write whole numbers of samples, such as 5,20") from None

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import click
+
+from tiltcal.stated_numbers import require_above_zero, require_from_zero, require_whole
 
 FILE = click.Path(path_type=Path)
 OPERATORS = click.Choice(["terminal", "json", "sim"])
@@ -21,32 +24,61 @@ BASE = (
 )
 
 
-class FiniteRange(click.FloatRange):
-    """A number within a range; neither NaN, which is within every range, nor infinity."""
+class NumberFromZero(click.FloatRange):
+    """A number from 0, or above it; the library refuses what is none in the same words."""
+
+    def __init__(self, *, above: bool = False) -> None:
+        super().__init__(0.0, min_open=above)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        found = super().convert(value, param, ctx)
-        if not isfinite(found):
-            self.fail(f"{value} is no finite number.", param, ctx)
+        found = _as_number(value)
+        (require_above_zero if self.min_open else require_from_zero)(_option(param), found)
+        return float(found)
+
+
+class Count(click.IntRange):
+    """A number of something, which is whole; the library refuses what is none in the same words."""
+
+    def __init__(self, least: int, what: str) -> None:
+        super().__init__(least)
+        self._least, self._what = least, what
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        found = _as_number(value)
+        require_whole(_option(param), found, self._least, self._what)
         return found
 
 
+def _option(parameter: click.Parameter | None) -> str:
+    return "" if parameter is None else parameter.opts[0]
+
+
+def _as_number(value: Any) -> Any:
+    """Return the number that a text is, or the text."""
+    for kind in (int, float):
+        with suppress(ValueError):
+            return kind(str(value))
+    return value
+
+
 file_option = partial(click.option, type=FILE)
-at_least_zero = partial(click.option, type=FiniteRange(0.0))
-above_zero = partial(click.option, type=FiniteRange(0.0, min_open=True))
+at_least_zero = partial(click.option, type=NumberFromZero())
+above_zero = partial(click.option, type=NumberFromZero(above=True))
 degrees = partial(at_least_zero, metavar="DEGREES")
 """Options that take a path, a number from 0, a number above 0, an angle in degrees."""
 
 jig = degrees("--jig", help="Standard uncertainty of a set angle; without it, it is estimated from the residuals.")
 table_lean = degrees("--table-lean", help="Standard uncertainty of the lean of the table that all positions share.")
 heading = degrees("--heading-uncertainty", "heading", help="Standard uncertainty of a heading.")
-alignment = degrees(
+alignment = click.option(
     "--alignment",
+    type=float,
+    metavar="DEGREES",
     help="With level: by how much at most the sensor may sit askew since its calibration, about each axis [2]; 0 if it "
     "was not unplugged.",
 )
 tilt = click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
-samples = click.option("--samples", type=click.IntRange(2), help="Samples per position; overrides the procedure.")
+samples = click.option("--samples", type=Count(2, "samples"), help="Samples per position; overrides the procedure.")
 resume = file_option("--resume", metavar="JOURNAL", help="Continue an interrupted session.")
 plain = click.option("--plain", is_flag=True, help="Plain lines: no live reading, no single keys.")
 as_json = click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")

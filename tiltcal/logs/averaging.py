@@ -61,7 +61,7 @@ def averaging(rows: int | None, every: str | float | None) -> Averaging:
     except ValueError:
         seconds = 0.0
     if not seconds > 0.0:
-        raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every!r}")
+        raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every}")
     return Averaging(seconds=seconds)
 
 

@@ -51,7 +51,7 @@ from tiltcal.logs.static_intervals import (
     require_positions,
 )
 from tiltcal.logs.streams import sha256_of
-from tiltcal.stated_numbers import is_number
+from tiltcal.stated_numbers import is_number, shown
 
 SHORTEST = 4
 """Rows of a window over which a sensor can be still."""
@@ -154,9 +154,10 @@ def fit(
     source = FitSource(data, segments, table, columns, window, progress)
     source.require_sound(steps)
     require_no_jig(steps, jig)
+    bench = BenchUncertainty(jig, thermometer, table_lean, heading)
     if gravity is not None and not (is_number(gravity, LOCAL_GRAVITY[0]) and gravity <= LOCAL_GRAVITY[1]):
         raise UsageError(
-            f"--gravity {gravity}: local gravity is between {LOCAL_GRAVITY[0]:g} and {LOCAL_GRAVITY[1]:g} m/s²"
+            f"--gravity {shown(gravity)}: local gravity is between {LOCAL_GRAVITY[0]:g} and {LOCAL_GRAVITY[1]:g} m/s²"
         )
     model = find_model(sensor) if sensor else None
     if model is not None:
@@ -189,7 +190,6 @@ def fit(
         base=own,
         ramp=positions.ramp,
     )
-    bench = BenchUncertainty(jig, thermometer, table_lean, heading)
     (found,) = calibrate([measured], steps, bench, table=source.table, gravity=gravity)
     origin = None if known is None else known.origin
     return Calibration(replace(found, provenance=replace(positions.provenance, base=origin)))

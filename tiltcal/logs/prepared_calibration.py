@@ -15,7 +15,7 @@ from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import HEADING, TIME, SensorColumns
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
-from tiltcal.stated_numbers import is_number, require_from_zero
+from tiltcal.stated_numbers import is_number, require_from_zero, shown
 
 if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration
@@ -49,6 +49,9 @@ class ApplyOptions:
     def __post_init__(self) -> None:
         for option in ("reading_noise", "stability", "magnetometer_noise"):
             require_from_zero(f"--{option.replace('_', '-')}", getattr(self, option))
+        for option, value in (("--stability", self.stability), ("--reading-noise", self.reading_noise)):
+            if value is not None and not self.uncertainty:
+                raise UsageError(f"{option} needs --uncertainty")
 
     def averaging(self) -> Averaging | None:
         """Return how rows are put into means; None where they are not."""
@@ -71,7 +74,7 @@ class ApplyOptions:
         if self.declination is not None and not found:
             raise UsageError("--declination needs --magnetometer or --velocity")
         if self.declination is not None and not (is_number(self.declination) and abs(self.declination) <= 180.0):
-            raise UsageError(f"--declination is between -180 and 180 degrees, not {self.declination}")
+            raise UsageError(f"--declination is between -180 and 180 degrees, not {shown(self.declination)}")
         if self.magnetometer_noise is not None and not (self.uncertainty and self.magnetometer):
             raise UsageError("--magnetometer-noise needs --magnetometer and --uncertainty")
         return found
