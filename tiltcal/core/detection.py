@@ -376,6 +376,8 @@ def outliers(samples: Sequence[float] | Array, step: float = 0.0) -> NDArray[np.
 def distances(values: Array) -> tuple[Array, float, float]:
     """Return how far each sample is from the median, beyond what distance it is far off, and the median.
 
+    Where none is, the distance is a lower bound of it, which many samples show sooner.
+
     Parameters
     ----------
     values : ndarray, shape (n,)
@@ -385,8 +387,15 @@ def distances(values: Array) -> tuple[Array, float, float]:
     distance = np.abs(values - centre)
     if len(values) < FEWEST_SAMPLES:
         return distance, inf, centre
+    farthest = distance.max()
+    if len(values) >= _MANY:
+        # Not more than half of the samples are nearer than a distance that the median of all reaches.
+        near = float(np.partition(distance[:: len(values) // _SAMPLE], count := int(0.47 * _SAMPLE))[count])
+        bound = OUTLYING * _SIGMA_OF_MEDIAN * near
+        if farthest <= bound and np.count_nonzero(distance < near) <= (len(values) - 1) // 2:
+            return distance, bound, centre
     limit = OUTLYING * _SIGMA_OF_MEDIAN * _median(distance)
-    if distance.max() > limit:
+    if farthest > limit:
         # Where more than half of the samples are in one step, that median is 0; the nearest 90 % are not.
         count = max(1, round(0.9 * len(values)))
         nearest = np.partition(distance, count - 1)[:count]

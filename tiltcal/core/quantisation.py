@@ -71,35 +71,47 @@ class DifferentValues:
 
     def __init__(self) -> None:
         self._values = np.empty(0)
-        self._table, self._per_step = np.full(1, np.nan), 0.0
+        self._new: list[Array] = []
+        self._table, self._start, self._per_step = np.full(1, np.nan), 0.0, 0.0
 
     def add(self, samples: Array) -> None:
         """Take the next samples, shape (n,)."""
         if len(self._values) >= _ENOUGH_VALUES:
             return
-        first = self._values[0] if len(self._values) else 0.0
-        new = samples[self._table[self._places(samples, first)] != samples]
-        new = new[np.isfinite(new)]
-        if len(new):
-            self._values = np.unique(np.concatenate([self._values, new]))
+        new = samples[self._table.take(self._places(samples), mode="clip") != samples]
+        new = np.unique(new[np.isfinite(new)])
+        if not len(new):
+            return
+        self._new.append(new)
+        places = np.clip(self._places(new), 0, len(self._table) - 1)
+        if np.all(np.diff(places)) and np.all(np.isnan(self._table[places])):
+            self._table[places] = new
+        else:
             self._tabulate()
 
     def step(self) -> float:
         """Return the :func:`resolution` of the channel."""
+        self._values = np.unique(np.concatenate([self._values, *self._new]))
+        self._new.clear()
         return resolution([self._values])
 
     def _tabulate(self) -> None:
         """Put each value at its whole number of steps, where it is found at once."""
-        first, last, step = float(self._values[0]), float(self._values[-1]), self.step()
-        self._table, self._per_step = np.full(1, np.nan), 0.0
+        step = self.step()
+        first, last = float(self._values[0]), float(self._values[-1])
+        self._table, self._start, self._per_step = np.full(1, np.nan), 0.0, 0.0
         if step and last - first < _MOST_STEPS * step:
-            self._table, self._per_step = np.full(round((last - first) / step) + 1, np.nan), 1.0 / step
-            self._table[self._places(self._values, first)] = self._values
+            steps = round((last - first) / step)
+            room = steps // 8 + 1  # on either side, for the values to come
+            self._start, self._per_step = first - (room + 0.5) * step, 1.0 / step
+            self._table = np.full(steps + 2 * room + 1, np.nan)
+            self._table.put(self._places(self._values), self._values, mode="clip")
 
-    def _places(self, samples: Array, first: float) -> NDArray[np.intp]:
+    def _places(self, samples: Array) -> NDArray[np.intp]:
         with np.errstate(over="ignore", invalid="ignore"):
-            places = np.rint((samples - first) * self._per_step)
-        return np.fmin(np.fmax(places, 0.0), len(self._table) - 1.0).astype(np.intp)
+            steps = samples - self._start
+            steps *= self._per_step
+            return steps.astype(np.intp)
 
 
 class ReadingStep:

@@ -20,8 +20,8 @@ from tiltcal.frozen import frozen
 BLOCKS = 10
 """Number of blocks whose means show correlation that std/sqrt(n) does not see."""
 
-_MANY, _HUGE = 4096, 1e150
-"""Samples from which on they are summed up as arrays, and the readings beyond which they are not."""
+_FEW, _MANY, _HUGE = 4096, 1 << 16, 1e150
+"""Samples up to which they are not summed up as arrays, those of an array, and the values from which on not either."""
 
 
 @frozen
@@ -134,13 +134,12 @@ def moments_of(values: NDArray[np.float64], first: int = 0, edges: Sequence[int]
     n, size = len(values), len(values) // BLOCKS
     edges = edges or range(0, BLOCKS * size + 1, max(size, 1))
     runs, low, high = list(pairwise((0, *edges, n))), float(values.min()), float(values.max())
-    summands = _summands(values, runs, max(-low, high))
+    summands = _summands(values, runs)
     total = fsum(chain.from_iterable(summands))
     # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
     mean = low if low == high else total / n
     blocks = [(fsum(run), end - start) for run, (start, end) in zip(summands, runs, strict=True)]
-    off = values - mean
-    (squares,) = _summands(np.square(off, out=off), [(0, n)], max(high - mean, mean - low) ** 2)
+    (squares,) = _summands(values, [(0, n)], mean)
     return Moments(n, total, mean, fsum(squares), low, high, first, blocks[1:-1])
 
 
@@ -189,28 +188,40 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
 
 
-def _summands(values: NDArray[np.float64], runs: Sequence[tuple[int, int]], largest: float) -> list[list[float]]:
+def _summands(
+    values: NDArray[np.float64], runs: Sequence[tuple[int, int]], mean: float | None = None
+) -> list[list[float]]:
     """Return numbers that have the sum of each run, to be rounded once; few of them where the values are many.
 
     Parameters
     ----------
     values : ndarray, shape (n,)
-    largest : float
-        No value is farther from zero.
+    mean : float, optional
+        Sum up the squares of the distances from it in place of the values.
     """
-    if len(values) < _MANY or not largest < _HUGE:
-        return [values[start:end].tolist() for start, end in runs]
     parts: list[list[float]] = [[] for _ in runs]
-    while largest:
-        # Rump, Ogita and Oishi (2008), Accurate floating-point summation I, lemma 3.2: the leading digits of each
-        # value, so few that all sums of them are exact, and the digits that are left.
-        sigma = ldexp(1.0, frexp(largest)[1] + len(values).bit_length())
-        leading = values + sigma
-        leading -= sigma
-        for part, (start, end) in zip(parts, runs, strict=True):
-            part.append(float(leading[start:end].sum()))
-        values = np.subtract(values, leading, out=leading)
-        largest = max(-float(values.min()), float(values.max()))
+    for begin in range(0, len(values), _MANY):
+        rest = values[begin : begin + _MANY]
+        rest = rest if mean is None else np.square(rest - mean)
+        within = [
+            (part, max(start - begin, 0), end - begin)
+            for part, (start, end) in zip(parts, runs, strict=True)
+            if start < begin + _MANY and begin < end
+        ]
+        largest = max(-float(rest.min()), float(rest.max()))
+        while len(rest) > _FEW and 0.0 < largest < _HUGE:
+            # Rump, Ogita and Oishi (2008), Accurate floating-point summation I, lemma 3.2: the leading digits of each
+            # value, so few that all sums of them are exact, and the digits that are left.
+            sigma = ldexp(1.0, frexp(largest)[1] + len(rest).bit_length())
+            leading = rest + sigma
+            leading -= sigma
+            for part, start, end in within:
+                part.append(float(leading[start:end].sum()))
+            rest = np.subtract(rest, leading, out=leading)
+            largest = max(-float(rest.min()), float(rest.max()))
+        if largest:
+            for part, start, end in within:
+                part.extend(rest[start:end].tolist())
     return parts
 
 

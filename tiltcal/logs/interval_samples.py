@@ -173,16 +173,17 @@ class IntervalSamples:
         self.rails = rails
         self._channels, self._submit = channels, submit
         self._block = sum(part.end - part.start for part in parts) // BLOCKS if self.last.end < TO_THE_END else _ROWS
-        self._piece: list[Array] = []
-        self._next: list[Array] = []
+        self._piece: list[Sequence[Array]] = []
+        self._next: list[Sequence[Array]] = []
         self._rows = self._begun = 0
 
-    def add(self, values: Array) -> None:
-        """Take the next rows, shape (columns, n)."""
-        while values.shape[1]:
-            taken, values = np.split(values, [PIECE - self._rows], axis=1)
-            self._next.append(taken)
-            self._rows += taken.shape[1]
+    def add(self, values: Sequence[Array], start: int, end: int) -> None:
+        """Take some rows of a block: of each column, shape (n,)."""
+        while start < end:
+            taken = min(end - start, PIECE - self._rows)
+            self._next.append([column[start : start + taken] for column in values])
+            self._rows += taken
+            start += taken
             if self._rows == PIECE:
                 if self._piece:
                     self._sum_up(self._piece, self._block)
@@ -195,7 +196,7 @@ class IntervalSamples:
         if rows:
             self._sum_up(rows, self._block if self.pieces else 0)
 
-    def _sum_up(self, rows: Sequence[Array], block: int) -> None:
+    def _sum_up(self, rows: Sequence[Sequence[Array]], block: int) -> None:
         self.pieces.append(self._submit(piece_of, rows, self._channels, self.rails, self._begun, block))
 
 
@@ -240,10 +241,10 @@ def sampled(
                 found.add(channel)
             if recent is not None:
                 recent.add(values[len(record.channels) :])
-            while coming and coming[0][0].start < first + values.shape[1]:
+            while coming and coming[0][0].start < record.rows:
                 part, interval = coming[0]
-                interval.add(values[:columns, max(part.start - first, 0) : part.end - first])
-                if part.end > first + values.shape[1]:
+                interval.add(values[:columns], max(part.start - first, 0), min(part.end, record.rows) - first)
+                if part.end > record.rows:
                     break
                 coming.popleft()
                 if part is interval.last:
@@ -257,19 +258,21 @@ def sampled(
     return intervals, min(filter(None, (found.step() for found in different)), default=0.0)
 
 
-def piece_of(rows: Sequence[Array], channels: Sequence[str], rails: Rails, begun: int = 0, block: int = 0) -> Piece:
+def piece_of(
+    rows: Sequence[Sequence[Array]], channels: Sequence[str], rails: Rails, begun: int = 0, block: int = 0
+) -> Piece:
     """Judge some samples of an interval, and sum up the others.
 
     Parameters
     ----------
-    rows : sequence of ndarray, shape (columns, n)
-        The channels and, where there is one, the temperature.
+    rows : sequence of sequence of ndarray, shape (n,)
+        The channels and, where there is one, the temperature, of one block after the other.
     begun : int
         Samples of the interval before these.
     block : int
         Samples of the interval that make one block of a mean; 0 where these are all and make ten.
     """
-    values = np.concatenate(rows, axis=1)
+    values = np.stack([np.concatenate(parts) for parts in zip(*rows, strict=True)])
     temperatures = _temperatures(values[len(channels)]) if len(values) > len(channels) else None
     samples = values[: len(channels)]
     lost = np.flatnonzero(~np.isfinite(samples).all(axis=0))
@@ -331,10 +334,10 @@ class RecentTemperatures:
         self._blocks: deque[Array] = deque()
         self._first = self._end = 0
 
-    def add(self, values: Array) -> None:
-        """Take the next rows, shape (1 or 2, n): temperatures, °C, and times, s."""
-        self._blocks.append(values.copy())
-        self._end += values.shape[1]
+    def add(self, values: Sequence[Array]) -> None:
+        """Take the next rows, shape (n,): temperatures, °C, and behind them times, s, where there are some."""
+        self._blocks.append(np.stack(values))
+        self._end += len(values[0])
         while self._end - self._first - self._blocks[0].shape[1] >= _RECENT:
             self._first += self._blocks.popleft().shape[1]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from tiltcal.core.ramp.record import RampRecord, RecordAverager
 from tiltcal.errors import InputError
 from tiltcal.files.segments import Segment
@@ -29,7 +31,7 @@ def read_ramp(record: RecordedReadings, segment: Segment | None = None) -> tuple
     first, end = (0, TO_THE_END) if segment is None else (segment.start, segment.end)
     averager, used = RecordAverager(len(record.channels), first), 0
     for start, values in record.blocks():
-        part = values[:, max(first - start, 0) : max(end - start, 0)]
+        part = np.stack(values)[:, max(first - start, 0) : max(end - start, 0)]
         averager.add(part[-1], part[-2], part[:-2].T)
         used += part.shape[1]
     if segment is not None and segment.end > record.rows:

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
-
 from tiltcal.core.model import Array
 from tiltcal.logs.columns import TEMPERATURE, TIME, locate_readings
 from tiltcal.logs.formats import open_log
@@ -20,8 +18,8 @@ class RecordedReadings:
 
     Parameters
     ----------
-    blocks : iterable of ndarray, shape (columns, rows)
-        NaN where a value is missing.
+    blocks : iterable of sequence of ndarray, shape (rows,)
+        Of each column; NaN where a value is missing.
 
     Attributes
     ----------
@@ -36,7 +34,13 @@ class RecordedReadings:
     """
 
     def __init__(
-        self, name: str, channels: Sequence[str], blocks: Iterable[Array], *, thermometer: bool, timed: bool = False
+        self,
+        name: str,
+        channels: Sequence[str],
+        blocks: Iterable[Sequence[Array]],
+        *,
+        thermometer: bool,
+        timed: bool = False,
     ) -> None:
         self.name, self.channels = name, tuple(channels)
         self.thermometer, self.timed = thermometer, timed
@@ -44,12 +48,12 @@ class RecordedReadings:
         self.sha256: str | None = None
         self._blocks = blocks
 
-    def blocks(self) -> Iterator[tuple[int, Array]]:
-        """Yield the first row of each block, and its values."""
+    def blocks(self) -> Iterator[tuple[int, Sequence[Array]]]:
+        """Yield the first row of each block, and the values of each column."""
         self.rows = 0
         for values in self._blocks:
-            self.rows += values.shape[1]
-            yield self.rows - values.shape[1], values
+            self.rows += len(values[0])
+            yield self.rows - len(values[0]), values
 
     @contextmanager
     def stored(self) -> Iterator[StoredRows]:
@@ -99,7 +103,7 @@ def recorded_readings(
         where = locate_readings(reader, channels, named, unit, others)
         columns = [where[role] for role in (*channels, TEMPERATURE, TIME) if role in where]
         blocks = (
-            np.stack([block.values[index] for index in columns])
+            [block.values[index] for index in columns]
             for block in reader.rows(sorted(set(columns)), where.get(TIME), needs_time=needs_time)
         )
         record = RecordedReadings(reader.name, channels, blocks, thermometer=TEMPERATURE in where, timed=TIME in where)

@@ -233,7 +233,7 @@ def _choices(readings: Rows, stuck: Sequence[Span], windows: Sequence[int]) -> I
         with StoredRows(1) as scatter:
             stillest = Stillest(len(readings))
             for piece in window_scatter(readings, stuck, window):
-                scatter.append(piece[None])
+                scatter.append([piece])
                 stillest.add(piece[np.isfinite(piece) & (piece > 0.0)])
             noise = stillest.result()
             if noise is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from tempfile import SpooledTemporaryFile, gettempdir
 from types import TracebackType
 
@@ -45,8 +45,8 @@ class StoredRows:
     def __len__(self) -> int:
         return self._rows
 
-    def append(self, values: Array) -> None:
-        """Store the next rows, shape (columns, n).
+    def append(self, values: Sequence[Array]) -> None:
+        """Store the next rows, shape (n,) of each column.
 
         Raises
         ------
@@ -55,22 +55,22 @@ class StoredRows:
         """
         try:
             self._file.seek(0, 2)
-            self._file.write(values.T.tobytes())
+            self._file.write(np.stack(values, axis=1).tobytes())
         except OSError as failure:
             raise UsageError(
                 f"the rows of the log cannot be kept in {gettempdir()}: {failure.strerror}; make room there, or name "
                 "another folder in TMPDIR"
             ) from failure
-        self._rows += values.shape[1]
+        self._rows += len(values[0])
 
     def __getitem__(self, rows: slice) -> Array:
         """Return some rows, shape (n, shown), each column contiguous."""
         return np.asfortranarray(self._read(*rows.indices(self._rows)[:2])[:, : self._shown])
 
-    def blocks(self) -> Iterator[Array]:
-        """Yield all rows, shape (columns, n)."""
+    def blocks(self) -> Iterator[Sequence[Array]]:
+        """Yield all rows, shape (n,) of each column."""
         for start in range(0, self._rows, _ROWS):
-            yield np.ascontiguousarray(self._read(start, min(start + _ROWS, self._rows)).T)
+            yield list(np.ascontiguousarray(self._read(start, min(start + _ROWS, self._rows)).T))
 
     def _read(self, start: int, end: int) -> Array:
         size = 8 * self._columns
