@@ -137,7 +137,7 @@ class PulseTrains:
             about = xs[1].rise - x.rise
             if about <= 0:
                 self._clear()
-                raise DeviceFault("two pulses of x rise at one time, or in the wrong order: check the times of the edges")
+                raise DeviceFault("two pulses of x rise at one time, or in wrong order: check the times of the edges")
             if y.centre - x.centre > about / 2:
                 xs.popleft()
                 continue
