@@ -234,6 +234,12 @@ class LibraryKernel:
         known = np.isfinite(time)
         if known.any():
             first = float(time[known.argmax()])
+            if self._start is not None and first - self._start > _FIRST_MOMENT:
+                raise InputError(
+                    "the times are dates, or count seconds since 1970: leave out --start, which is for a log that counts "
+                    "from its own beginning",
+                    file=self._log,
+                )
             if not _FIRST_MOMENT < first < _LAST_MOMENT:
                 raise InputError(
                     f"the time {first:g} is not a date and no count of seconds since 1970: state when the log began "
