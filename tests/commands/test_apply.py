@@ -245,7 +245,7 @@ class TestRefusals:
 
     def test_a_result_is_not_compensated_again(self) -> None:
         once = apply("cal.yaml", "log.csv").stdout_bytes
-        assert "column 'g_x' already" in refused(apply("cal.yaml", "-", stdin=once), UsageError)
+        assert "standard input has a column 'g_x' already" in refused(apply("cal.yaml", "-", stdin=once), UsageError)
 
     def test_an_absent_log(self) -> None:
         assert "cannot read none.csv" in refused(apply("cal.yaml", "none.csv"), UsageError)

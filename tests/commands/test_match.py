@@ -303,6 +303,16 @@ class TestRefusals:
         assert said in refused(match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml"), EstimateError)
         assert not (tmp_path / "p.yaml").exists()
 
+    def test_a_speed_that_changes_takes_the_stage_angle(self, tmp_path: Path) -> None:
+        slow, fast = (disk.record(seconds=80, rate=20, spin=spin) for spin in (0.1, 0.2))
+        time = np.concatenate([slow.time, 80.0 + fast.time])
+        theta, readings = (
+            np.concatenate([getattr(one, name) for one in (slow, fast)]) for name in ("theta", "readings")
+        )
+        path = disk.Record(time, theta, readings).write(tmp_path / "two-speeds.csv")
+        said = refused(match(path, *PAIR), EstimateError)
+        assert said.endswith("without --phase the stage must turn at one speed")
+
     def test_an_angle_in_radians_is_asked_about(self, tmp_path: Path) -> None:
         taken = disk.record(seconds=80, rate=20)
         path = disk.Record(taken.time, np.deg2rad(taken.theta), taken.readings).write(tmp_path / "radians.csv")

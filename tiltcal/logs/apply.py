@@ -284,7 +284,7 @@ class CompensatedLog:
         roles = (*prepared.roles, *(role for role in optional if role in named or role in log.names))
         where = locate_columns(log, prepared.channels, named, roles)
         vectors = {role: _locate_vector(log, role, names) for role, names in prepared.vectors.items()}
-        require_free(log.names, prepared.columns)
+        require_free(log, prepared.columns)
         channels = tuple(where[channel] for channel in prepared.channels)
         for channel, unit in prepared.units.items():
             require_unit(log, [where[channel]], unit)

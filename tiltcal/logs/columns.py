@@ -66,7 +66,9 @@ def named_columns(
     named: dict[str, str] = {}
     for role, column in _pairs(columns, roles[0]) if isinstance(columns, str) else columns.items():
         if role not in roles:
-            raise UsageError(f"--columns: there is no role {role!r}{_suggestion(role, roles)}")
+            raise UsageError(
+                f"--columns: there is no role {role!r}{_suggestion(role, roles)}; the roles are {', '.join(roles)}"
+            )
         if role in named:
             raise UsageError(f"--columns: {role} is named twice")
         named[role] = str(column)

@@ -239,10 +239,10 @@ class LogWriter(ABC):
         """
 
 
-def require_free(names: Sequence[str], added: Sequence[str]) -> None:
+def require_free(log: LogReader, added: Sequence[str]) -> None:
     """Raise UsageError for columns of a name that the log has already."""
-    taken = [name for name in added if name in names]
+    taken = [name for name in added if name in log.names]
     if taken:
         raise UsageError(
-            f"the log has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
+            f"{log.name} has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
         )

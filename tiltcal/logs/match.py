@@ -135,7 +135,7 @@ def match_log(
     is_file = isinstance(data, str | Path)
     with (
         open_log(data, skip_bad_rows=skip_bad_rows, digest=is_file, live=online, progress=progress) as log,
-        _explained(log),
+        _explained(log, phase),
     ):
         observers = [observer for observer in (watch, spectrum) if observer is not None]
         found = demodulate_log(log, channels, phase, observers=observers, say=say, live=online)
@@ -164,8 +164,8 @@ def match_log(
 
 
 @contextmanager
-def _explained(log: LogReader) -> Iterator[None]:
-    """Put the log's name in front of why it cannot be matched, and what to do where Ctrl-C came too early."""
+def _explained(log: LogReader, phase: str | None) -> Iterator[None]:
+    """Put the log's name in front of why it cannot be matched, and behind it what else to do."""
     try:
         yield
     except (EstimateError, InputError) as refusal:
@@ -173,5 +173,6 @@ def _explained(log: LogReader) -> Iterator[None]:
         if log.interrupted:
             raise Stopped(f"interrupted, and nothing is written: {why}; let the stream run for longer") from None
         if isinstance(refusal, EstimateError):
-            raise EstimateError(why) from refusal
+            steady = "" if phase else "; without --phase the stage must turn at one speed"
+            raise EstimateError(why + steady) from refusal
         raise
