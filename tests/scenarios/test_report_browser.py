@@ -64,12 +64,15 @@ def test_a_page_that_fetches_and_complains_would_be_seen(tmp_path: Path) -> None
 MEASURE = """<script>
 const wide = [...document.querySelectorAll("table")].filter(
   (table) => table.getBoundingClientRect().right > document.querySelector("main").getBoundingClientRect().right + 1);
-document.title = `${document.querySelectorAll("table").length} tables, ${wide.length} too wide`;
+const page = document.documentElement;
+document.title = `${document.querySelectorAll("table").length} tables, ${wide.length} too wide, ` +
+  `${page.scrollWidth - page.clientWidth} beyond the window`;
 </script>"""
 
 
+@pytest.mark.parametrize("window", [1200, 500])
 @pytest.mark.parametrize("name", ["rotation", "temperature-sweep", "free", "fleet"])
-def test_no_table_is_wider_than_the_page(name: str, tmp_path: Path) -> None:
+def test_no_table_is_wider_than_the_page(name: str, window: int, tmp_path: Path) -> None:
     page, source = tmp_path / "report.html", FIXTURES / f"{name}.yaml"
     if name == "fleet":
         source = tmp_path / name
@@ -80,9 +83,9 @@ def test_no_table_is_wider_than_the_page(name: str, tmp_path: Path) -> None:
     assert run(["report", str(source), "-o", str(page)]) == 0
     text = re.sub("<meta http-equiv=.Content-Security-Policy.[^>]*>", "", page.read_text(encoding="utf-8"))
     page.write_text(text + MEASURE, encoding="utf-8")
-    options = [*QUIET, f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1200,900", "--dump-dom"]
+    options = [*QUIET, f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={window},900", "--dump-dom"]
     done = subprocess.run(
         [str(CHROMIUM), *options, page.as_uri()], capture_output=True, text=True, timeout=60, check=False
     )
     (title,) = re.findall("<title>(.*?)</title>", done.stdout)
-    assert re.fullmatch(r"\d+ tables, 0 too wide", title)
+    assert re.fullmatch(r"\d+ tables, 0 too wide, 0 beyond the window", title)
