@@ -266,6 +266,10 @@ class Calibration:
     def __hash__(self) -> int:
         return hash(dump_calibration(self.record))
 
+    def __repr__(self) -> str:
+        sensor = self.sensor
+        return f"<Calibration of {sensor.model} {sensor.serial}: {', '.join(sensor.channels)} in {sensor.unit}>"
+
     def __str__(self) -> str:
         return "\n".join([summary(self.record), *mounting_lines(self.record)])
 

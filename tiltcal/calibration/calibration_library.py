@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import date
 from difflib import get_close_matches
 from functools import cached_property
 from itertools import groupby
@@ -23,6 +23,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
 from tiltcal.files.moments import moment
+from tiltcal.stated_numbers import require_from_zero
 
 FLEET = 50
 """Most other sensors that are read to estimate how far one wanders."""
@@ -50,6 +51,9 @@ class CalibrationLibrary:
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self._histories: dict[str, SensorHistory] = {}
+
+    def __repr__(self) -> str:
+        return f"<CalibrationLibrary of {self.folder}>"
 
     @cached_property
     def index(self) -> FolderIndex:
@@ -90,19 +94,20 @@ class CalibrationLibrary:
         stated : float, optional
             The standard deviation of the offset's change in one day, mg, in place of an estimate.
         """
+        require_from_zero("--stability", stated)
         history = self.history(serial)
         if stated is not None:
             return stated_stability(history, stated)
         return estimated_stability(history, [history, *self._fleet(history)])
 
-    def at(self, serial: str, time: str | datetime, *, stability: float | None = None) -> Calibration:
+    def at(self, serial: str, time: str | date, *, stability: float | None = None) -> Calibration:
         """Return the calibration of a sensor at a time: between two of them, or the nearest one.
 
         Parameters
         ----------
         serial : str
-        time : str or datetime
-            ISO 8601; UTC where it names no zone.
+        time : str, datetime or date
+            As text in ISO 8601; UTC where it names no zone.
         stability : float, optional
             The standard deviation of the offset's change in one day, mg, in place of an estimate.
 
@@ -113,8 +118,7 @@ class CalibrationLibrary:
         InputError
             The time is not one, a file is wrong, or two contradict each other.
         """
-        when = moment(time) if isinstance(time, str) else time if time.tzinfo else time.replace(tzinfo=UTC)
-        return calibration_at(self.history(serial), when.timestamp(), self.stability(serial, stability))
+        return calibration_at(self.history(serial), moment(time).timestamp(), self.stability(serial, stability))
 
     def apply(
         self,
@@ -122,7 +126,7 @@ class CalibrationLibrary:
         *,
         serial: str | None = None,
         stability: float | None = None,
-        start: str | None = None,
+        start: str | date | None = None,
         **options: Any,
     ) -> Any:
         """Turn the raw readings of a frame into tilt, as ``tiltcal apply --calibrations`` does with a log.
@@ -135,8 +139,8 @@ class CalibrationLibrary:
             Of the sensor; else that of the frame's attributes, or of its column names (``SERIAL_x``).
         stability : float, optional
             The standard deviation of the offset's change in one day, mg, in place of an estimate.
-        start : str, optional
-            When the time of the frame is 0, ISO 8601, where its time is relative.
+        start : str or datetime, optional
+            When the time of the frame is 0, as text in ISO 8601, where its time is relative.
         **options
             Those of :meth:`Calibration.apply`.
 

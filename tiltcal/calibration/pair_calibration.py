@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,13 +53,17 @@ class PairCalibration:
         """Return the matched sums and the gradient signal of readings in arrays."""
         return PairCompensation(self.matchings, self.phase)
 
-    def apply(self, frame: Any) -> Any:
+    def apply(self, frame: Any, *, columns: Mapping[str, str] | str = "", **options: Any) -> Any:
         """Add the matched sum of each pair to a frame and, with both pairs, the gradient signal.
 
         Parameters
         ----------
         frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
             A column for each accelerometer by its name in the pairs, and for the stage angle in degrees.
+        columns : mapping of str to str, or str
+            The column of each of them, such as ``{"a1": "Q1"}``; without it, the column of its name.
+        **options
+            Those of :meth:`Calibration.apply`, all of which are for tilt: one that is given is refused.
 
         Returns
         -------
@@ -69,13 +73,13 @@ class PairCalibration:
         Raises
         ------
         UsageError
-            The frame is of no known kind, or has a column of a name that the result needs.
+            The frame is of no known kind, or has a column of a name that the result needs; or an option is for tilt.
         InputError
             A column is not there or holds no numbers.
         """
         from tiltcal.logs.apply import apply_frame
 
-        return apply_frame(self, frame)
+        return apply_frame(self, frame, columns=columns, **options)
 
     def save(self, path: str | Path) -> None:
         """Write the pair file, whole or not at all.
@@ -105,6 +109,10 @@ class PairCalibration:
 
     def __hash__(self) -> int:
         return hash(dump_pair(self.record))
+
+    def __repr__(self) -> str:
+        pairs = ", ".join(f"{matching.pair.first} and {matching.pair.second}" for matching in self.matchings)
+        return f"<PairCalibration of {pairs}>"
 
     def __str__(self) -> str:
         return "\n\n".join(pair_summary(matching) for matching in self.matchings)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
 
 from tiltcal.errors import InputError
 
 
-def moment(text: str, path: str | Path | None = None) -> datetime:
-    """Return a moment in ISO 8601, UTC where it names no zone; an InputError where it is none."""
+def moment(text: str | date, path: str | Path | None = None) -> datetime:
+    """Return a moment in ISO 8601, or one of Python; UTC where it names no zone. An InputError where it is none."""
     try:
-        found = datetime.fromisoformat(text)
+        found = datetime.fromisoformat(str(text))
     except ValueError:
-        raise InputError(f"{text!r} is no date: write it as 2026-05-01T12:00:00Z", file=path) from None
+        raise InputError(f"{str(text)!r} is no date: write it as 2026-05-01T12:00:00Z", file=path) from None
     if found.tzinfo is UTC:
         return found
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)

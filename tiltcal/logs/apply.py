@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from datetime import date
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,7 +57,7 @@ def apply_log(
     mounting: Mapping[str, float] | str = "",
     serial: str | None = None,
     stability: float | None = None,
-    start: str | None = None,
+    start: str | date | None = None,
     magnetometer: Sequence[str] | str = (),
     velocity: Sequence[str] | str = (),
     declination: float | None = None,
@@ -91,8 +92,8 @@ def apply_log(
         With a folder: of the sensor; else that of the log's metadata, or of its column names (``SERIAL_x``).
     stability : float, optional
         With a folder: the standard deviation of the offset's change in one day, mg, in place of an estimate.
-    start : str, optional
-        With a folder: when the time of the log is 0, ISO 8601, where its time is relative.
+    start : str or datetime, optional
+        With a folder: when the time of the log is 0, as text in ISO 8601, where its time is relative.
     magnetometer : sequence of str, or str
         The three columns of the magnetic field, such as ``"mx,my,mz"``: adds ``heading``, degrees.
     velocity : sequence of str, or str

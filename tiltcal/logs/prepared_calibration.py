@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,7 +39,7 @@ class ApplyOptions:
     mounting: Mapping[str, float] | str = ""
     serial: str | None = None
     stability: float | None = None
-    start: str | None = None
+    start: str | date | None = None
     magnetometer: Sequence[str] | str = ()
     velocity: Sequence[str] | str = ()
     declination: float | None = None

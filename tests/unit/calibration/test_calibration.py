@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import FIXTURES
 
 from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.calibration.pair_calibration import PairCalibration
@@ -69,6 +70,11 @@ def test_text_has_every_coefficient_with_its_uncertainty_and_unit(calibration: C
     assert "sensitivity yx -6.4 ± 0.2 count/g" in lines
 
 
+def test_at_a_prompt_it_is_named_in_a_line(calibration: Calibration) -> None:
+    assert repr(calibration) == "<Calibration of sca100t-d02 S-0042: x, y in count>"
+    assert repr(read(FIXTURES / "rotation.yaml")) == "<PairCalibration of a1 and a2, a3 and a4>"
+
+
 def test_saved_file_reads_back_equal(calibration: Calibration, tmp_path: Path) -> None:
     calibration.save(tmp_path / "copy.yaml")
     again = read(tmp_path / "copy.yaml")
@@ -81,7 +87,7 @@ def test_saved_file_reads_back_equal(calibration: Calibration, tmp_path: Path) -
 
 
 def test_file_of_pairs_is_read_as_pairs() -> None:
-    pair = read(Path(__file__).parents[3] / "fixtures" / "rotation.yaml")
+    pair = read(FIXTURES / "rotation.yaml")
     assert isinstance(pair, PairCalibration)
     assert str(pair).startswith("a1 and a2, orthogonal a4")
 

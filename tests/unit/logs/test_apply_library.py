@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -284,6 +284,27 @@ def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no column 'time'"):
         library.apply(frame, serial="A")
     assert library.apply(frame, serial="A", start=stamp(0.0))["reason"].tolist() == [0, 0]
+
+
+@pytest.mark.parametrize(
+    "time",
+    ["2026-01-02", date(2026, 1, 2), datetime(2026, 1, 2), np.datetime64("2026-01-02"), START + timedelta(days=1)],
+)
+def test_moments_of_every_kind(time: Any, tmp_path: Path) -> None:
+    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(4, (1010, 1000))))
+    assert library.at("S-1", time).offset["x"] == pytest.approx(1002.5)
+    at_zero = {"time": [0.0], "x": [1100.0], "y": [1000.0]}
+    assert library.apply(at_zero, start=time)["g_x"] == pytest.approx([(1100.0 - 1002.5) / SCALE], abs=1e-6)
+
+
+def test_what_is_no_moment_and_no_stability(tmp_path: Path) -> None:
+    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000))))
+    for time in (5, None, "soon"):
+        with pytest.raises(InputError, match="is no date: write it as"):
+            library.at("S-1", time)  # type: ignore[arg-type]
+    for stability in (-1.0, np.nan, "1"):
+        with pytest.raises(UsageError, match="--stability takes a number from 0, not"):
+            library.at("S-1", stamp(0), stability=stability)  # type: ignore[arg-type]
 
 
 def test_rows_before_the_first_time_have_that_time(tmp_path: Path) -> None:

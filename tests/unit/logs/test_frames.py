@@ -18,6 +18,7 @@ import xarray
 from support import FIXTURES
 
 from tiltcal.calibration.calibration import Calibration, read
+from tiltcal.calibration.pair_calibration import PairCalibration
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.apply import apply_frame, apply_log
 from tiltcal.logs.compensation_kernel import RoleValues
@@ -278,6 +279,25 @@ class TestMeans:
         note = np.ma.masked_array(["a", "b"], mask=[True, False])
         found = apply_frame(calibration, READINGS | {"temperature": [20.0, 20.0], "note": note}, average=2)
         assert found["note"].tolist() == [None]
+
+
+class TestPairs:
+    READINGS: ClassVar[dict[str, list[float]]] = {
+        "theta": [0.0, 90.0],
+        **{f"a{number}": [0.1 * number, 0.2 * number] for number in (1, 2, 3, 4)},
+    }
+
+    def test_columns_of_other_names(self) -> None:
+        pairs = read(FIXTURES / "rotation.yaml")
+        assert isinstance(pairs, PairCalibration)
+        renamed = {{"a1": "Q1"}.get(name, name): column for name, column in self.READINGS.items()}
+        found, expected = pairs.apply(renamed, columns={"a1": "Q1"}), pairs.apply(self.READINGS)
+        assert found["matched_a1_a2"].tolist() == expected["matched_a1_a2"].tolist()
+
+    @pytest.mark.parametrize("option", [{"uncertainty": True}, {"average": 2}, {"mounting": "roll=180"}])
+    def test_what_is_for_tilt(self, option: dict[str, Any]) -> None:
+        with pytest.raises(UsageError, match="is for tilt calibrations; the calibration is of pairs"):
+            read(FIXTURES / "rotation.yaml").apply(self.READINGS, **option)
 
 
 class TestRefusals:
