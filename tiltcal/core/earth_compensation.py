@@ -102,7 +102,8 @@ class EarthFrameCompensation:
             if given is not None:
                 missing |= ~np.isfinite(given).reshape(len(given), -1).all(axis=1)
         mark(chunk.out, missing & (chunk.out.flag < MISSING), FAIL, NOT_A_NUMBER)
-        mark(chunk.out, ~missing & np.isfinite(up[0]) & ~np.isfinite(frame.heading), FAIL, MAGNETIC)
+        without = ~missing & ~np.isfinite(frame.heading)
+        mark(chunk.out, without & (np.isfinite(up[0]) | (chunk.out.flag < FAIL)), FAIL, MAGNETIC)
         rows = [] if field is None else [full_circle(np.degrees(frame.heading), 360.0)]
         instrument = None
         if velocity is not None:

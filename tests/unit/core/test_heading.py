@@ -190,6 +190,10 @@ class TestFlags:
         found = row(level(up=[[-1.0, 0.0, 0.0]], heading=[10.0]))
         assert found == pytest.approx((FAIL, MAGNETIC, nan, nan, -1.0), nan_ok=True)
 
+    def test_no_heading_where_nothing_points_up(self) -> None:
+        found = row(level(up=[[0.0, 0.0, 0.0]]))
+        assert found == pytest.approx((FAIL, MAGNETIC, nan, nan, nan, nan), nan_ok=True)
+
     def test_no_heading_where_the_field_is_vertical_or_nothing(self) -> None:
         for field in ([0.0, 0.0, -45.0], [0.0, 0.0, 0.0]):
             found = row(level(magnetometer=[field]))
