@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from tiltcal.cli import options
-from tiltcal.errors import NEGATIVE_VERDICT, UsageError
+from tiltcal.cli.talk import remark
+from tiltcal.errors import NEGATIVE_VERDICT, InputError, TiltcalError, UsageError
 from tiltcal.files.document import KINDS, checked_kind, read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.node import Node
@@ -22,9 +23,9 @@ from tiltcal.files.provenance_record import FileRecord
 def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     """Check calibration files, procedures, twins and journals.
 
-    Exit code 2 if a file is wrong; the message names file, line and key. Exit code 1 if a file is readable, but has a
-    negative verdict: an interrupted journal, a calibration that the journal beside it does not give, or a fit whose
-    chi-square is not credible.
+    Exit code 2 if a file is wrong; the message names file, line and key, and the other files are checked too. Exit code
+    1 if a file is readable, but has a negative verdict: an interrupted journal, a calibration that the journal beside
+    it does not give, or a fit whose chi-square is not credible.
     """
     if schema is not None:
         if paths:
@@ -35,14 +36,23 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
         return 0
     if not paths:
         raise UsageError("check needs a FILE, or --schema KIND; see tiltcal check --help")
-    results = []
+    results, wrong = [], 0
     for path in paths:
-        kind, findings = _checked(path)
+        try:
+            kind, findings = _checked(path)
+        except TiltcalError as problem:
+            if len(paths) == 1:
+                raise
+            remark(str(problem))
+            wrong += 1
+            continue
         results.append({"file": str(path), "kind": kind, "findings": findings})
         if not as_json:
             options.print_judged(f"{path}: {kind}, " + ("; ".join(findings) if findings else "good"))
     if as_json:
         options.print_judged(options.json_text(results, 2))
+    if wrong:
+        raise InputError(f"{wrong} of {len(paths)} files are wrong")
     return NEGATIVE_VERDICT if any(result["findings"] for result in results) else 0
 
 
