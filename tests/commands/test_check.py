@@ -22,6 +22,7 @@ PLANE = (FIXTURES / "plane.yaml").read_text(encoding="utf-8")
         ("  journal: {name: plane.journal.jsonl", "  journal: {name: [plane]", "provenance.journal.name: text"),
         ("  journal: {name: plane.journal.jsonl", f"  journal: {{name: {'a' * 300}", ""),
         ("  journal: {name: plane.journal.jsonl", '  journal: {name: "a\\0b"', "control character '\\x00'"),
+        ('  ended: "2000', '  ended: "2000-13', "is no date: write it as"),
     ],
 )
 def test_wrong_records_are_named(tmp_path: Path, old: str, new: str, says: str) -> None:
@@ -31,6 +32,33 @@ def test_wrong_records_are_named(tmp_path: Path, old: str, new: str, says: str) 
     assert "Traceback" not in result.stderr
     assert says in result.stderr
     assert result.returncode == (2 if says else 0), result.stdout
+
+
+@pytest.mark.parametrize(
+    ("angles", "says"),
+    [
+        ("roll: 180, pitch: -90, yaw: -180", ""),
+        ("roll: 200", "calibration.mounting.roll: 200.0 is too large; it must be at most 180"),
+        ("yaw: -181", "calibration.mounting.yaw: -181 is too small; it must be at least -180"),
+        ("pitch: 91", "calibration.mounting.pitch: 91.0 is too large; it must be at most 90"),
+    ],
+)
+def test_a_mounting_has_the_ranges_of_the_option(tmp_path: Path, angles: str, says: str) -> None:
+    text = PLANE.replace("\nuncertainty:", f"\n  mounting: {{{angles}}}\nuncertainty:", 1).partition("\nprovenance")[0]
+    (tmp_path / "plane.yaml").write_text(text, encoding="utf-8")
+    result = tiltcal("check", "plane.yaml", cwd=tmp_path)
+    assert says in result.stderr
+    assert result.returncode == (2 if says else 0), result.stderr
+
+
+def test_a_wrong_file_does_not_hide_the_others(tmp_path: Path) -> None:
+    (tmp_path / "wrong.yaml").write_text("tiltcal: 1\nkind: bench\n", encoding="utf-8")
+    good = FIXTURES / "plane.yaml"
+    result = tiltcal("check", "wrong.yaml", good, "--json", cwd=tmp_path)
+    assert [(entry["file"], entry["findings"]) for entry in json.loads(result.stdout)] == [(str(good), [])]
+    assert "wrong.yaml:1: the key 'sensors' is missing" in result.stderr
+    assert "1 of 2 files are wrong" in result.stderr
+    assert result.returncode == 2
 
 
 def test_a_schema_is_printed_without_files_alone() -> None:

@@ -12,12 +12,9 @@ from tiltcal.core.model import Mounting
 from tiltcal.core.uncertainty_inputs import is_turn
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.coefficients import ANGLES, in_degrees
+from tiltcal.files.coefficients import ANGLES, LARGEST_ANGLES, in_degrees
 from tiltcal.files.uncertainty import Covariance
 from tiltcal.stated_numbers import is_number, shown
-
-REACH = {"roll": 180.0, "pitch": 90.0, "yaw": 180.0}
-"""The largest size of each angle, degrees."""
 
 
 def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
@@ -32,10 +29,9 @@ def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
     for name, angle in named.items():
         if name not in ANGLES:
             raise UsageError(f"--mounting: there is no angle {name!r}; the angles are {', '.join(ANGLES)}, in degrees")
-        if not is_number(angle) or abs(angle) > REACH[name]:
-            raise UsageError(
-                f"--mounting: {name} is between -{REACH[name]:g} and {REACH[name]:g} degrees, not {shown(angle)}"
-            )
+        largest = LARGEST_ANGLES[name]
+        if not is_number(angle) or abs(angle) > largest:
+            raise UsageError(f"--mounting: {name} is between -{largest:g} and {largest:g} degrees, not {shown(angle)}")
     return Mounting(**{name: radians(angle) for name, angle in named.items()})
 
 

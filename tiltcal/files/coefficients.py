@@ -17,7 +17,10 @@ ORDER_LIMIT = 6
 CHANNELS = ByChannel(Number())
 """A number for some channels of a sensor."""
 
-ANGLES = ("roll", "pitch", "yaw")
+LARGEST_ANGLES = {"roll": 180.0, "pitch": 90.0, "yaw": 180.0}
+"""The largest size of each angle of a mounting, degrees."""
+
+ANGLES = tuple(LARGEST_ANGLES)
 
 _SINGULAR = 1e-9
 """Smallest over largest singular value below which a sensitivity matrix has no inverse worth its name."""
@@ -63,13 +66,18 @@ class ThermalSection:
     )
 
 
+def _angle(name: str) -> Number:
+    largest = LARGEST_ANGLES[name]
+    return Number(minimum=-largest, maximum=largest, says=f"{{found}} is too large; it must be at most {largest:g}")
+
+
 @frozen(kw_only=True)
 class MountingSection:
     """``calibration.mounting`` as it stands in a file."""
 
-    roll: float = entry(Number(), "degrees", default=0.0, kept=True)
-    pitch: float = entry(Number(), "degrees", default=0.0, kept=True)
-    yaw: float = entry(Number(), "degrees", default=0.0, kept=True)
+    roll: float = entry(_angle("roll"), "degrees, -180 to 180", default=0.0, kept=True)
+    pitch: float = entry(_angle("pitch"), "degrees, -90 to 90", default=0.0, kept=True)
+    yaw: float = entry(_angle("yaw"), "degrees, -180 to 180", default=0.0, kept=True)
 
 
 @frozen(kw_only=True)

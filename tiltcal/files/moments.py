@@ -6,6 +6,8 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from tiltcal.errors import InputError
+from tiltcal.files.declaration import Context, Converted, Text
+from tiltcal.files.node import Node
 
 
 def moment(text: str | date, path: str | Path | None = None) -> datetime:
@@ -27,3 +29,12 @@ def stamp(moment: datetime) -> str:
 def to_the_second(moment: datetime) -> str:
     """Return a moment as text; it is in UTC."""
     return f"{moment:%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _checked(text: str, node: Node, _context: Context) -> str:
+    node.converted(moment, text)
+    return text
+
+
+MOMENT = Converted(Text(), _checked)
+"""A moment in a file, kept as its text."""

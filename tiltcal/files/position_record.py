@@ -20,6 +20,7 @@ from tiltcal.files.declaration import (
     Text,
     entry,
 )
+from tiltcal.files.moments import MOMENT
 from tiltcal.files.node import Node
 from tiltcal.frozen import frozen
 
@@ -106,7 +107,7 @@ class PositionRecord:
         Integer(minimum=0), "samples that were far off the others, and were left out or taken again", default=None
     )
     temperature: float | None = entry(Number(), "°C", default=None)
-    time: str | None = entry(Text(), "when it was measured, UTC", default=None)
+    time: str | None = entry(MOMENT, "when it was measured, UTC", default=None)
     rows: tuple[tuple[int, int], ...] | None = entry(
         RowRanges(), "its rows `[first, end]` of the log, the end exclusive", default=None
     )

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from hashlib import sha256
 
 from tiltcal.files.declaration import FROM_ZERO, ByName, Integer, ListOf, Section, Text, entry
+from tiltcal.files.moments import MOMENT
 from tiltcal.frozen import frozen
 
 VIRTUAL = "the virtual bench: no real sensor was measured"
@@ -87,8 +88,8 @@ class Provenance:
         Section(SegmentsRecord), "the segments: `name` and `sha256`, or how they were `found`", default=None
     )
     software: str | None = entry(Text(), "program and version", default=None)
-    started: str | None = entry(Text(), "when the session began, UTC", default=None)
-    ended: str | None = entry(Text(), "when the session ended, UTC", default=None)
+    started: str | None = entry(MOMENT, "when the session began, UTC", default=None)
+    ended: str | None = entry(MOMENT, "when the session ended, UTC", default=None)
     journal: FileRecord | None = entry(Section(FileRecord), "the journal: `name`, `sha256`", default=None)
     link_statistics: Mapping[str, int] | None = entry(
         ByName(Integer(minimum=0)),
@@ -118,8 +119,8 @@ class PairProvenance:
     software: str | None = entry(Text(), "program and version", default=None)
     log: LogRecord | None = entry(Section(LogRecord), "the log: `name`, `rows`, `missing`, `sha256`", default=None)
     stage_angle: str | None = entry(Text(), "how the stage angle was found, where it was estimated", default=None)
-    started: str | None = entry(Text(), "when the session began, UTC", default=None)
-    ended: str | None = entry(Text(), "when the session ended, UTC", default=None)
+    started: str | None = entry(MOMENT, "when the session began, UTC", default=None)
+    ended: str | None = entry(MOMENT, "when the session ended, UTC", default=None)
     journal: FileRecord | None = entry(Section(FileRecord), "the journal: `name`, `sha256`", default=None)
     link_statistics: Mapping[str, Mapping[str, int]] | None = entry(
         ByName(ByName(Integer(minimum=0))),

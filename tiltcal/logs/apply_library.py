@@ -236,8 +236,8 @@ class LibraryKernel:
             first = float(time[known.argmax()])
             if self._start is not None and first - self._start > _FIRST_MOMENT:
                 raise InputError(
-                    "the times are dates, or count seconds since 1970: leave out --start, which is for a log that counts "
-                    "from its own beginning",
+                    "the times are dates, or count seconds since 1970: leave out --start, which is for times that "
+                    "count from the beginning of the log",
                     file=self._log,
                 )
             if not _FIRST_MOMENT < first < _LAST_MOMENT:

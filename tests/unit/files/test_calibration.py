@@ -265,7 +265,8 @@ def calibrations(draw: st.DrawFn) -> CalibrationRecord:
     order = draw(st.integers(0, 6))
     table = np.array(draw(st.lists(finite, min_size=n * order, max_size=n * order))).reshape(n, order)
     thermal = Thermal(draw(finite), draw(st.none() | ranges), table, table[:, : order // 2])
-    mounting = Mounting(*(radians(draw(degrees)) for _ in range(3)))
+    roll, pitch, yaw = (radians(draw(degrees)) for _ in range(3))
+    mounting = Mounting(roll, pitch / 2.0, yaw)
     tilt = {axis: (radians(-draw(degrees.map(abs))), radians(90.0)) for axis in axes[:n]}
     return CalibrationRecord(
         sensor=SensorIdentity(draw(serials), draw(serials), draw(serials), channels),

@@ -356,7 +356,7 @@ class TestRefusals:
             apply_frame(calibration, READINGS, columns={"x": "VoutX"})
 
     def test_a_role_that_is_none(self, calibration: Calibration) -> None:
-        with pytest.raises(UsageError, match="there is no role 'X' .*; the roles are x, y, temperature, time"):
+        with pytest.raises(UsageError, match=r"there is no role 'X' .*; the roles are x, y, temperature, time"):
             apply_frame(calibration, READINGS, columns={"X": "x"})
 
     @pytest.mark.parametrize("frame", [{**READINGS, "x": ["a", "b"]}, pl.DataFrame({**READINGS, "x": ["a", "b"]})])
