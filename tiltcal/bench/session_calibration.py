@@ -107,11 +107,11 @@ def changes_in_words(calibration: CalibrationRecord) -> str:
     first, last = calibration.positions[0], calibration.positions[-1]
     coefficients, unit = calibration.coefficients, calibration.sensor.unit
     parts = []
-    for row, channel in enumerate(coefficients.channels):
+    for channel in coefficients.channels:
         change = last.mean[channel] - first.mean[channel]
         u = hypot((first.u or {}).get(channel, 0.0), (last.u or {}).get(channel, 0.0))
-        sensitivity = abs(float(coefficients.sensitivity[row, coefficients.axes.index(channel)]))
-        parts.append(f"{channel} {change:+.3g} ± {2 * u:.2g} {unit} ({1000 * change / sensitivity:+.2g} mg)")
+        milligravity = 1000 * change / abs(coefficients.own_sensitivity(channel))
+        parts.append(f"{channel} {change:+.3g} ± {2 * u:.2g} {unit} ({milligravity:+.2g} mg)")
     return f"{calibration.sensor.serial}: back in {first.position} the readings have changed by {', '.join(parts)}"
 
 

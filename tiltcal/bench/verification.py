@@ -174,10 +174,10 @@ def _noise(calibration: CalibrationRecord, measurement: Measurement, whole: bool
     """Standard uncertainty of a tilt from that of the mean readings, degrees: the largest of all channels."""
     coefficients = calibration.coefficients
     largest = 0.0
-    for row, channel in enumerate(coefficients.channels):
+    for channel in coefficients.channels:
         if channel not in coefficients.axes or channel not in AXES:
             continue
-        own = abs(float(coefficients.sensitivity[row, coefficients.axes.index(channel)]))
+        own = abs(coefficients.own_sensitivity(channel))
         # Of three axes the direction is judged, whose error does not grow where one axis nears the vertical.
         slope = 1.0 if whole else max(sqrt(1.0 - min(measurement.gravity[AXES.index(channel)] ** 2, 1.0)), _STEEP)
         largest = max(largest, degrees(measurement.summaries[channel].u / own / slope))

@@ -147,8 +147,8 @@ def _of_local_gravity(calibration: CalibrationRecord, gravity: float) -> Calibra
     """Add the main sensitivities per m/s² and, for readings in m/s², by how much they are off."""
     coefficients = calibration.coefficients
     own = {
-        channel: float(coefficients.sensitivity[row, coefficients.axes.index(channel)]) / gravity
-        for row, channel in enumerate(coefficients.channels)
+        channel: coefficients.own_sensitivity(channel) / gravity
+        for channel in coefficients.channels
         if channel in coefficients.axes
     }
     u = {channel: calibration.uncertainty[f"sensitivity.{channel}.{channel}"] / gravity for channel in own}

@@ -108,8 +108,7 @@ def _remarks(coefficients: Coefficients) -> Iterator[str]:
     for channel, axis in takes.items():
         if axis != channel and takes.get(axis) != channel:
             yield f"channel {channel} answers to axis {axis} more than to its own: look at the wiring or --columns"
-        own = float(coefficients.sensitivity[coefficients.channels.index(channel), axes.index(channel)])
-        if axis == channel and own < 0.0:
+        if axis == channel and coefficients.own_sensitivity(channel) < 0.0:
             yield f"the sign of {channel} is turned: it reads less where +{channel} points up; look at how it sits"
 
 

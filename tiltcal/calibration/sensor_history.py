@@ -155,10 +155,10 @@ class SensorHistory:
 def stated_stability(history: SensorHistory, milligravity: float) -> Stability:
     """Return a stated stability: the offset wanders by so many mg in a day, as a standard deviation."""
     coefficients = history.calibrations[-1].record.coefficients
-    walks = {}
-    for i, channel in enumerate(coefficients.channels):
-        own = coefficients.sensitivity[i, coefficients.axes.index(channel)]
-        walks[f"offset.{channel}"] = RandomWalk(float((own * milligravity / 1000.0) ** 2), inf)
+    walks = {
+        f"offset.{channel}": RandomWalk((coefficients.own_sensitivity(channel) * milligravity / 1000.0) ** 2, inf)
+        for channel in coefficients.channels
+    }
     return Stability(walks, walks, "as stated")
 
 

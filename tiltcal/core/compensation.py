@@ -422,11 +422,9 @@ def linearise(signal: Array, coefficients: Coefficients) -> None:
     """
     if coefficients.nonlinearity is None:
         return
-    for i, (row, channel, shares) in enumerate(
-        zip(signal, coefficients.channels, coefficients.nonlinearity, strict=True)
-    ):
+    for row, channel, shares in zip(signal, coefficients.channels, coefficients.nonlinearity, strict=True):
         if shares.any():
-            own = coefficients.sensitivity[i, coefficients.axes.index(channel)]
+            own = coefficients.own_sensitivity(channel)
             target = row / own
             a = target.copy()
             for _ in range(NEWTON_STEPS):

@@ -108,6 +108,10 @@ class Coefficients:
         shares = [] if self.nonlinearity is None else [self.nonlinearity]
         return np.hstack([self.offset[:, None], self.sensitivity, *thermal, *shares])
 
+    def own_sensitivity(self, channel: str) -> float:
+        """Return the sensitivity of a channel along its own axis, unit/g."""
+        return float(self.sensitivity[self.channels.index(channel), self.axes.index(channel)])
+
     def predict(self, gravity: Array, temperature: Array | None = None) -> Array:
         """Compute the readings that the model expects, shape (n, channels), in the unit of the offset.
 
@@ -122,8 +126,7 @@ class Coefficients:
         readings = np.asarray(gravity, dtype=float)[:, columns] @ self.sensitivity.T
         if self.nonlinearity is not None:
             for i, (channel, shares) in enumerate(zip(self.channels, self.nonlinearity, strict=True)):
-                own = self.sensitivity[i, self.axes.index(channel)]
-                readings[:, i] *= 1.0 + polynomial(shares, readings[:, i] / own)
+                readings[:, i] *= 1.0 + polynomial(shares, readings[:, i] / self.own_sensitivity(channel))
         if self.thermal is not None and temperature is not None:
             dt = np.asarray(temperature, dtype=float) - self.thermal.reference
             for i, (drift, gain) in enumerate(zip(self.thermal.drift, self.thermal.gain, strict=True)):

@@ -131,13 +131,13 @@ def _plot_drift(figure: Figure, fleet: ModelFleet) -> None:
             coefficients = history.calibrations[-1].record.coefficients
             if series is None or len(series[0]) < 2 or channel not in coefficients.axes:
                 continue
-            own = coefficients.sensitivity[coefficients.channels.index(channel), coefficients.axes.index(channel)]
+            own = coefficients.own_sensitivity(channel)
             _, values, u = series
             dates: list[datetime] = [calibration.date for calibration in history.calibrations]
             panel.errorbar(
                 dates,
                 1000.0 * (values - values[0]) / own,
-                yerr=1000.0 * u / abs(float(own)),
+                yerr=1000.0 * u / abs(own),
                 color=colour,
                 marker=mark,
                 markersize=2.5,

@@ -82,8 +82,7 @@ def _angle_above(panel: Axes, calibration: CalibrationRecord, channel: str) -> N
     coefficients = calibration.coefficients
     if channel not in coefficients.axes:
         return
-    own = float(coefficients.sensitivity[coefficients.channels.index(channel), coefficients.axes.index(channel)])
-    per_unit = degrees(1.0 / own)
+    per_unit = degrees(1.0 / coefficients.own_sensitivity(channel))
     above = panel.secondary_xaxis("top", functions=(partial(mul, per_unit), partial(mul, 1.0 / per_unit)))
     above.spines["top"].set_visible(True)
     above.spines["top"].set_linewidth(0.4)
