@@ -1,4 +1,4 @@
-"""Text that a terminal may be given."""
+"""Text for a person."""
 
 from __future__ import annotations
 
@@ -6,3 +6,8 @@ from __future__ import annotations
 def printable(text: str) -> str:
     """Return a text whose control characters, which could be escape sequences, are question marks."""
     return "".join(character if character.isprintable() or character == "\n" else "?" for character in text)
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun: ``1 row``, ``2 rows``."""
+    return f"{count} {noun}{'s' * (count != 1)}"

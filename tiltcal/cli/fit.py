@@ -10,7 +10,7 @@ import click
 from tiltcal.cli import options
 from tiltcal.cli.talk import progress_bar, remark
 from tiltcal.errors import UsageError
-from tiltcal.files.atomic import check_writable, require_apart
+from tiltcal.files.atomic import check_writable
 
 if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration
@@ -84,8 +84,7 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
     if segments_out is not None and (not determines.free or settings["table"] or settings["segments"] is not None):
         raise UsageError(FOUND_ONLY)
     for path in filter(None, (output, segments_out)):
-        check_writable(path)
-        require_apart(path, log, *filter(None, [settings["segments"]]))
+        check_writable(path, log, *filter(None, [settings["segments"]]))
     with progress_bar("fit") as progress:
         calibration = fit(procedure, log, say=remark, progress=progress, **settings)
     calibration.save(output)

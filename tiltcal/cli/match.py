@@ -76,14 +76,13 @@ def command(
 
     With --online, Ctrl-C ends the stream, and the estimates until then are the result.
     """
-    from tiltcal.files.atomic import check_writable, require_apart
+    from tiltcal.files.atomic import check_writable
     from tiltcal.logs.match import match_log, pairs_of
     from tiltcal.report.pair_figures import draw_matching
 
     wanted = pairs_of(_triples(pairs, orthogonals))
     for path in filter(None, (output, figure)):
-        check_writable(path)
-        require_apart(path, log)
+        check_writable(path, log)
     with progress_bar("match") as progress:
         found = match_log(log, wanted, spectra=figure is not None, say=remark, progress=progress, **settings)
     drawing = _drawing(found)

@@ -80,7 +80,7 @@ def command(
     `measure --samples` is the smallest that meets --target and --target-range, or without a target the largest that is
     worth its time. Degrees are those of an axis near level.
     """
-    from tiltcal.files.atomic import check_writable, require_apart
+    from tiltcal.files.atomic import check_writable
     from tiltcal.logs.noise import NoiseFacts, characterise_readings
     from tiltcal.logs.noise_summary import NoiseTarget
     from tiltcal.report.noise_figure import draw_noise
@@ -94,15 +94,14 @@ def command(
     wanted = NoiseTarget(target, target_range)
     facts.require_scale(wanted)
     if figure is not None:
-        check_writable(figure)
-        require_apart(figure, *(path for path in (log, calibration) if path is not None))
+        check_writable(figure, *(path for path in (log, calibration) if path is not None))
     interrupted = False
     with ExitStack() as stack:
         called = None
         if address is not None:
             from tempfile import TemporaryDirectory
 
-            from tiltcal.bench.session_plan import single
+            from tiltcal.bench.device_setup import single
             from tiltcal.cli.record import missing, record_bench
 
             path = output or Path(stack.enter_context(TemporaryDirectory(prefix="tiltcal-"))) / "recorded"

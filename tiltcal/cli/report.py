@@ -63,13 +63,12 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
     InputError
         A file is wrong; the message names file and line.
     """
-    from tiltcal.files.atomic import check_writable, require_apart, write_whole
+    from tiltcal.files.atomic import check_writable, write_whole
     from tiltcal.files.calibration_folder import SUFFIXES
     from tiltcal.report.page import require_extra
 
     require_extra()
-    check_writable(output)
-    require_apart(output, *files)
+    check_writable(output, *files)
     if len(files) == 1 and os.path.isdir(files[0]):
         from tiltcal.cli.history import read_history
         from tiltcal.report.fleet_page import fleet_page

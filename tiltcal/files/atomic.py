@@ -50,16 +50,26 @@ def write_whole(path: str | Path, text: str) -> None:
         stream.write(text.encode(errors="replace"))  # names of files may be other than UTF-8
 
 
-def check_writable(path: str | Path) -> None:
+def check_writable(path: str | Path, *read: str | Path) -> None:
     """Check, before anything is measured, that a file can be written.
 
     A file is made in the folder and removed: permission bits alone do not show a read-only disk.
+
+    Parameters
+    ----------
+    read : str or Path
+        Files that the command reads, which it must not replace.
 
     Raises
     ------
     UsageError
         The folder is not there, is no folder or takes no file, or the target is a folder or may not be replaced.
     """
+    _check_place(path)
+    require_apart(path, *read)
+
+
+def _check_place(path: str | Path) -> None:
     target = Path(os.path.realpath(path))
     folder = target.parent
     if os.path.isdir(target):

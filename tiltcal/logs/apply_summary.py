@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tiltcal.core.flags import FLAGS, REASONS, count_flags
 from tiltcal.core.model import Array
 from tiltcal.logs.log import Table
+from tiltcal.printable import counted
 
 _CODES = 1 << 15
 """Sign, exponent and the seven leading bits of the mantissa: neighbours are a per cent apart."""
@@ -119,7 +120,7 @@ class ApplySummary:
 
     def as_text(self) -> str:
         """Return the counts in words, one line for each."""
-        lines = [_counted(self.rows, "row")]
+        lines = [counted(self.rows, "row")]
         for serial, summary in (self.sensors or {"": self}).items():
             lead = f"{serial} " if serial else ""
             lines += [
@@ -133,7 +134,7 @@ class ApplySummary:
                 if summary.reasons[bit]
             ]
         if self.bad_rows:
-            lines.append(f"  {_counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
+            lines.append(f"  {counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
         if self.widths:
             lines.append(f"  median (largest) {', '.join(_told(name, width) for name, width in self.widths.items())}")
         return "\n".join(lines)
@@ -144,7 +145,3 @@ def _told(name: str, widths: ColumnWidths) -> str:
         return f"{name} none"
     unit = "" if name.startswith("U95_v_") else "°"
     return f"{name} {widths.median:.2g}{unit} ({widths.largest:.2g}{unit})"
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'s' * (count != 1)}"

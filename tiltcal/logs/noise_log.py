@@ -10,6 +10,7 @@ from tiltcal.core.noise.characterise import FEWEST_SAMPLES, ChannelNoise, Charac
 from tiltcal.core.noise.disturbances import RowRange
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.logs.uniform_sampling import SamplingInterval, UniformLog
+from tiltcal.printable import counted
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,8 @@ class NoiseLog:
             begin, end = self.seconds(self.stuck)
             said.append(f"the readings hung from {begin:.4g} to {end:.4g} s: no channel changed, as if it were stuck")
         if self.pace.gaps:
-            said.append(f"{_counted(self.pace.gaps, 'gap')} in its times, {_counted(self.pace.lost, 'row')} long")
-        said += [f"{channel} is missing in {_counted(count, 'row')}" for channel, count in self.missing.items()]
+            said.append(f"{counted(self.pace.gaps, 'gap')} in its times, {counted(self.pace.lost, 'row')} long")
+        said += [f"{channel} is missing in {counted(count, 'row')}" for channel, count in self.missing.items()]
         said += [
             f"{channel}: no sum of white noise, flicker noise, random walk and drift follows its Allan deviation; a "
             "vibration may be in it, or a filter"
@@ -137,7 +138,3 @@ def _require_noise(found: Characteriser, place: int, channel: str, file: str) ->
             "the noise is far below the step of the reading, and no averaging helps)",
             file=file,
         )
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'s' * (count != 1)}"
