@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 from support.json_program import Event, ProgramSession, lead
 
+from tiltcal.bench.device_setup import single
 from tiltcal.bench.operators.operator import Live, OperatorAnswer
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.sensor_set import Sample, SensorSet
 from tiltcal.bench.session import Session
-from tiltcal.bench.session_plan import plan_session, single
+from tiltcal.bench.session_plan import plan_session
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure import Position
 from tiltcal.files.procedure_file import find_procedure

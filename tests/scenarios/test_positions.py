@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 from support.command import measure, tiltcal
 
+from tiltcal.bench.device_setup import single
 from tiltcal.bench.operators.operator import Live, OperatorAnswer
 from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.session import Session
-from tiltcal.bench.session_plan import plan_session, single
+from tiltcal.bench.session_plan import plan_session
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal

@@ -70,7 +70,7 @@ def procedure(draw: Random) -> None:
 
 @target(share=80)
 def bench(draw: Random) -> None:
-    from tiltcal.bench.session_plan import known_bench
+    from tiltcal.bench.device_setup import known_bench
     from tiltcal.files.document import read_document
 
     Path("b.yaml").write_bytes(damaged_yaml(draw, BENCH))

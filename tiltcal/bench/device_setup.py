@@ -1,4 +1,4 @@
-"""One device of a session: its model, where it is connected, and how it sits."""
+"""The devices of a bench: the model of each, where it is connected, and how it sits."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model
+from tiltcal.errors import UsageError
+from tiltcal.files.bench import BENCH, BenchFile, BenchSensor, BenchThermometer
+from tiltcal.files.document import checked_kind
 from tiltcal.files.journal_header import DeviceHeader
+from tiltcal.files.node import Node, require_printable
 
 
 @dataclass(frozen=True)
 class DeviceSetup:
-    """One device of a plan.
+    """One device of a session.
 
     Attributes
     ----------
@@ -52,3 +56,47 @@ class DeviceSetup:
         """Return the setup of a device as a journal's header has it."""
         turned = STRAIGHT if device.axes is None else orientation(device.axes)
         return cls(device.model, device.serial, device.address, device.output, turned)
+
+
+def known_bench(document: Node) -> BenchFile:
+    """Return the bench of a document; its models must be known, and their addresses be right.
+
+    Raises
+    ------
+    InputError
+        Anything in it is wrong; the message names file, line and key.
+    """
+    bench, entries = BENCH.read(checked_kind(document, "bench")), document.entries()
+    devices: list[tuple[BenchSensor | BenchThermometer, Node]] = [
+        *zip(bench.sensors, entries["sensors"].items(), strict=True)
+    ]
+    if bench.thermometer is not None:
+        devices.append((bench.thermometer, entries["thermometer"]))
+    for device, node in devices:
+        try:
+            if isinstance(device, BenchThermometer):
+                _thermometer(device)
+            else:
+                find_model(device.model).at(parse_address(device.address))
+        except UsageError as failure:
+            raise node.error(str(failure)) from None
+    return bench
+
+
+def devices_of(bench: BenchFile) -> tuple[tuple[DeviceSetup, ...], DeviceSetup | None]:
+    """Return the devices of a bench where no calibration is made: its sensors, and its thermometer."""
+    sensors = tuple(DeviceSetup(s.model, s.serial, s.address, orientation=s.orientation) for s in bench.sensors)
+    return sensors, None if bench.thermometer is None else _thermometer(bench.thermometer)
+
+
+def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:
+    """Return a bench of one sensor, which needs no file."""
+    require_printable(serial, None, None, "the serial number")
+    return BenchFile((BenchSensor(serial, model, address),), jig=jig)
+
+
+def _thermometer(thermometer: BenchThermometer) -> DeviceSetup:
+    device = DeviceSetup(thermometer.model, "thermometer", thermometer.address)
+    if not device.model.thermometer:
+        raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
+    return device

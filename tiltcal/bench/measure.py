@@ -11,12 +11,12 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from tiltcal.bench.device_setup import DeviceSetup
+from tiltcal.bench.device_setup import DeviceSetup, known_bench, single
 from tiltcal.bench.operators.selection import open_operator
 from tiltcal.bench.sensor_set import open_device
 from tiltcal.bench.session import Session, SessionResult
 from tiltcal.bench.session_calibration import changes_in_words
-from tiltcal.bench.session_plan import SessionPlan, known_bench, plan_session, single
+from tiltcal.bench.session_plan import SessionPlan, plan_session
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.level import NO_LEVEL, level_summary
@@ -319,11 +319,7 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
     if plan.procedure.determines.completes:
         return
     if plan.procedure.rotation is not None:
-        from tiltcal.bench.channel_map import map_channels
-
-        for why in map_channels(
-            plan.procedure.rotation, [(sensor.serial, sensor.model) for sensor in plan.sensors]
-        ).left_out:
+        for why in plan.channel_map(plan.procedure.rotation).left_out:
             remark(why)
         if len(plan.sensors) > 1:
             remark("several devices are read one after the other: the delay of one, times 2 pi f, goes into q")

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from tiltcal.bench.channel_map import map_channels
-from tiltcal.bench.session_plan import require_in_range
 from tiltcal.calibration.prediction import (
     PredictedMounting,
     PredictedUncertainty,
     predict,
     predict_mounting,
-    require_tilt,
+    require_in_range,
 )
 from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.core.pair.model import Pair
@@ -134,7 +133,6 @@ def plan(
     if steps.rotation is not None:
         channels = map_channels(steps.rotation, [("", model)])
         return PlannedRotation(channels.pairs, steps.rotation.turns, channels.left_out)
-    require_tilt(steps, model)
     require_in_range(steps, model, based=own is not None)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)

@@ -17,23 +17,6 @@ from tiltcal.files.procedure import Position
 
 
 @dataclass(frozen=True)
-class SessionSettings:
-    """The settings of a procedure that a session may change.
-
-    Attributes
-    ----------
-    samples : int
-        Per position.
-    settle, soak : float
-        Windows over which reading, and temperature, must hold still, seconds.
-    """
-
-    samples: int
-    settle: float
-    soak: float
-
-
-@dataclass(frozen=True)
 class PositionResult:
     """A measured position.
 

@@ -95,6 +95,12 @@ class SensorSet:
         """The models of the same sensors."""
         return tuple(sensor.model for sensor in self.sensors)
 
+    @property
+    def _devices(self) -> list[tuple[str, Sensor]]:
+        """What is read for a sample, by name: the sensors that were not given up, and the thermometer last."""
+        devices = [(sensor.serial, sensor.sensor) for sensor in self.sensors]
+        return devices if self._thermometer is None else [*devices, (self.THERMOMETER, self._thermometer)]
+
     def listen(self, listener: Listener) -> None:
         """Pass every sample that :meth:`read` takes from here on to a listener."""
         self._listeners.append(listener)
@@ -114,13 +120,12 @@ class SensorSet:
         """
         if fresh:
             self.discard()
-        readings = []
-        for sensor in self.sensors:
-            with self._named(sensor.serial):
-                readings.append(sensor.sensor.read())
+        readings: list[Reading] = []
+        for name, device in self._devices:
+            with self._named(name):
+                readings.append(device.read())
         if self._thermometer is not None:
-            with self._named(self.THERMOMETER):
-                temperature = self._thermometer.read().temperature
+            temperature = readings.pop().temperature
             readings = [replace(reading, temperature=temperature) for reading in readings]
         for listener in self._listeners:
             listener(self.by_serial(readings))
@@ -138,17 +143,15 @@ class SensorSet:
         fresh : bool
             Whether what the sensors sent before is dropped first, and again after the wait for one that fails.
         """
-        devices = [(sensor.serial, sensor.sensor) for sensor in self.sensors]
-        if self._thermometer is not None:
-            devices.append((self.THERMOMETER, self._thermometer))
+        devices = self._devices
         for _, device in devices if fresh else ():
             with suppress(HardwareError):  # its reading fails as well, and says why
                 device.discard()
         readings: list[Reading | None] = []
         reasons: list[str] = []
-        for serial, device in devices:
+        for name, device in devices:
             try:
-                with self._named(serial):
+                with self._named(name):
                     if fresh and reasons:
                         device.discard()
                     readings.append(device.read())
@@ -169,12 +172,9 @@ class SensorSet:
         SensorError
             One of them failed.
         """
-        for sensor in self.sensors:
-            with self._named(sensor.serial):
-                sensor.sensor.discard()
-        if self._thermometer is not None:
-            with self._named(self.THERMOMETER):
-                self._thermometer.discard()
+        for name, device in self._devices:
+            with self._named(name):
+                device.discard()
 
     def succeeded(self) -> None:
         """Note a success: failures from here on count anew."""

@@ -25,7 +25,7 @@ from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError
-from tiltcal.files.atomic import check_writable, require_apart, write_whole
+from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
 
@@ -186,10 +186,10 @@ class Session:
                 f"the journal names {self._outside[0]}, outside its own folder: say with -o where the calibration goes"
             )
         ended = self.journal is not None and self.journal.end is not None
-        for path in self.outputs if ended else (*self.outputs, self.path):
-            check_writable(path)
         for path in self.outputs:
-            require_apart(path, self.path)
+            check_writable(path, self.path)
+        if not ended:
+            check_writable(self.path)
         lines: dict[str, ModbusLine] = {}
         for device in () if ended else self.plan.devices:
             with closing(open_device(device, self._virtual, lines)) as link:
@@ -265,11 +265,10 @@ class Session:
 
     def _match(self, rotation: Rotation, opened: _OpenSession, operator: RotationOperator) -> SessionResult:
         """Let the stage turn, and match its pairs."""
-        from tiltcal.bench.channel_map import map_channels
         from tiltcal.bench.rotation_runner import RotationRunner, pair_calibration
 
         plan = self.plan
-        channels = map_channels(rotation, [(device.serial, device.model) for device in plan.sensors])
+        channels = plan.channel_map(rotation)
         runner = RotationRunner(rotation, channels, opened.sensors, operator, opened.log, opened.clock)
         turned = runner.run(plan.procedure.title)
         opened.log.ask("write", operator.confirm_write, self.outputs)

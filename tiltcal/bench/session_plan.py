@@ -10,28 +10,44 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tiltcal
-from tiltcal.bench.device_setup import DeviceSetup
-from tiltcal.bench.position_result import SessionSettings
-from tiltcal.calibration.prediction import require_tilt
-from tiltcal.core.orientation import STRAIGHT, Orientation
-from tiltcal.drivers import find_model
+from tiltcal.bench.device_setup import DeviceSetup, devices_of
+from tiltcal.calibration.prediction import require_in_range
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.device import Model
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.base_calibration import BASE, BaseFile
-from tiltcal.files.bench import BENCH, BenchFile, BenchSensor, BenchThermometer
-from tiltcal.files.document import checked_kind
+from tiltcal.files.bench import BenchFile
 from tiltcal.files.journal import Journal
 from tiltcal.files.moments import stamp
-from tiltcal.files.node import Node, require_printable
+from tiltcal.files.node import require_printable
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure, procedure_from_record, shipped_procedures
 
+if TYPE_CHECKING:
+    from tiltcal.bench.channel_map import ChannelMap
+    from tiltcal.files.rotation import Rotation
+
 VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
 """When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""
+
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """The settings of a procedure that a session may change.
+
+    Attributes
+    ----------
+    samples : int
+        Per position.
+    settle, soak : float
+        Windows over which reading, and temperature, must hold still, seconds.
+    """
+
+    samples: int
+    settle: float
+    soak: float
 
 
 @dataclass(frozen=True)
@@ -85,6 +101,18 @@ class SessionPlan:
     def virtual(self) -> bool:
         """Whether every device is a virtual twin; the clock is virtual then too."""
         return all(parse_address(device.address).simulated for device in self.devices)
+
+    def channel_map(self, rotation: Rotation) -> ChannelMap:
+        """Return which readings of the sensors are the channels of a turning stage.
+
+        Raises
+        ------
+        UsageError
+            No stage angle, or not one pair has its channels.
+        """
+        from tiltcal.bench.channel_map import map_channels
+
+        return map_channels(rotation, [(device.serial, device.model) for device in self.sensors])
 
     def require_as_begun(self, stated: Mapping[str, object]) -> None:
         """Refuse to continue the session with other settings than it began with.
@@ -260,17 +288,13 @@ def plan_session(
     scale = 1.0 if settle is None else settle / procedure.settle
     for path in filter(None, (journal, *outputs)):
         require_printable(str(path), None, None, "the name of a file")
-    sensors = tuple(_device(sensor, output, journal) for sensor, output in zip(bench.sensors, outputs, strict=True))
-    if procedure.rotation is not None:
-        from tiltcal.bench.channel_map import map_channels
-
-        map_channels(procedure.rotation, [(device.serial, device.model) for device in sensors])
-    for device in sensors if procedure.rotation is None else ():
-        require_tilt(procedure, device.model)
-        require_in_range(procedure, device.model, device.orientation, based=device.serial in (bases or {}))
+    sensors, thermometer = devices_of(bench)
     plan = SessionPlan(
         procedure=procedure,
-        sensors=sensors,
+        sensors=tuple(
+            replace(sensor, output="" if output is None else os.path.relpath(output, journal.parent))
+            for sensor, output in zip(sensors, outputs, strict=True)
+        ),
         settings=SessionSettings(
             samples or procedure.samples, settle or procedure.settle, procedure.soak.seconds * scale
         ),
@@ -280,52 +304,21 @@ def plan_session(
         started=VIRTUAL_START,
         software=f"tiltcal {tiltcal.__version__}",
         journal=journal.name,
-        thermometer=None if bench.thermometer is None else _thermometer(bench.thermometer),
+        thermometer=thermometer,
         thermometer_uncertainty=None if bench.thermometer is None else bench.thermometer.uncertainty,
         table=bench.table,
         heading=bench.heading,
         bases=bases or {},
         typical=typical,
     )
+    if procedure.rotation is not None:
+        plan.channel_map(procedure.rotation)
+    else:
+        for device in plan.sensors:
+            require_in_range(procedure, device.model, device.orientation, based=device.serial in plan.bases)
     if typical:
         _require_population(plan)
     return plan if plan.virtual else replace(plan, started=_to_the_millisecond(datetime.now(UTC)))
-
-
-def known_bench(document: Node) -> BenchFile:
-    """Return the bench of a document; its models must be known, and their addresses be right.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
-    """
-    bench, entries = BENCH.read(checked_kind(document, "bench")), document.entries()
-    devices: list[tuple[BenchSensor | BenchThermometer, Node]] = [
-        *zip(bench.sensors, entries["sensors"].items(), strict=True)
-    ]
-    if bench.thermometer is not None:
-        devices.append((bench.thermometer, entries["thermometer"]))
-    for device, node in devices:
-        try:
-            find_model(device.model).at(parse_address(device.address))
-            if isinstance(device, BenchThermometer):
-                _thermometer(device)
-        except UsageError as failure:
-            raise node.error(str(failure)) from None
-    return bench
-
-
-def devices_of(bench: BenchFile) -> tuple[tuple[DeviceSetup, ...], DeviceSetup | None]:
-    """Return the devices of a bench where no calibration is made: its sensors, and its thermometer."""
-    sensors = tuple(DeviceSetup(s.model, s.serial, s.address, orientation=s.orientation) for s in bench.sensors)
-    return sensors, None if bench.thermometer is None else _thermometer(bench.thermometer)
-
-
-def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:
-    """Return a bench of one sensor, which needs no file."""
-    require_printable(serial, None, None, "the serial number")
-    return BenchFile((BenchSensor(serial, model, address),), jig=jig)
 
 
 def _require_population(plan: SessionPlan) -> None:
@@ -342,49 +335,6 @@ def _require_population(plan: SessionPlan) -> None:
             raise UsageError(
                 f"no source states how a {device.model_name} behaves over temperature on average: measure it"
             )
-
-
-def _device(sensor: BenchSensor, output: Path | None, journal: Path) -> DeviceSetup:
-    relative = "" if output is None else os.path.relpath(output, journal.parent)
-    return DeviceSetup(sensor.model, sensor.serial, sensor.address, relative, sensor.orientation)
-
-
-def _thermometer(thermometer: BenchThermometer) -> DeviceSetup:
-    device = DeviceSetup(thermometer.model, "thermometer", thermometer.address)
-    if not device.model.thermometer:
-        raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
-    return device
-
-
-def require_in_range(
-    procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT, *, based: bool = False
-) -> None:
-    """Refuse positions that a model can only answer with its rail, and a sensitivity that is not stated.
-
-    Parameters
-    ----------
-    based : bool
-        A base calibration states the sensitivity.
-
-    Raises
-    ------
-    UsageError
-    """
-    if not (model.scaled or based or procedure.determines.axes or procedure.determines.completes):
-        raise UsageError(
-            f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
-            "address (sensitivity=..., unit per g), or name the sensor's calibration (--base)"
-        )
-    for position in procedure.positions:
-        gravity = orientation.seen(position.gravity)
-        for channel in model.channels:
-            expected = model.offset + model.sensitivity * gravity["xyz".index(channel)]
-            if not model.rails[0] < expected < model.rails[1]:
-                hint = "; a smaller --tilt brings it in range" if procedure.angle is not None else ""
-                raise UsageError(
-                    f"position {position.name} is outside the range of {model.name}: {channel} would read about "
-                    f"{expected:.5g} {model.unit}, between {model.rails[0]:g} and {model.rails[1]:g} it can{hint}"
-                )
 
 
 def _to_the_millisecond(moment: datetime) -> datetime:

@@ -282,3 +282,35 @@ def require_tilt(procedure: Procedure, model: Model) -> None:
             f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
             "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
         )
+
+
+def require_in_range(
+    procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT, *, based: bool = False
+) -> None:
+    """Refuse a device that reads no tilt, positions beyond its rails, and a sensitivity that is not stated.
+
+    Parameters
+    ----------
+    based : bool
+        A base calibration states the sensitivity.
+
+    Raises
+    ------
+    UsageError
+    """
+    require_tilt(procedure, model)
+    if not (model.scaled or based or procedure.determines.axes or procedure.determines.completes):
+        raise UsageError(
+            f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
+            "address (sensitivity=..., unit per g), or name the sensor's calibration (--base)"
+        )
+    for position in procedure.positions:
+        gravity = orientation.seen(position.gravity)
+        for channel in model.channels:
+            expected = model.offset + model.sensitivity * gravity["xyz".index(channel)]
+            if not model.rails[0] < expected < model.rails[1]:
+                hint = "; a smaller --tilt brings it in range" if procedure.angle is not None else ""
+                raise UsageError(
+                    f"position {position.name} is outside the range of {model.name}: {channel} would read about "
+                    f"{expected:.5g} {model.unit}, between {model.rails[0]:g} and {model.rails[1]:g} it can{hint}"
+                )

@@ -68,7 +68,7 @@ def _checked(path: Path) -> tuple[str, list[str]]:
     if kind in ("tilt", "pair"):
         return _of_calibration(path, document)
     if kind == "bench":
-        from tiltcal.bench.session_plan import known_bench
+        from tiltcal.bench.device_setup import known_bench
 
         known_bench(document)
         return kind, []

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import click
 
+from tiltcal.bench.device_setup import devices_of, known_bench, single
 from tiltcal.bench.event_log import EventLog
 from tiltcal.bench.recording import CsvRecorder, RecordingTally, header, record
 from tiltcal.bench.sensor_set import connected, open_device
-from tiltcal.bench.session_plan import VIRTUAL_START, devices_of, known_bench, single
+from tiltcal.bench.session_plan import VIRTUAL_START
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark

@@ -64,10 +64,11 @@ def command(
     if every tilt error is within the limit with it added, failed if one is beyond the limit with it subtracted, else
     not decided. Exit code 1 unless passed.
     """
+    from tiltcal.bench.device_setup import single
     from tiltcal.bench.measure import free_journal
     from tiltcal.bench.operators.selection import open_operator
     from tiltcal.bench.session import Session
-    from tiltcal.bench.session_plan import plan_session, single
+    from tiltcal.bench.session_plan import plan_session
     from tiltcal.bench.verification import PASSED
 
     judged = read_calibration(calibration)

@@ -30,7 +30,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn
 from tiltcal.core.detection import TEMPERATURES
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from tiltcal.bench.position_result import PositionResult
     from tiltcal.core.pair.matching import Matching, PairCoefficients
     from tiltcal.core.pair.model import Pair
+
+T = TypeVar("T")
 
 ROTATION = "rotation"
 """The ask of a turning stage, and what its refusals belong to."""
@@ -80,15 +82,25 @@ class _Rig:
             method({"event": event, **fields})
 
     def _ask(self, ask: Mapping[str, Any], words: Sequence[str], about: str) -> OperatorAnswer:
-        """Ask until there is an answer that can be understood."""
+        """Ask until there is an answer that can be understood, with one of these words."""
         method = self._method(ask["ask"])
+        return self._understood(lambda: _heeded(understood(method(ask), words)), about)
+
+    def _understood(self, answer: Callable[[], T], about: str) -> T:
+        """Return an answer; one that cannot be understood is refused and given again.
+
+        Raises
+        ------
+        Stopped
+            Too many cannot.
+        """
         for _ in range(WRONG_ANSWERS):
             try:
-                return _heeded(understood(method(ask), words))
+                return answer()
             except InputError as error:
                 why = str(error)
                 self._tell("refused", position=about, why=why)
-        raise _not_understood(why)
+        raise Stopped(f"{WRONG_ANSWERS} answers in a row could not be understood, the last because {why}")
 
 
 class RigPositionOperator(_Rig):
@@ -164,14 +176,12 @@ class RigRotationOperator(_Rig):
         look = getattr(self._rig, "poll", None)
         if look is None:
             return None
-        for _ in range(WRONG_ANSWERS):
-            try:
-                said = look()
-                return None if said is None else _heeded(understood(said, WHILE_TURNING))
-            except InputError as error:
-                why = str(error)
-                self.refused(why)
-        raise _not_understood(why)
+
+        def answer() -> OperatorAnswer | None:
+            said = look()
+            return None if said is None else _heeded(understood(said, WHILE_TURNING))
+
+        return self._understood(answer, ROTATION)
 
     def turn_completed(self, turn: StageTurn) -> None:
         remarks: dict[str, Any] = {"unknown": turn.unknown, "left_out": turn.left_out}
@@ -232,10 +242,6 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
         tuple(_number(component, "gravity") for component in gravity) if gravity is not None else None,
         None if temperature is None else _temperature(temperature),
     )
-
-
-def _not_understood(why: str) -> Stopped:
-    return Stopped(f"{WRONG_ANSWERS} answers in a row could not be understood, the last because {why}")
 
 
 def _heeded(answer: OperatorAnswer) -> OperatorAnswer:
