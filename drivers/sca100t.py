@@ -259,38 +259,6 @@ def decode_temperature(frame: bytes) -> float:
     return (frame[1] - 197) / -1.083
 
 
-@dataclass(frozen=True, slots=True)
-class Sca100tVariant:
-    """The constants of one part as delivered; each limit is the largest absolute error.
-
-    Attributes
-    ----------
-    range : float
-        Largest acceleration that is specified, g.
-    offset_limit : float
-        Degrees.
-    nonlinearity : float
-        Typical, over the range, degrees.
-    """
-
-    counts_per_g: float
-    range: float
-    offset_limit: float
-    nonlinearity: float
-    zero: float = float(ZERO)
-
-    @property
-    def population(self) -> Population:
-        """The mean temperature curves of the data sheet."""
-        return population(
-            self.counts_per_g,
-            POPULATION_DRIFT,
-            POPULATION_GAIN,
-            (DRIFT_SPREAD, GAIN_SPREAD),
-            "SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
-        )
-
-
 SENSITIVITY_LIMIT = 0.005
 """Largest relative error of the sensitivity as delivered."""
 CROSS_AXIS_LIMIT = 0.04
@@ -300,14 +268,44 @@ DRIFT_SPREAD = 0.008
 GAIN_SPREAD = 0.014
 """Typical deviation of the sensitivity's slope from the mean of the parts, %/°C."""
 
-POPULATION_DRIFT = (0.0522, -0.0039, 0.0001, -0.0000006)
-"""Mean offset of the parts over temperature, degrees, coefficients of T**0, T**1, ... in °C (datasheet)."""
 
-POPULATION_GAIN = (0.0408, 0.0022, -0.00011)
-"""Mean change of the parts' sensitivity over temperature, %, likewise."""
+@dataclass(frozen=True, slots=True)
+class InclinometerPart:
+    """The constants of one part of the family as delivered.
 
-_D01 = Sca100tVariant(counts_per_g=1638.0, range=0.5, offset_limit=0.11, nonlinearity=0.11)
-_D02 = Sca100tVariant(counts_per_g=819.0, range=1.0, offset_limit=0.23, nonlinearity=0.57)
+    Attributes
+    ----------
+    offset_limit : float
+        Largest offset of either sign, degrees.
+    zero : float
+        Nominal reading at 0 g, count.
+    rails : tuple of float
+        count.
+    """
+
+    title: str
+    channels: tuple[str, ...]
+    counts_per_g: float
+    offset_limit: float
+    population: Population
+    zero: float = float(ZERO)
+    rails: tuple[float, float] = (float(LOWEST_SANE_WORD - 1), float(FULL_SCALE))
+
+
+@dataclass(frozen=True, slots=True)
+class Sca100tPart(InclinometerPart):
+    """The constants of one SCA100T.
+
+    Attributes
+    ----------
+    range : float
+        Largest acceleration that is specified, g.
+    nonlinearity : float
+        Typical, over the range, degrees.
+    """
+
+    range: float = 1.0
+    nonlinearity: float = 0.0
 
 
 def population(
@@ -345,32 +343,56 @@ NOT_MODELLED = (
 )
 
 
-def _model(name: str, title: str, variant: Sca100tVariant) -> Model:
+def inclinometer_model(
+    name: str, part: InclinometerPart, driver: type[Inclinometer], twin_module: str, twin: str
+) -> Model:
+    """Return the model of a part of the family; bus, waits, bandwidth and thermometer are the SCA100T's."""
     return Model(
         name=name,
-        title=title,
-        channels=("x", "y"),
+        title=part.title,
+        channels=part.channels,
         unit="count",
         schemes=("spi",),
         addresses=("spi:///dev/spidev0.0",),
-        offset=variant.zero,
-        sensitivity=variant.counts_per_g,
-        offset_spread=deviation_within(sin(radians(variant.offset_limit))),
+        offset=part.zero,
+        sensitivity=part.counts_per_g,
+        offset_spread=deviation_within(sin(radians(part.offset_limit))),
         sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
-        rails=(float(LOWEST_SANE_WORD - 1), float(FULL_SCALE)),
+        rails=part.rails,
         resolution=1.0,
         # The bandwidth is 8 to 28 Hz: the noise of an earlier sample is not independent.
         interval=0.010,
         thermometer=True,
         thermometer_step=1.0 / 1.083,
-        population=variant.population,
-        driver=Sca100t,
-        twin=from_twin("sca100t", "Sca100tTwin"),
+        population=part.population,
+        driver=driver,
+        twin=from_twin(twin_module, twin),
         not_modelled=NOT_MODELLED,
-        default_truth=from_twin("sca100t", "draw_truth", variant),
+        default_truth=from_twin(twin_module, "draw_truth", part),
         spi=SpiPort(modes=(0, 3), fastest=500_000),
     )
 
 
-D01 = _model("sca100t-d01", "Murata SCA100T-D01 inclinometer, ±30°, SPI", _D01)
-D02 = _model("sca100t-d02", "Murata SCA100T-D02 inclinometer, ±90°, SPI", _D02)
+def _sca100t(
+    variant: str, extent: str, counts_per_g: float, offset_limit: float, range_g: float, nonlinearity: float
+) -> Model:
+    part = Sca100tPart(
+        title=f"Murata SCA100T-{variant} inclinometer, {extent}, SPI",
+        channels=("x", "y"),
+        counts_per_g=counts_per_g,
+        offset_limit=offset_limit,
+        population=population(
+            counts_per_g,
+            (0.0522, -0.0039, 0.0001, -0.0000006),
+            (0.0408, 0.0022, -0.00011),
+            (DRIFT_SPREAD, GAIN_SPREAD),
+            "SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
+        ),
+        range=range_g,
+        nonlinearity=nonlinearity,
+    )
+    return inclinometer_model(f"sca100t-{variant.lower()}", part, Sca100t, "sca100t", "Sca100tTwin")
+
+
+D01 = _sca100t("D01", "±30°", counts_per_g=1638.0, offset_limit=0.11, range_g=0.5, nonlinearity=0.11)
+D02 = _sca100t("D02", "±90°", counts_per_g=819.0, offset_limit=0.23, range_g=1.0, nonlinearity=0.57)

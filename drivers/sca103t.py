@@ -12,26 +12,28 @@ element.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from math import radians, sin
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-from tiltcal.drivers import sca100t
-from tiltcal.drivers.device import Model, Population, deviation_within, from_twin
 from tiltcal.drivers.sca100t import (
+    DRIFT_SPREAD,
+    GAIN_SPREAD,
     LOWEST_SANE_WORD,
     RDAX,
     RDAY,
-    SENSITIVITY_LIMIT,
     STX,
     STY,
     Inclinometer,
+    InclinometerPart,
     Sca100t,
     SelfTest,
     decode_word,
+    inclinometer_model,
     population,
 )
 from tiltcal.errors import DeviceFault, UsageError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.device import Model
 
 HIGHEST_SANE_WORD = 1945
 """Largest reading of an SCA103T; a larger one is a broken connection or a tilt out of range."""
@@ -84,41 +86,13 @@ class Sca103t(Sca100t):
         return word
 
 
-@dataclass(frozen=True, slots=True)
-class OneAxisPart:
-    """The constants of one part.
-
-    Attributes
-    ----------
-    zero : float
-        Nominal reading at 0 g, count.
-    offset_limit : float
-        As delivered, degrees.
-    rails : tuple of float
-        count.
-    """
-
-    title: str
-    counts_per_g: float
-    zero: float
-    offset_limit: float
-    rails: tuple[float, float]
-    population: Population
-
-    @property
-    def differential(self) -> bool:
-        """Whether two elements make the reading."""
-        return self.zero == 0.0
-
-
-def _sca103t(variant: str, extent: str, counts: float, offset_limit: float) -> OneAxisPart:
+def _sca103t(variant: str, extent: str, counts: float, offset_limit: float) -> Model:
     reach = float(HIGHEST_SANE_WORD - LOWEST_SANE_WORD + 1)
-    return OneAxisPart(
+    part = InclinometerPart(
         title=f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, {extent}, SPI",
+        channels=("x",),
         counts_per_g=counts,
-        zero=0.0,
         offset_limit=offset_limit,
-        rails=(-reach, reach),
         # Its offset has no tendency; the slope differs over parts.
         population=population(
             counts,
@@ -127,47 +101,31 @@ def _sca103t(variant: str, extent: str, counts: float, offset_limit: float) -> O
             (0.002, 0.013),
             "SCA103T data sheet 8261700 Rev. A, mean temperature curve of the sensitivity",
         ),
+        zero=0.0,
+        rails=(-reach, reach),
     )
+    return inclinometer_model(f"sca103t-{variant.lower()}", part, Sca103t, "sca103t", "Sca103tTwin")
 
 
-def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> OneAxisPart:
-    return OneAxisPart(
+def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> Model:
+    part = InclinometerPart(
         title=f"VTI (Murata) SCA61T-{variant} one-axis inclinometer, {extent}, SPI",
+        channels=("x",),
         counts_per_g=counts,
-        zero=float(sca100t.ZERO),
         offset_limit=offset_limit,
-        rails=(float(LOWEST_SANE_WORD - 1), float(sca100t.FULL_SCALE)),
         population=population(
             counts,
             (0.0514, -0.0032, 0.0000857, -0.0000005),
             (0.0362, 0.0019, -0.00011),
-            (sca100t.DRIFT_SPREAD, sca100t.GAIN_SPREAD),
+            (DRIFT_SPREAD, GAIN_SPREAD),
             "SCA61T data sheet 8261900, mean temperature curves as a driver quotes them; their spread over parts is "
             "the SCA100T's",
         ),
     )
+    return inclinometer_model(f"sca61t-{variant.lower()}", part, Sca61t, "sca103t", "Sca61tTwin")
 
 
-def _model(name: str, part: OneAxisPart) -> Model:
-    # All that is not of the part is the SCA100T's: bus, waits, bandwidth, thermometer.
-    return replace(
-        sca100t.D01,
-        name=name,
-        title=part.title,
-        channels=("x",),
-        offset=part.zero,
-        sensitivity=part.counts_per_g,
-        offset_spread=deviation_within(sin(radians(part.offset_limit))),
-        sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
-        rails=part.rails,
-        population=part.population,
-        driver=Sca103t if part.differential else Sca61t,
-        twin=from_twin("sca103t", "Sca103tTwin" if part.differential else "Sca61tTwin"),
-        default_truth=from_twin("sca103t", "draw_truth", part),
-    )
-
-
-SCA103T_D04 = _model("sca103t-d04", _sca103t("D04", "±15°", 6554.0, 0.057))
-SCA103T_D05 = _model("sca103t-d05", _sca103t("D05", "±30°", 3277.0, 0.11))
-SCA61T_FAHH1G = _model("sca61t-fahh1g", _sca61t("FAHH1G", "±30°", 1638.0, 0.11))
-SCA61T_FA1H1G = _model("sca61t-fa1h1g", _sca61t("FA1H1G", "±90°", 819.0, 0.23))
+SCA103T_D04 = _sca103t("D04", "±15°", 6554.0, 0.057)
+SCA103T_D05 = _sca103t("D05", "±30°", 3277.0, 0.11)
+SCA61T_FAHH1G = _sca61t("FAHH1G", "±30°", 1638.0, 0.11)
+SCA61T_FA1H1G = _sca61t("FA1H1G", "±90°", 819.0, 0.23)

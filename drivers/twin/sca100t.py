@@ -18,7 +18,6 @@ from tiltcal.drivers.sca100t import (
     SENSITIVITY_LIMIT,
     STX,
     STY,
-    Sca100tVariant,
 )
 from tiltcal.drivers.twin.link import TwinLink
 from tiltcal.drivers.twin.noise import normal, uniform
@@ -27,7 +26,7 @@ from tiltcal.drivers.twin.truth import LEVEL, Polynomial, Truth
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.sca103t import OneAxisPart
+    from tiltcal.drivers.sca100t import InclinometerPart, Sca100tPart
     from tiltcal.drivers.twin.fixture import HeldPose, Vector
     from tiltcal.drivers.twin.truth import Fault
 
@@ -198,7 +197,7 @@ class Push:
         return goal + (self.start - goal) * exp(-elapsed * log(20.0) / typical)
 
 
-def draw_truth(variant: Sca100tVariant, seed: int) -> Truth:
+def draw_truth(part: Sca100tPart, seed: int) -> Truth:
     """Return a plausible part, with errors uniformly distributed within the tolerances of the datasheet.
 
     Parameters
@@ -213,20 +212,20 @@ def draw_truth(variant: Sca100tVariant, seed: int) -> Truth:
     """
     within = part_errors(seed)
     # Each term has half of the tolerance, so that their sum keeps it at the end of the range.
-    half = sin(radians(variant.nonlinearity)) / 2.0
+    half = sin(radians(part.nonlinearity)) / 2.0
     return replace(
-        draw_inclinometer(variant, ("x", "y"), 0.6, seed),
+        draw_inclinometer(part, 0.6, seed),
         nonlinearity={
             channel: (
-                within(half, f"quadratic {channel}") / variant.range**2,
-                within(half, f"cubic {channel}") / variant.range**3,
+                within(half, f"quadratic {channel}") / part.range**2,
+                within(half, f"cubic {channel}") / part.range**3,
             )
             for channel in "xy"
         },
     )
 
 
-def draw_inclinometer(part: Sca100tVariant | OneAxisPart, channels: tuple[str, ...], noise: float, seed: int) -> Truth:
+def draw_inclinometer(part: InclinometerPart, noise: float, seed: int) -> Truth:
     """Draw a part within its tolerances, whose drift and sensitivity follow the data sheet's mean curves.
 
     The thermometer within 2 °C (the data sheets call it untrimmed and give no limit) and the fixture are ours.
@@ -245,7 +244,7 @@ def draw_inclinometer(part: Sca100tVariant | OneAxisPart, channels: tuple[str, .
         noise=noise / part.counts_per_g,
         thermometer=2.0,
     )
-    truth = limits.draw(channels, part.counts_per_g, seed)
+    truth = limits.draw(part.channels, part.counts_per_g, seed)
     _, slope, *higher = recentred(part.population.drift, REFERENCE)
     mean, steepness, *bends = recentred(part.population.gain, REFERENCE)
     return replace(

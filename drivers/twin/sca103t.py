@@ -10,7 +10,7 @@ from tiltcal.drivers.sca100t import FULL_SCALE, RDAX, ZERO
 from tiltcal.drivers.twin.sca100t import POINTS_DOWN, Instant, Sca100tTwin, draw_inclinometer
 
 if TYPE_CHECKING:
-    from tiltcal.drivers.sca103t import OneAxisPart
+    from tiltcal.drivers.sca100t import InclinometerPart
     from tiltcal.drivers.twin.truth import Truth
 
 
@@ -32,6 +32,6 @@ class Sca103tTwin(Sca100tTwin):
         return self._truth.sensitivity["x"]["x"] / 2.0 if up < POINTS_DOWN else 0.75 * FULL_SCALE
 
 
-def draw_truth(part: OneAxisPart, seed: int) -> Truth:
-    """Draw a part with our noise of 0.6 count, 0.8 of a difference."""
-    return draw_inclinometer(part, ("x",), 0.8 if part.differential else 0.6, seed)
+def draw_truth(part: InclinometerPart, seed: int) -> Truth:
+    """Draw a part with our noise of 0.6 count, or 0.8 of a difference, whose nominal zero is 0."""
+    return draw_inclinometer(part, 0.6 if part.zero else 0.8, seed)
