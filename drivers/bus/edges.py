@@ -112,7 +112,7 @@ def open_gpio(address: Address, model: Model) -> GpioLink:
 
 
 class GpioLink:
-    """Both lines of one sensor on one GPIO chip, with the kernel's monotonic timestamps.
+    """Both lines of one sensor on one GPIO chip, with the kernel's monotonic timestamps; see :func:`open_gpio`.
 
     Parameters
     ----------
@@ -122,13 +122,6 @@ class GpioLink:
         Line offsets.
     timeout : float
         Seconds without an edge that are an error.
-
-    Raises
-    ------
-    HardwareError
-        The gpiod package is not installed, or is older than version 2.
-    BusError
-        The lines cannot be requested.
     """
 
     letter = "e"
@@ -155,19 +148,7 @@ class GpioLink:
             self._fail(cause)
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Take the edges that have arrived.
-
-        Parameters
-        ----------
-        out : bytes
-            Unused: nothing is sent over these lines.
-        count : int
-            The largest number of bytes of records to take. With 0, the edges that have arrived are discarded.
-
-        Returns
-        -------
-        bytes
-            At least one record where ``count`` is not 0.
+        """Take the records of edges that have arrived; see :class:`~tiltcal.drivers.bus.link.Link`.
 
         Raises
         ------

@@ -42,7 +42,7 @@ def open_i2c(address: Address, model: Model) -> I2cLink:
 
 
 class I2cLink:
-    """One device on one I2C bus.
+    """One device on one I2C bus; :func:`open_i2c` says what can go wrong.
 
     Each exchange is one transaction with one stop condition at its end, so no other master can interrupt it.
 
@@ -52,13 +52,6 @@ class I2cLink:
         Device node of the bus, such as ``/dev/i2c-1``.
     address : int
         The device's 7-bit address.
-
-    Raises
-    ------
-    HardwareError
-        The smbus2 package is not installed.
-    BusError
-        The bus cannot be opened.
     """
 
     letter = "i"

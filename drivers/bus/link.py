@@ -43,7 +43,7 @@ class Link(Protocol):
         Returns
         -------
         bytes
-            The answer of the device.
+            The answer of the device; of serial lines and edges at least one byte or record where ``count`` is not 0.
 
         Raises
         ------

@@ -96,7 +96,7 @@ def require_line(address: Address) -> None:
 
 
 class SerialLink:
-    """One serial line.
+    """One serial line; :func:`open_serial` says what can go wrong.
 
     Parameters
     ----------
@@ -106,11 +106,6 @@ class SerialLink:
         Not opened yet.
     timeout : float
         Seconds of silence that are an error.
-
-    Raises
-    ------
-    BusError
-        The port cannot be opened.
     """
 
     letter = "r"
@@ -128,19 +123,7 @@ class SerialLink:
             self._fail(cause)
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Send ``out``, then take what has arrived.
-
-        Parameters
-        ----------
-        out : bytes
-            May be empty.
-        count : int
-            The largest number of bytes to take. With 0 and nothing to send, what has arrived is discarded.
-
-        Returns
-        -------
-        bytes
-            At least one byte where ``count`` is not 0.
+        """Send ``out``, then take what has arrived; see :class:`~tiltcal.drivers.bus.link.Link`.
 
         Raises
         ------

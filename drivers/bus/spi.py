@@ -58,7 +58,7 @@ def open_spi(address: Address, model: Model) -> SpiLink:
 
 
 class SpiLink:
-    """One chip select of one SPI bus.
+    """One chip select of one SPI bus; :func:`open_spi` says what can go wrong.
 
     Parameters
     ----------
@@ -68,13 +68,6 @@ class SpiLink:
         Clock mode, 0 to 3.
     speed : int
         Clock, Hz.
-
-    Raises
-    ------
-    HardwareError
-        The spidev package is not installed.
-    BusError
-        The device cannot be opened.
     """
 
     letter = "s"

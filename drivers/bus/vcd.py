@@ -54,19 +54,12 @@ def open_vcd(address: Address, model: Model) -> VcdLink:
 
 
 class VcdLink:
-    """The edges of two signals of a capture, from its start to its end.
+    """The edges of two signals of a capture, from its start to its end; :func:`open_vcd` says what can go wrong.
 
     Parameters
     ----------
     x, y : str
         Names of signals of one bit.
-
-    Raises
-    ------
-    HardwareError
-        The pyvcd package is not installed.
-    BusError
-        The file cannot be read, is damaged, or has no such signal.
     """
 
     letter = "e"
@@ -78,15 +71,9 @@ class VcdLink:
         self._open()
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Take the next edges; see :class:`~tiltcal.drivers.bus.link.Link`.
+        """Take the records of the next edges; see :class:`~tiltcal.drivers.bus.link.Link`.
 
-        Parameters
-        ----------
-        out : bytes
-            Unused.
-        count : int
-            The largest number of bytes of records to take. With 0 nothing is taken, and if the file has changed since
-            it was opened, reading starts again with the new capture.
+        With a ``count`` of 0, if the file has changed since it was opened, reading starts again with the new capture.
 
         Raises
         ------
