@@ -3,19 +3,14 @@
 Each axis is a pulse of length T1 in a period T2 that both share; the reading is the duty cycle T1/T2, nominally 0.5 at
 0 g and 0.125 more for each g (0.04 for the ADXL210). T2 drifts, so T1 alone is never a reading. The pulses arrive as
 
-- sentences of a microcontroller that times them, framed as in NMEA 0183::
-
-      $PTCDC,seq,t1x,t1y,t2x,t2y[,temperature]*hh
-
-  with ``seq`` counting sentences, four times in timer ticks, °C, and the XOR of all between ``$`` and ``*``;
-- edges of two lines with their times, from a GPIO chip or from a logic analyser's file.
+- sentences of a microcontroller that times them (:mod:`tiltcal.drivers.sentences`);
+- edges of two lines with their times, from a GPIO chip or from a logic analyser's file (:mod:`tiltcal.drivers.pulses`).
 
 Sources: ADXL202/210 data sheet Rev. B, ADXL202E data sheet Rev. A, application notes AN-603 and AN-604.
 """
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -26,8 +21,8 @@ from tiltcal.drivers.bus.edges import RECORD, Edge, unpack_edges
 from tiltcal.drivers.converter import SCHEMES as CONVERTERS
 from tiltcal.drivers.device import Model, Reading, deviation_within, from_twin, in_words
 from tiltcal.drivers.lines import UNUSABLE, LineBuffer, shown
-from tiltcal.drivers.nmea import content, missing
 from tiltcal.drivers.pulses import Cycle, PulseTrains
+from tiltcal.drivers.sentences import Sentence, missing, parse_sentence
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -43,57 +38,6 @@ EDGES_AT_ONCE = 256
 
 TROUBLED = 256
 """Transactions with edges, but without a cycle, before the driver raises an error."""
-
-_TICKS = rb"([0-9]{1,12}(?:\.[0-9]{1,9})?)"
-_SENTENCE = re.compile(
-    rb"PTCDC,([0-9]{1,12})," + rb",".join([_TICKS] * 4) + rb"(?:,([+-]?[0-9]{1,4}(?:\.[0-9]{0,9})?)?)?"
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Sentence:
-    """The content of one sentence.
-
-    Attributes
-    ----------
-    number : int
-        Its place in the sequence.
-    duty : tuple of float
-        T1/T2 of x and of y, each with its own period.
-    periods : tuple of float
-        T2 of x and of y, ticks.
-    temperature : float or None
-        °C; None if the sentence has none.
-    """
-
-    number: int
-    duty: tuple[float, float]
-    periods: tuple[float, float]
-    temperature: float | None
-
-
-def parse_sentence(line: bytes) -> Sentence | None:
-    """Parse a sentence.
-
-    Parameters
-    ----------
-    line : bytes
-        From ``$`` to the checksum, without a line end.
-
-    Returns
-    -------
-    Sentence or None
-        None if its frame, checksum or fields are damaged, or a pulse is longer than its period.
-    """
-    inside = content(line)
-    fields = _SENTENCE.fullmatch(inside) if inside is not None else None
-    if fields is None:
-        return None
-    number, *times, temperature = fields.groups()
-    t1x, t1y, t2x, t2y = map(float, times)
-    if not (0.0 < t2x >= t1x and 0.0 < t2y >= t1y):
-        return None
-    return Sentence(int(number), (t1x / t2x, t1y / t2y), (t2x, t2y), float(temperature) if temperature else None)
 
 
 class Adxl202Sentences:

@@ -105,7 +105,7 @@ class Adxl355(PolledSensor):
 
     NAME, PART_ID, NEW_SAMPLE = "ADXL355", (WHO, IDENTITY), (STATUS, DATA_READY)
 
-    def __init__(self, link: Link, clock: Clock, settings: Adxl355Settings) -> None:
+    def __init__(self, settings: Adxl355Settings, link: Link, clock: Clock) -> None:
         port = RegisterPort(link, lambda register: register << 1 | 1, lambda register: register << 1)
         super().__init__(port, clock, settings.rate)
         self._chosen = settings
@@ -196,7 +196,7 @@ def _model(settings: Adxl355Settings) -> Model:
         interval=0.0,
         thermometer=True,
         thermometer_step=1.0 / 9.05,
-        driver=partial(Adxl355, settings=settings),
+        driver=partial(Adxl355, settings),
         twin=from_twin("adxl355", "adxl355_twin", settings),
         not_modelled=(
             "response time and bandwidth: a new position is there with the next sample, whose noise is independent",

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 CHANNELS = ("x", "y")
 
@@ -173,18 +171,10 @@ def _wire(part: AnalogPart, address: Address) -> WiredAnalog:
     return WiredAnalog(front_end, tuple(numbers.values()), supply)
 
 
-def _twin(wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.analog import SensorWiring
-
-    wiring = SensorWiring(truth, fixture, clock, wired.numbers, wired.supply)
-    return wired.front_end.twin(wiring, clock)
-
-
 def _model(part: AnalogPart, address: Address) -> Model:
     """Return the model of a part as it is connected at an address."""
     wired = _wire(part, address)
     front_end = wired.front_end
-    chooses = ("adc",) if address.simulated else ()
     return Model(
         name=part.name,
         title=part.title,
@@ -204,7 +194,7 @@ def _model(part: AnalogPart, address: Address) -> Model:
         interval=part.interval,
         thermometer=False,
         driver=partial(AnalogSensor, part, wired),
-        twin=partial(_twin, wired),
+        twin=from_twin("analog", "analog_twin", wired),
         not_modelled=(
             *part.not_modelled,
             "response time: a new position and a new temperature take effect at once, without ringing",
@@ -214,7 +204,7 @@ def _model(part: AnalogPart, address: Address) -> Model:
         ),
         default_truth=from_twin("analog", "draw_truth", part),
         spi=front_end.spi,
-        options=(*CHANNELS, "supply", "vdd", *front_end.options, *chooses),
+        options=(*CHANNELS, "supply", "vdd", *front_end.options),
         configure=partial(_model, part),
     )
 

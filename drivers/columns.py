@@ -15,7 +15,7 @@ movement. The units g and m/s2 imply them. Without them the device is calibrated
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, partial
@@ -82,9 +82,8 @@ class ColumnLayout:
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
-        """The axes in the order x, y, z, then the other readings in the order of the line."""
-        others = [name for name in self.names if name not in (*AXES, TEMPERATURE, TIME, "-")]
-        return (*(axis for axis in AXES if axis in self.names), *others)
+        """The readings: see :func:`channels_of`."""
+        return channels_of(self.names)
 
     def reading(self, line: bytes) -> Reading | None:
         """Return the reading of a line; None if its number of columns is wrong or a cell is not a number."""
@@ -195,13 +194,16 @@ def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
         require_name(address, name)
         if name != "-" and names.count(name) > 1:
             address.refuse(f"columns names {name!r} twice")
-    separator = address.text("separator", "any")
-    if separator not in SEPARATORS:
-        address.refuse(f"option separator={separator} is not one of {', '.join(SEPARATORS)}")
-    columns = ColumnLayout(names, SEPARATORS[separator])
+    columns = ColumnLayout(names, address.choice("separator", SEPARATORS, SEPARATORS["any"]))
     if not columns.channels:
         address.refuse("columns names no reading: x, y, z, or another name that is neither time nor temperature")
     return columns
+
+
+def channels_of(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the readings among the names of columns: x, y and z in this order, then the others in theirs."""
+    others = (name for name in names if name not in (*AXES, TEMPERATURE, TIME, "-"))
+    return (*(axis for axis in AXES if axis in names), *others)
 
 
 def require_name(address: Address, name: str) -> None:
@@ -218,10 +220,10 @@ def require_name(address: Address, name: str) -> None:
         address.refuse(f"column {name!r}: did you mean {TEMPERATURE!r}?")
 
 
-def _tailored(model: Model, address: Address) -> Model:
+def _tailored(address: Address) -> Model:
     """Return the model with the options of the address."""
     columns = columns_of(address, "x,y,temperature" if address.simulated else None)
-    fitted = with_numbers(model, address, columns.channels, TEMPERATURE in columns.names)
+    fitted = with_numbers(SERIAL_COLUMNS, address, columns.channels, TEMPERATURE in columns.names)
     return replace(
         fitted,
         driver=partial(ColumnsSensor, columns),
@@ -270,7 +272,7 @@ def with_numbers(
 
 _ANY = ColumnLayout((*AXES[:2], TEMPERATURE), SEPARATORS["any"])
 
-_MODEL = Model(
+SERIAL_COLUMNS = Model(
     name="serial-columns",
     title="any device that prints numbers on a line",
     channels=_ANY.channels,
@@ -296,6 +298,5 @@ _MODEL = Model(
     ),
     default_truth=from_twin("columns", "draw_truth", _ANY.channels, 0.0, 1.0),
     options=("columns", "separator", "unit", "offset", "sensitivity", "low", "high"),
+    configure=_tailored,
 )
-
-SERIAL_COLUMNS = replace(_MODEL, configure=partial(_tailored, _MODEL))

@@ -7,7 +7,7 @@ A converter measures voltages; most analog sensors are ratiometric: their output
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from math import inf
 from typing import TYPE_CHECKING, Protocol
@@ -102,7 +102,7 @@ def find_front_end(address: Address) -> FrontEnd:
         known = " or ".join(f"{scheme}:" for scheme in SCHEMES)
         address.refuse(f"{name!r} is not a known converter (analog sensors are connected by {known})")
     front_end: FrontEnd = import_module(_MODULES[name]).front_end(address)
-    return front_end
+    return replace(front_end, options=(*front_end.options, "adc")) if address.simulated else front_end
 
 
 def take_input(address: Address, option: str, front_end: FrontEnd, default: int) -> int:

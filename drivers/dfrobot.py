@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial, reduce
+from functools import reduce
 from operator import xor
 from typing import TYPE_CHECKING
 
@@ -156,14 +156,14 @@ def _sane(reading: Reading) -> Reading:
     return reading
 
 
-def _tailored(model: Model, address: Address) -> Model:
+def _with_baudrate(address: Address) -> Model:
     """Return the model, and require a baud rate in the address."""
     if not address.simulated:
         address.text("baudrate")
-    return model
+    return DFROBOT_SCA100T
 
 
-_MODEL = replace(
+DFROBOT_SCA100T = replace(
     sca100t.D02,
     name="dfrobot-sca100t",
     title="DFRobot TOY0048 module with a Murata SCA100T-D02, ±90°, serial",
@@ -176,6 +176,5 @@ _MODEL = replace(
         "the microcontroller of the module: it answers at once and without damage",
     ),
     spi=None,
+    configure=_with_baudrate,
 )
-
-DFROBOT_SCA100T = replace(_MODEL, configure=partial(_tailored, _MODEL))

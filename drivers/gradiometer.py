@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 from tiltcal.drivers.columns import (
     ANYWHERE,
-    RAIL,
     SEPARATORS,
+    SERIAL_COLUMNS,
     UNKNOWN,
     UNSTATED,
     ColumnLayout,
@@ -28,54 +28,39 @@ from tiltcal.drivers.device import Model, from_twin
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 PRINTED = "time,theta,a1,a2,a3,a4"
 """Default columns: seconds, the stage angle in degrees, the four readings."""
 
 
-def _tailored(model: Model, address: Address) -> Model:
+def _tailored(address: Address) -> Model:
     """Return the model with the options of the address."""
     columns = columns_of(address, PRINTED)
     return replace(
-        model,
+        GRADIOMETER,
         channels=columns.channels,
         unit=address.text("unit", "mA" if address.simulated else UNSTATED),
         driver=partial(ColumnsSensor, columns),
-        twin=partial(_twin, columns),
+        twin=from_twin("stage", "stage_twin", columns),
     )
-
-
-def _twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.stage import stage_twin
-
-    return stage_twin(columns, truth, clock)
 
 
 _PRINTED = ColumnLayout(tuple(PRINTED.split(",")), SEPARATORS["any"])
 
-_MODEL = Model(
+GRADIOMETER = replace(
+    SERIAL_COLUMNS,
     name="gradiometer",
     title="four accelerometers on a rotary stage, as numbers on a line",
     channels=_PRINTED.channels,
     unit="mA",
-    schemes=("serial",),
     addresses=(f"serial:///dev/ttyUSB0?columns={PRINTED}",),
     # Matching a pair does not need the value of 1 g.
-    offset=0.0,
     sensitivity=UNKNOWN,
     offset_spread=ANYWHERE,
-    sensitivity_spread=0.1,
-    rails=(-RAIL, RAIL),
-    resolution=0.0,
-    # The device streams: a read waits for the next line.
-    interval=0.0,
+    scaled=False,
     thermometer=False,
     driver=partial(ColumnsSensor, _PRINTED),
-    twin=partial(_twin, _PRINTED),
+    twin=from_twin("stage", "stage_twin", _PRINTED),
     not_modelled=(
         "a stage that starts, stops or changes its speed: it turns steadily from the beginning of the session",
         "the stage's bearing, vibration and angular acceleration",
@@ -86,7 +71,5 @@ _MODEL = Model(
     ),
     default_truth=from_twin("stage", "draw_truth"),
     options=("columns", "separator", "unit"),
-    scaled=False,
+    configure=_tailored,
 )
-
-GRADIOMETER = replace(_MODEL, configure=partial(_tailored, _MODEL))

@@ -87,7 +87,7 @@ class Iis2iclx(PolledSensor):
 
     NAME, PART_ID, NEW_SAMPLE = "IIS2ICLX", (WHO_AM_I, bytes([IDENTITY])), (STATUS, DATA_READY)
 
-    def __init__(self, link: Link, clock: Clock, settings: Iis2iclxSettings) -> None:
+    def __init__(self, settings: Iis2iclxSettings, link: Link, clock: Clock) -> None:
         port = RegisterPort(link, lambda register: register | READING, int)
         super().__init__(port, clock, settings.rate)
         self._chosen = settings
@@ -157,7 +157,7 @@ def _model(settings: Iis2iclxSettings) -> Model:
         interval=0.0,
         thermometer=True,
         thermometer_step=1.0 / 256.0,
-        driver=partial(Iis2iclx, settings=settings),
+        driver=partial(Iis2iclx, settings),
         twin=from_twin("iis2iclx", "iis2iclx_twin", settings),
         not_modelled=(
             "response time and bandwidth: a new position is there with the next sample, whose noise is independent",

@@ -24,9 +24,8 @@ from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT
-from tiltcal.drivers.columns import AXES, OFFSET_SPREAD, RAIL, TEMPERATURE, TIME, require_name, with_numbers
+from tiltcal.drivers.columns import SERIAL_COLUMNS, TEMPERATURE, TIME, channels_of, require_name, with_numbers
 from tiltcal.drivers.device import Model, Reading, from_twin
-from tiltcal.drivers.registers import choose
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -112,10 +111,8 @@ class RegisterLayout:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The axes in the order x, y, z, then the other readings in the order of the address."""
-        names = [column.name for column in self.columns]
-        others = [name for name in names if name not in (*AXES, TEMPERATURE)]
-        return (*(axis for axis in AXES if axis in names), *others)
+        """The readings: see :func:`~tiltcal.drivers.columns.channels_of`."""
+        return channels_of([column.name for column in self.columns])
 
     @property
     def thermometer(self) -> bool:
@@ -245,8 +242,8 @@ def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
         address.refuse(f"columns names {twice!r} twice")
     layout = RegisterLayout(
         tuple(columns),
-        choose(address, "table", TABLES, HOLDING),
-        choose(address, "order", ORDERS, ORDERS["abcd"]),
+        address.choice("table", TABLES, HOLDING),
+        address.choice("order", ORDERS, ORDERS["abcd"]),
     )
     if not layout.channels:
         address.refuse("columns names no reading: x, y, z, or another name than temperature")
@@ -279,7 +276,7 @@ def _column(address: Address, text: str) -> RegisterColumn:
 def _tailored(address: Address) -> Model:
     """Return the model with the options of the address."""
     layout = layout_of(address, SIMULATED if address.simulated else None)
-    fitted = with_numbers(_MODEL, address, layout.channels, layout.thermometer, UNIT)
+    fitted = with_numbers(MODBUS_COLUMNS, address, layout.channels, layout.thermometer, UNIT)
     return replace(
         fitted,
         interval=1.0 / address.number("rate", RATE, low=0.001, high=1000.0),
@@ -294,24 +291,16 @@ SIMULATED = "x@0:float32,y@2:float32,temperature@4:float32"
 
 _SIMULATED = layout_of(parse_address("sim:"), SIMULATED)
 
-_MODEL = Model(
+MODBUS_COLUMNS = replace(
+    SERIAL_COLUMNS,
     name="modbus-columns",
     title="any device with numbers in Modbus registers, RTU or TCP",
-    channels=_SIMULATED.channels,
-    unit="g",
     schemes=("modbus",),
     addresses=(
         "modbus:///dev/ttyUSB0?unit=1&columns=x@0:int16*0.001,y@1:int16*0.001",
         "modbus:tcp://192.168.1.7:502?unit=1&columns=x@0:float32,y@2:float32,temperature@4:float32",
     ),
-    offset=0.0,
-    sensitivity=1.0,
-    offset_spread=OFFSET_SPREAD,
-    sensitivity_spread=0.1,
-    rails=(-RAIL, RAIL),
-    resolution=0.0,
     interval=1.0 / RATE,
-    thermometer=True,
     driver=partial(ModbusColumns, _SIMULATED),
     twin=from_twin("modbus", "ModbusTwin", _SIMULATED),
     not_modelled=(
@@ -320,8 +309,6 @@ _MODEL = Model(
         "how often a real device renews its registers, and whether it does so between two of them",
         "the memory fault (parity) of other parts",
     ),
-    default_truth=from_twin("columns", "draw_truth", _SIMULATED.channels, 0.0, 1.0),
     options=("columns", "table", "order", "rate", UNIT, "offset", "sensitivity", "low", "high"),
+    configure=_tailored,
 )
-
-MODBUS_COLUMNS = replace(_MODEL, configure=_tailored)

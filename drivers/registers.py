@@ -88,27 +88,11 @@ def in_counts(values: Iterable[float]) -> dict[str, str]:
     return {channel: f"{value:.0f} count" for channel, value in zip("xyz", values, strict=False)}
 
 
-def choose(address: Address, name: str, meanings: Mapping[str, R], default: R) -> R:
-    """Return the value for the word of an option.
-
-    Raises
-    ------
-    UsageError
-        The word is none of them.
-    """
-    if name not in address.options:
-        return default
-    word = address.text(name)
-    if word not in meanings:
-        address.refuse(f"option {name}={word} is not one of {', '.join(meanings)}")
-    return meanings[word]
-
-
 def choose_range(address: Address, ranges: Mapping[str, R], default: R) -> R:
     """Return the value of the option ``range``: one of the words, or the number of one that ends in g."""
     if f"{address.options.get('range', '')}g" in ranges:
         return ranges[f"{address.options['range']}g"]
-    return choose(address, "range", ranges, default)
+    return address.choice("range", ranges, default)
 
 
 def slowest_clock(count: int, rate: float) -> int:

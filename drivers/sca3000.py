@@ -21,12 +21,12 @@ plain register address is inferred, so ``pointer=command`` sends the SPI command
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.device import Model, Reading, SpiPort, from_twin
-from tiltcal.drivers.registers import RegisterPort, check_data_line, choose, in_counts, slowest_clock
+from tiltcal.drivers.registers import RegisterPort, check_data_line, in_counts, slowest_clock
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -53,19 +53,30 @@ COMMAND_SHIFT, WRITING = 2, 0b10
 
 @dataclass(frozen=True, slots=True)
 class Sca3000Part:
-    """The constants of one part of the family, and its wiring.
+    """One part of the family: its constants as far as they are known, and its wiring.
 
     Attributes
     ----------
+    name : str
+        Of the model.
+    schemes, addresses : tuple of str
+        How it can be connected, and an example of each way.
     rate : float
         Output data rate in normal mode, Hz.
+    any_range : bool
+        Whether the address of a real part must state ``counts_per_g``.
     pointer_shift : int
         On I2C the register pointer is the address shifted left by this many bits.
     """
 
+    name: str
+    title: str
+    schemes: tuple[str, ...]
+    addresses: tuple[str, ...]
     counts_per_g: float
     rate: float
-    thermometer: bool
+    thermometer: bool = False
+    any_range: bool = False
     pointer_shift: int = 0
 
 
@@ -76,11 +87,13 @@ class Sca3000:
     ----------
     link : Link
         SPI or I2C, by its letter.
+    clock : Clock
+        Unused: every read returns the latest conversion.
     """
 
-    def __init__(self, link: Link, part: Sca3000Part) -> None:
-        self._link = link
+    def __init__(self, part: Sca3000Part, link: Link, clock: Clock) -> None:
         self._part = part
+        self._link = link
         self._setting: tuple[int, int] | None = None
         """The lock in STATUS and the content of MODE, as the first sample found them."""
         shift = part.pointer_shift
@@ -209,57 +222,31 @@ def _mode_in_words(mode: int) -> str:
     )
 
 
-SLOWEST_RATE = 100.0
-"""The slowest normal output data rate of the known parts (E04), Hz; the default for an unknown part."""
-
-
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """One model of the family.
-
-    Attributes
-    ----------
-    part : Sca3000Part
-        As far as it is known.
-    any_range : bool
-        Whether the address must state ``counts_per_g``.
-    """
-
-    name: str
-    title: str
-    addresses: tuple[str, ...]
-    schemes: tuple[str, ...]
-    part: Sca3000Part
-    any_range: bool = False
-
-
-def _driver(part: Sca3000Part, link: Link, clock: Clock) -> Sca3000:
-    return Sca3000(link, part)
-
-
-def _tailored(entry: Entry, address: Address) -> Model:
+def _tailored(part: Sca3000Part, address: Address) -> Model:
     """Return the model with the options of the address."""
-    known = entry.part
-    required = entry.any_range and not address.simulated
-    # ±1 g must stay clear of the overflow codes, and one count must be less than 1 g.
-    counts = address.number("counts_per_g", None if required else known.counts_per_g, low=1.0, high=OVERFLOW[1])
-    part = Sca3000Part(
-        counts_per_g=counts,
-        rate=address.number("rate", known.rate, low=1.0, high=10_000.0),
-        thermometer=bool(choose(address, "thermometer", {"no": 0, "yes": 1}, known.thermometer)),
-        pointer_shift=choose(address, "pointer", {"register": 0, "command": COMMAND_SHIFT}, known.pointer_shift),
+    required = part.any_range and not address.simulated
+    return _model(
+        replace(
+            part,
+            # ±1 g must stay clear of the overflow codes, and one count must be less than 1 g.
+            counts_per_g=address.number(
+                "counts_per_g", None if required else part.counts_per_g, low=1.0, high=OVERFLOW[1]
+            ),
+            rate=address.number("rate", part.rate, low=1.0, high=10_000.0),
+            thermometer=address.choice("thermometer", {"no": False, "yes": True}, part.thermometer),
+            pointer_shift=address.choice("pointer", {"register": 0, "command": COMMAND_SHIFT}, part.pointer_shift),
+        )
     )
-    return _model(entry, part)
 
 
-def _model(entry: Entry, part: Sca3000Part) -> Model:
+def _model(part: Sca3000Part) -> Model:
     return Model(
-        name=entry.name,
-        title=entry.title,
+        name=part.name,
+        title=part.title,
         channels=("x", "y", "z"),
         unit="count",
-        schemes=entry.schemes,
-        addresses=entry.addresses,
+        schemes=part.schemes,
+        addresses=part.addresses,
         offset=0.0,
         sensitivity=part.counts_per_g,
         # No tolerance of the family is known: wide enough for any part, narrow enough to distinguish the faces of a
@@ -271,8 +258,8 @@ def _model(entry: Entry, part: Sca3000Part) -> Model:
         interval=1.0 / part.rate,
         thermometer=part.thermometer,
         thermometer_step=1.0 / 1.8,
-        driver=partial(_driver, part),
-        twin=from_twin("sca3000", "sca3000_twin", part, entry.schemes[0]),
+        driver=partial(Sca3000, part),
+        twin=from_twin("sca3000", "sca3000_twin", part),
         not_modelled=(
             "the real noise, tolerances and drift, which no source states: a virtual part has ours (noise 1.5 count)",
             "response time and bandwidth: a new position takes effect at the next output word, without ringing",
@@ -285,39 +272,47 @@ def _model(entry: Entry, part: Sca3000Part) -> Model:
         # No source states the fastest clock; 4 MHz has been used, and 500 kHz suits the other parts of the maker.
         # A burst must end before the next word is due, or it mixes bytes of two words.
         spi=SpiPort(modes=(0,), fastest=None, speed=500_000, slowest=slowest_clock(6, part.rate))
-        if "spi" in entry.schemes
+        if "spi" in part.schemes
         else None,
-        options=("counts_per_g", "rate", "thermometer", *(("pointer",) if "i2c" in entry.schemes else ())),
-        configure=partial(_tailored, entry),
+        options=("counts_per_g", "rate", "thermometer", *(("pointer",) if "i2c" in part.schemes else ())),
+        configure=partial(_tailored, part),
     )
 
 
-ADDRESSES = {"spi": "spi:///dev/spidev0.0", "i2c": "i2c:///dev/i2c-1?address=0x1d"}
-"""Examples; the user must state the I2C address."""
+SPI, I2C_BUS = "spi:///dev/spidev0.0", "i2c:///dev/i2c-1?address=0x1d"
+"""Example addresses; the user must state the I2C address."""
 
 
-def _named(variant: str, extent: str, part: Sca3000Part, schemes: tuple[str, ...] = ("spi",)) -> Model:
-    title = f"VTI (Murata) SCA3000-{variant} three-axis accelerometer, {extent}"
-    addresses = tuple(ADDRESSES[scheme] for scheme in schemes)
-    return _model(Entry(f"sca3000-{variant.lower()}", title, addresses, schemes, part), part)
+def _on_spi(variant: str, counts_per_g: float, rate: float) -> Model:
+    title = f"VTI (Murata) SCA3000-{variant} three-axis accelerometer, {counts_per_g:g} count/g, SPI"
+    return _model(Sca3000Part(f"sca3000-{variant.lower()}", title, ("spi",), (SPI,), counts_per_g, rate))
 
 
 # The D01 has a bit that switches its I2C off, so it has I2C as well.
-D01 = _named("D01", "±2 g, SPI or I2C", Sca3000Part(1333.0, 250.0, thermometer=True), ("spi", "i2c"))
-E02 = _named("E02", "1000 count/g, SPI", Sca3000Part(1000.0, 125.0, thermometer=False))
-E04 = _named("E04", "500 count/g, SPI", Sca3000Part(500.0, 100.0, thermometer=False))
-E05 = _named("E05", "160 count/g, SPI", Sca3000Part(160.0, 200.0, thermometer=False))
-
-# This sensitivity is for a virtual part; that of a real one must be stated.
-_ANY = Sca3000Part(1333.0, SLOWEST_RATE, thermometer=False)
+D01 = _model(
+    Sca3000Part(
+        "sca3000-d01",
+        "VTI (Murata) SCA3000-D01 three-axis accelerometer, ±2 g, SPI or I2C",
+        ("spi", "i2c"),
+        (SPI, I2C_BUS),
+        counts_per_g=1333.0,
+        rate=250.0,
+        thermometer=True,
+    )
+)
+E02 = _on_spi("E02", counts_per_g=1000.0, rate=125.0)
+E04 = _on_spi("E04", counts_per_g=500.0, rate=100.0)
+E05 = _on_spi("E05", counts_per_g=160.0, rate=200.0)
 I2C = _model(
-    Entry(
+    Sca3000Part(
         "sca3000-i2c",
         "VTI (Murata) SCA3000 three-axis accelerometer of any range, I2C",
-        (ADDRESSES["i2c"] + "&counts_per_g=1333",),
         ("i2c",),
-        _ANY,
+        (f"{I2C_BUS}&counts_per_g=1333",),
+        # Of a virtual part; that of a real one must be stated.
+        counts_per_g=1333.0,
+        # The slowest normal one of the known parts, the E04's.
+        rate=100.0,
         any_range=True,
-    ),
-    _ANY,
+    )
 )

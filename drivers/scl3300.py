@@ -47,8 +47,6 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 GAP = 10e-6
 """Seconds of chip select high before a frame; with less the data are corrupt."""
@@ -125,17 +123,17 @@ class Scl3300:
 
     Parameters
     ----------
-    link : Link
-        SPI.
     measuring : MeasuringRange
         The mode to set.
+    link : Link
+        SPI.
     """
 
-    def __init__(self, link: Link, clock: Clock, part: Scl3300Part, measuring: MeasuringRange) -> None:
-        self._link = link
-        self._clock = clock
+    def __init__(self, part: Scl3300Part, measuring: MeasuringRange, link: Link, clock: Clock) -> None:
         self._part = part
         self._range = measuring
+        self._link = link
+        self._clock = clock
         self._ready = False
         self._counts = {"samples": 0, "damaged": 0, "refused": 0, "out of step": 0, "saturated": 0, "restarts": 0}
 
@@ -157,7 +155,7 @@ class Scl3300:
         self._ready = False
         reading = self.read()
         # The last answer is fetched with the first request again, so the part ends in bank 0: no other has a reset.
-        _, _, low, high = self._asked((BANK_0, BANK_1, SERIAL1, SERIAL2))
+        _, _, low, high = self._answers_to((BANK_0, BANK_1, SERIAL1, SERIAL2))
         said = {
             "part": self._part.name,
             "serial": f"{(high.data << 16 | low.data)}B33",
@@ -176,7 +174,7 @@ class Scl3300:
         DeviceFault
             The part was reset or switched off since it was set up, or its status shows a fault.
         """
-        x, y, z, temperature = self._asked(SAMPLE)
+        x, y, z, temperature = self._answers_to(SAMPLE)
         self._counts["samples"] += 1
         return Reading(
             (float(x.signed), float(y.signed), float(z.signed)),
@@ -197,12 +195,12 @@ class Scl3300:
         """
         return dict(self._counts)
 
-    def _asked(self, requests: Sequence[bytes]) -> list[Answer]:
+    def _answers_to(self, requests: Sequence[bytes]) -> list[Answer]:
         """Return the answers to requests; after an error, set the part up first."""
         ready, self._ready = self._ready, False
         if not ready:
             self._set_up()
-        answers = self._data(requests)
+        answers = self._good_answers(requests)
         self._ready = True
         return answers
 
@@ -229,9 +227,9 @@ class Scl3300:
                 if attempt:
                     raise
                 continue
-            answers = self._judged(requests, raw)
+            answers = self._decoded(requests, raw)
             echo, _, second, third, whoami = answers
-            if not all(self._answers(request, answer) for request, answer in zip(requests, answers, strict=True)):
+            if not all(self._belong(request, answer) for request, answer in zip(requests, answers, strict=True)):
                 continue
             if whoami.status == NORMAL and whoami.data != self._part.identity:
                 if attempt:
@@ -252,21 +250,21 @@ class Scl3300:
             "slower clock (such as speed=500000), shorter wires, and check chip select and the supply"
         )
 
-    def _data(self, requests: Sequence[bytes]) -> list[Answer]:
+    def _good_answers(self, requests: Sequence[bytes]) -> list[Answer]:
         """Return the answers to requests; repeat the requests until all answers are good."""
         saturated = self._counts["saturated"]
         for _ in range(ATTEMPTS):
             # The last answer is fetched with the first request again, whose own answer comes with the next sample.
             late, *raw = [self._exchange(request) for request in (*requests, requests[0])]
             self._require_a_part(requests, raw)
-            before = self._judged(None, [late])
-            answers = self._judged(requests, raw)
+            before = self._decoded(None, [late])
+            answers = self._decoded(requests, raw)
             statuses = {answer.status for answer in (*before, *answers) if answer.intact}
             if not statuses <= {NORMAL, ERROR}:
-                self._restarted("it is starting up")
+                self._refuse_restart("it is starting up")
             if ERROR in statuses:
-                self._judge(self._flags())
-            elif all(self._answers(request, answer) for request, answer in zip(requests, answers, strict=True)):
+                self._check_flags(self._flags())
+            elif all(self._belong(request, answer) for request, answer in zip(requests, answers, strict=True)):
                 return answers
         if self._counts["saturated"] > saturated:
             raise DeviceFault(
@@ -278,17 +276,17 @@ class Scl3300:
             "speed=500000), shorter wires, and a pull-up on chip select"
         )
 
-    def _judged(self, requests: Sequence[bytes] | None, raw: Sequence[bytes]) -> list[Answer]:
+    def _decoded(self, requests: Sequence[bytes] | None, raw: Sequence[bytes]) -> list[Answer]:
         """Decode answers, and count those that are damaged or belong to another request; None is any request."""
         answers = [decode(frame) for frame in raw]
         for place, answer in enumerate(answers):
             if not answer.intact:
                 self._counts["damaged"] += 1
-            elif requests is not None and answer.status == NORMAL and not self._answers(requests[place], answer):
+            elif requests is not None and answer.status == NORMAL and not self._belong(requests[place], answer):
                 self._counts["out of step"] += 1
         return answers
 
-    def _answers(self, request: bytes, answer: Answer) -> bool:
+    def _belong(self, request: bytes, answer: Answer) -> bool:
         """Return whether an intact answer belongs to this request: it echoes the operation and the written data."""
         unlike = bool(request[0] & 0x80) and answer.data != int.from_bytes(request[1:3], "big")
         return answer.intact and answer.operation == request[0] >> 2 and not unlike
@@ -301,19 +299,19 @@ class Scl3300:
         """
         requests = (STATUS, STATUS, STATUS)
         late, *raw = [self._exchange(request) for request in (*requests, STATUS)]
-        self._judged(None, [late])
-        first, second, third = self._judged(requests, raw)
-        if self._answers(STATUS, second):
-            shifted = second.status == ERROR and self._answers(STATUS, third)
+        self._decoded(None, [late])
+        first, second, third = self._decoded(requests, raw)
+        if self._belong(STATUS, second):
+            shifted = second.status == ERROR and self._belong(STATUS, third)
             return third.data if shifted else second.data
-        if self._answers(STATUS, first):
+        if self._belong(STATUS, first):
             return first.data
         raise BusError("the part reports an error, and its status was damaged on the way: it is set up anew")
 
-    def _judge(self, flags: int) -> None:
+    def _check_flags(self, flags: int) -> None:
         """Count the flags of STATUS; raise an error if the samples before it are not reliable."""
         if flags & RESTARTED:
-            self._restarted(flags_in_words(flags))
+            self._refuse_restart(flags_in_words(flags))
         if flags & ~SATURATED:
             raise DeviceFault(
                 f"the {self._part.name} reports a fault: {flags_in_words(flags)}: it is reset; if the fault stays, "
@@ -322,7 +320,7 @@ class Scl3300:
         # Without a flag the part has found a wrong CRC in a request.
         self._counts["saturated" if flags else "refused"] += 1
 
-    def _restarted(self, why: str) -> None:
+    def _refuse_restart(self, why: str) -> None:
         self._counts["restarts"] += 1
         raise DeviceFault(
             f"the {self._part.name} was reset or its supply failed since it was set up ({why}): check the supply and "
@@ -380,12 +378,6 @@ _SCA3300 = Scl3300Part(
 )
 
 
-def _twin(part: Scl3300Part, measuring: MeasuringRange, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.scl3300 import Scl3300Twin
-
-    return Scl3300Twin(truth, fixture, clock, part, measuring)
-
-
 def _tailored(name: str, part: Scl3300Part, address: Address) -> Model:
     """Return the model in the mode of the address."""
     words = {**part.words, **{f"mode{number}": number for number in (1, 2, 3, 4)}}
@@ -411,8 +403,8 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
         interval=0.5 / measuring.bandwidth,
         thermometer=True,
         thermometer_step=1.0 / 18.9,
-        driver=partial(Scl3300, part=part, measuring=measuring),
-        twin=partial(_twin, part, measuring),
+        driver=partial(Scl3300, part, measuring),
+        twin=from_twin("scl3300", "Scl3300Twin", part, measuring),
         not_modelled=(
             "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
             "what a real part sends after damaged requests and frames that are not 32 bits, which no source says",

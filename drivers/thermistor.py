@@ -37,15 +37,13 @@ from tiltcal.drivers.converter import (
     take_input,
     take_supply,
 )
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import DeviceFault
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 ZERO_CELSIUS = 273.15
 """K."""
@@ -242,25 +240,10 @@ def _wire(address: Address) -> WiredThermistor:
     return WiredThermistor(front_end, number, Divider(_curve(address), fixed, tied == "ground"), supply)
 
 
-def _twin(wired: WiredThermistor, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    from tiltcal.drivers.twin.analog import ThermistorWiring
-
-    wiring = ThermistorWiring(truth, fixture, clock, wired.number, wired.divider.share, wired.supply)
-    return wired.front_end.twin(wiring, clock)
-
-
-def _default_truth(seed: int) -> Truth:
-    """Return an ideal thermistor; its jig and chamber are those of the virtual sensors."""
-    from tiltcal.drivers.twin.truth import Truth
-
-    return Truth(channels=(), offset={}, sensitivity={}, seed=seed, jig=0.01, ambient=24.0, time_constant=20.0)
-
-
 def _model(address: Address) -> Model:
     """Return the thermistor as it is connected at an address."""
     wired = _wire(address)
     front_end = wired.front_end
-    chooses = ("adc",) if address.simulated else ()
     return Model(
         name="thermistor",
         title="NTC thermistor in a divider behind a converter, temperature only",
@@ -281,20 +264,16 @@ def _model(address: Address) -> Model:
         interval=0.01,
         thermometer=True,
         driver=partial(Thermistor, wired),
-        twin=partial(_twin, wired),
+        twin=from_twin("analog", "thermistor_twin", wired),
         not_modelled=(
             "lag behind the chamber, self-heating, noise",
             "tolerance of the curve and of the fixed resistor, resistance of the wires",
             "supply: ripple, drift",
             "converter: offset, gain error, nonlinearity, noise, charge taken from the divider",
         ),
-        default_truth=_default_truth,
+        default_truth=from_twin("analog", "ideal_thermistor"),
         spi=front_end.spi,
-        options=(
-            *OPTIONS,
-            *front_end.options,
-            *chooses,
-        ),
+        options=(*OPTIONS, *front_end.options),
         configure=_model,
     )
 

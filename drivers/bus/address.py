@@ -18,15 +18,17 @@ A ``%`` with two hexadecimal digits stands for a byte, so a place or value may h
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from math import isfinite
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 from urllib.parse import unquote
 
 from tiltcal.drivers.bus import BUSES
 from tiltcal.errors import UsageError
+
+R = TypeVar("R")
 
 _SCHEME = re.compile(r"[a-z][a-z0-9]*(\+[a-z][a-z0-9]*)*")
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
@@ -147,6 +149,26 @@ class Address:
         value = float(text)
         self._bound(name, text, value, low, high)
         return value
+
+    def choice(self, name: str, meanings: Mapping[str, R], default: R) -> R:
+        """Return the meaning of the word that an option gives.
+
+        Parameters
+        ----------
+        default
+            Value if the option is left out.
+
+        Raises
+        ------
+        UsageError
+            It is empty, or none of the words.
+        """
+        if name not in self.options:
+            return default
+        word = self.text(name)
+        if word not in meanings:
+            self.refuse(f"option {name}={word} is not one of {', '.join(meanings)}")
+        return meanings[word]
 
     def refuse(self, why: str) -> NoReturn:
         """Raise a UsageError that quotes the address."""

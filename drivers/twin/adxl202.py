@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tiltcal.drivers.adxl202 import SENSITIVITY_LIMIT, ZERO, Adxl202Variant
 from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges
-from tiltcal.drivers.nmea import checksum
+from tiltcal.drivers.sentences import checksum
 from tiltcal.drivers.twin.noise import uniform
 from tiltcal.drivers.twin.streaming import LineTwin, StreamingTwin
 from tiltcal.drivers.twin.tolerances import part_errors

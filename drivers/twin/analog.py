@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.converter import NOMINAL
 from tiltcal.drivers.twin.noise import uniform
+from tiltcal.drivers.twin.truth import Truth
 from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
-    from tiltcal.drivers.analog import AnalogPart
+    from tiltcal.drivers.analog import AnalogPart, WiredAnalog
     from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.bus.link import Link
     from tiltcal.drivers.converter import Supply
+    from tiltcal.drivers.thermistor import WiredThermistor
     from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
 
 
 class Wiring(ABC):
@@ -75,21 +76,12 @@ class SensorWiring(Wiring):
         In V referred to a supply of 5 V.
     fixture : HeldPose
         Holds the sensor, in the sensor frame.
-    numbers : sequence of int
-        The inputs of x and y.
     """
 
-    def __init__(
-        self,
-        truth: Truth,
-        fixture: HeldPose,
-        clock: Clock,
-        numbers: Sequence[int],
-        supply: Supply,
-    ) -> None:
-        super().__init__(truth, clock, supply)
+    def __init__(self, wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        super().__init__(truth, clock, wired.supply)
         self._fixture = fixture
-        self._channels = dict(zip(numbers, truth.channels, strict=True))
+        self._channels = dict(zip(wired.numbers, truth.channels, strict=True))
 
     def share(self, number: int, now_ns: int) -> float:
         """Return the voltage at an input, as a share of the supply."""
@@ -111,33 +103,35 @@ class ThermistorWiring(Wiring):
         Only its seed, supply, thermometer error and faults are used.
     fixture : HeldPose
         The chamber around it.
-    number : int
-        Its input.
-    divided : callable
-        The output of its divider at a temperature in °C, as a share of the supply.
     """
 
-    def __init__(
-        self,
-        truth: Truth,
-        fixture: HeldPose,
-        clock: Clock,
-        number: int,
-        divided: Callable[[float], float],
-        supply: Supply,
-    ) -> None:
-        super().__init__(truth, clock, supply)
+    def __init__(self, wired: WiredThermistor, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        super().__init__(truth, clock, wired.supply)
         self._fixture = fixture
-        self._number = number
-        self._divided = divided
+        self._wired = wired
 
     def share(self, number: int, now_ns: int) -> float:
         """Return the voltage at an input, as a share of the supply."""
-        if number != self._number:
+        if number != self._wired.number:
             return 0.0
         stuck = self._truth.fault(now_ns / 1e9).kind == "stuck"
         temperature = self._truth.ambient if stuck else self._fixture.temperature()
-        return self._divided(temperature + self._truth.thermometer_error)
+        return self._wired.divider.share(temperature + self._truth.thermometer_error)
+
+
+def analog_twin(wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+    """Return a virtual converter with a sensor at its inputs."""
+    return wired.front_end.twin(SensorWiring(wired, truth, fixture, clock), clock)
+
+
+def thermistor_twin(wired: WiredThermistor, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+    """Return a virtual converter with a thermistor at one of its inputs."""
+    return wired.front_end.twin(ThermistorWiring(wired, truth, fixture, clock), clock)
+
+
+def ideal_thermistor(seed: int) -> Truth:
+    """Return an ideal thermistor; its jig and chamber are those of the virtual sensors."""
+    return Truth(channels=(), offset={}, sensitivity={}, seed=seed, jig=0.01, ambient=24.0, time_constant=20.0)
 
 
 def draw_truth(part: AnalogPart, seed: int) -> Truth:

@@ -74,10 +74,10 @@ class Sca3000Registers:
         return {TEMP_MSB: raw >> 3, TEMP_LSB: (raw & 0b111) << 5}
 
 
-def sca3000_twin(part: Sca3000Part, scheme: str, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-    """Return a virtual SCA3000 on the bus of an address scheme."""
+def sca3000_twin(part: Sca3000Part, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+    """Return a virtual SCA3000 on the first of its buses."""
     registers = Sca3000Registers(Conversions(truth, fixture, clock), part)
-    if scheme == "i2c":
+    if part.schemes[0] == "i2c":
         return I2cTwin(registers, clock, lambda pointer: pointer >> part.pointer_shift)
     return SpiTwin(registers, clock, lambda command: (command >> COMMAND_SHIFT, False))
 

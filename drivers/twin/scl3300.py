@@ -51,20 +51,20 @@ class Scl3300Twin(RecallingTwin):
 
     Parameters
     ----------
+    measuring : MeasuringRange
+        What the driver is going to set; a session that is resumed finds it set.
     truth : Truth
         In counts of ``measuring``.
     fixture : HeldPose
         Holds the sensor, in the sensor frame.
     clock : Clock
         Session time; each frame lets it advance by its bits at 2 MHz.
-    measuring : MeasuringRange
-        What the driver is going to set; a session that is resumed finds it set.
     """
 
     letter = "s"
 
     def __init__(
-        self, truth: Truth, fixture: HeldPose, clock: Clock, part: Scl3300Part, measuring: MeasuringRange
+        self, part: Scl3300Part, measuring: MeasuringRange, truth: Truth, fixture: HeldPose, clock: Clock
     ) -> None:
         super().__init__(clock)
         self._conversions = Conversions(truth, fixture, clock)

@@ -15,6 +15,7 @@ from tiltcal.drivers.twin.truth import Truth
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.columns import ColumnLayout
+    from tiltcal.drivers.twin.fixture import HeldPose
 
 TIME, THETA = "time", "theta"
 
@@ -36,13 +37,15 @@ class StageTruth(Truth):
         return cls((TIME, THETA, *CHANNELS), {}, {}, seed=seed, disk=disk)
 
 
-def stage_twin(columns: ColumnLayout, truth: Truth, clock: Clock) -> StreamingTwin:
+def stage_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTwin:
     """Return a stage that prints the columns of an address; a skipped or unknown column is 0.
 
     Parameters
     ----------
     truth : StageTruth
         During its fault ``stuck``, it repeats the first line of the fault.
+    fixture : HeldPose
+        Unused: the stage stands by itself.
     clock : Clock
         Session time.
     """

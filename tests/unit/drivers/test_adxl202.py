@@ -15,8 +15,8 @@ from tiltcal.drivers.adxl202 import Adxl202Edges, Adxl202Sentences, parse_senten
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.bus.edges import Edge, pack_edges
-from tiltcal.drivers.nmea import checksum, content, missing
 from tiltcal.drivers.pulses import Pulse, PulseTrains, centred_cycle
+from tiltcal.drivers.sentences import checksum, content, missing
 from tiltcal.drivers.twin.adxl202 import EdgesTwin, sentences_twin
 from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.errors import BusError, DeviceFault, UsageError
