@@ -72,7 +72,7 @@ class Adxl202Sentences:
         """
         self.discard()
         sentence = self._next()
-        said = {channel: f"{duty:.6f} duty" for channel, duty in zip("xy", sentence.duty, strict=True)}
+        said = _in_words(sentence.duty)
         said["period"] = f"{sentence.periods[0]:g} ticks"
         if sentence.temperature is not None:
             said["temperature"] = f"{sentence.temperature:.1f} °C"
@@ -143,8 +143,6 @@ class Adxl202Edges:
     ----------
     link : Link
         Edge records.
-    clock : Clock
-        Unused: the driver waits for pulses.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
@@ -170,7 +168,7 @@ class Adxl202Edges:
         """
         self.discard()
         cycle = self._next()
-        said = {channel: f"{duty:.6f} duty" for channel, duty in zip("xy", cycle.duty, strict=True)}
+        said = _in_words(cycle.duty)
         return said | {"period": f"{cycle.period / 1e6:.6g} ms", "link": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
@@ -213,6 +211,10 @@ class Adxl202Edges:
             # After a reconnection the edges are numbered from the start.
             self._trains.restart()
             raise
+
+
+def _in_words(duty: tuple[float, float]) -> dict[str, str]:
+    return {channel: f"{share:.6f} duty" for channel, share in zip("xy", duty, strict=True)}
 
 
 @dataclass(frozen=True, slots=True)

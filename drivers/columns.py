@@ -105,6 +105,11 @@ class ColumnLayout:
         values = tuple(numbers[channel] for channel in self.channels)
         return Reading(values, numbers.get(TEMPERATURE), float(f"1e{min(places)}"))
 
+    def line(self, numbers: Mapping[str, float]) -> bytes:
+        """Return the line that shows these numbers, by the names of their columns; a column without one shows 0."""
+        between = next(mark for mark in (b",", b";", b"\t", b" ") if re.fullmatch(self.separator, mark))
+        return between.join(f"{numbers.get(name, 0.0):.9g}".encode() for name in self.names) + b"\r\n"
+
 
 class ColumnsSensor:
     """The driver of a device that prints numbers.
@@ -137,10 +142,7 @@ class ColumnsSensor:
         """
         self.discard()
         reading = self.read()
-        said = {name: f"{value:g}" for name, value in zip(self._columns.channels, reading.values, strict=True)}
-        if reading.temperature is not None:
-            said[TEMPERATURE] = f"{reading.temperature:.1f} °C"
-        return said | {"link": in_words(self.link_statistics())}
+        return numbers_in_words(self._columns.channels, reading) | {"link": in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """Return the next line of numbers.
@@ -204,6 +206,12 @@ def channels_of(names: Sequence[str]) -> tuple[str, ...]:
     """Return the readings among the names of columns: x, y and z in this order, then the others in theirs."""
     others = (name for name in names if name not in (*AXES, TEMPERATURE, TIME, "-"))
     return (*(axis for axis in AXES if axis in names), *others)
+
+
+def numbers_in_words(channels: Sequence[str], reading: Reading) -> dict[str, str]:
+    """Return the numbers of a reading as text, by their names."""
+    said = {name: f"{value:g}" for name, value in zip(channels, reading.values, strict=True)}
+    return said if reading.temperature is None else {**said, TEMPERATURE: f"{reading.temperature:.1f} °C"}
 
 
 def require_name(address: Address, name: str) -> None:

@@ -164,11 +164,13 @@ class Model:
     driver : callable
         ``driver(link, clock)`` returns the :class:`Sensor`.
     twin : callable
-        ``twin(truth, fixture, clock)`` returns a :class:`Link` that answers as the part would.
+        ``twin(truth, fixture, clock)`` returns a :class:`Link` that answers as the part would: ``fixture`` holds it, in
+        the sensor frame, and ``clock`` has the time of the session.
     not_modelled : tuple of str
         What the twin does not model, for ``tiltcal devices``.
     default_truth : callable or None
-        ``default_truth(seed)`` draws a plausible part for a ``sim:`` address without a twin file.
+        ``default_truth(seed)`` draws a plausible part, the same one for one seed, for a ``sim:`` address without a twin
+        file.
     spi : SpiPort or None
         None where the part has no SPI.
     options : tuple of str

@@ -78,8 +78,6 @@ class DfrobotSca100t:
     ----------
     link : Link
         Serial.
-    clock : Clock
-        Unused: the driver waits for answers.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:

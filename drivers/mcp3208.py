@@ -42,8 +42,6 @@ class Mcp3208:
     ----------
     link : Link
         SPI.
-    clock : Clock
-        Unused: the conversion takes place within the frame.
     reference : float
         Voltage at the reference pin, V.
     """

@@ -24,7 +24,15 @@ from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT
-from tiltcal.drivers.columns import SERIAL_COLUMNS, TEMPERATURE, TIME, channels_of, require_name, with_numbers
+from tiltcal.drivers.columns import (
+    SERIAL_COLUMNS,
+    TEMPERATURE,
+    TIME,
+    channels_of,
+    numbers_in_words,
+    require_name,
+    with_numbers,
+)
 from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import BusError, DeviceFault
 
@@ -157,8 +165,6 @@ class ModbusColumns:
     ----------
     link : Link
         Modbus.
-    clock : Clock
-        Unused: the device measures by itself.
     """
 
     def __init__(self, layout: RegisterLayout, link: Link, clock: Clock) -> None:
@@ -180,11 +186,7 @@ class ModbusColumns:
         DeviceFault
             The device refuses, or a number is none.
         """
-        reading = self.read()
-        said = {name: f"{value:g}" for name, value in zip(self._layout.channels, reading.values, strict=True)}
-        if reading.temperature is not None:
-            said[TEMPERATURE] = f"{reading.temperature:.1f} °C"
-        return said
+        return numbers_in_words(self._layout.channels, self.read())
 
     def read(self) -> Reading:
         """Read every number.

@@ -87,8 +87,6 @@ class Sca3000:
     ----------
     link : Link
         SPI or I2C, by its letter.
-    clock : Clock
-        Unused: every read returns the latest conversion.
     """
 
     def __init__(self, part: Sca3000Part, link: Link, clock: Clock) -> None:

@@ -51,15 +51,7 @@ class Pulses:
 
 
 def sentences_twin(truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTwin:
-    """Return a microcontroller that times both pulses and sends 100 sentences per second.
-
-    Parameters
-    ----------
-    fixture : HeldPose
-        Holds the sensor, in the sensor frame.
-    clock : Clock
-        Session time.
-    """
+    """Return a microcontroller that times both pulses and sends 100 sentences per second."""
     pulses = Pulses(truth, fixture, clock)
 
     def sentence(number: int) -> bytes:
@@ -115,11 +107,6 @@ class EdgesTwin(LineTwin):
 
 def draw_truth(variant: Adxl202Variant, seed: int) -> Truth:
     """Return a plausible part.
-
-    Parameters
-    ----------
-    seed : int
-        The same seed is the same part.
 
     Returns
     -------

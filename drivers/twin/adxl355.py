@@ -58,8 +58,6 @@ class Adxl355Registers(CountingUp):
 
     Parameters
     ----------
-    clock : Clock
-        Session time.
     settings : Adxl355Settings
         What the driver is going to set; the truth is in counts of this range.
     """

@@ -74,8 +74,6 @@ class SensorWiring(Wiring):
     ----------
     truth : Truth
         In V referred to a supply of 5 V.
-    fixture : HeldPose
-        Holds the sensor, in the sensor frame.
     """
 
     def __init__(self, wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
@@ -136,11 +134,6 @@ def ideal_thermistor(seed: int) -> Truth:
 
 def draw_truth(part: AnalogPart, seed: int) -> Truth:
     """Return a plausible part: that of its digital port, in V referred to a supply of 5 V.
-
-    Parameters
-    ----------
-    seed : int
-        The same seed is the same part.
 
     Raises
     ------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.columns import TEMPERATURE, ColumnLayout
@@ -21,26 +20,12 @@ BAUDRATE = 115_200
 
 
 def columns_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTwin:
-    """Return a device that prints the columns of an address; a skipped column is 0.
+    """Return a device that prints the columns of an address; a skipped column is 0."""
 
-    Parameters
-    ----------
-    fixture : HeldPose
-        Holds the sensor, in the sensor frame.
-    clock : Clock
-        Session time.
-    """
-    between = next(mark for mark in (b",", b";", b"\t", b" ") if re.fullmatch(columns.separator, mark))
-
-    def number(name: str, line: int) -> float:
-        if name == TEMPERATURE:
-            return fixture.temperature() + truth.thermometer_error
-        if name not in truth.channels:
-            return 0.0
-        return truth.sample(name, fixture.gravity, fixture.temperature(truth.lag), clock.now_ns(), line)
-
-    def line(place: int) -> bytes:
-        return between.join(f"{number(name, place):.9g}".encode() for name in columns.names) + b"\r\n"
+    def line(number: int) -> bytes:
+        gravity, element, now_ns = fixture.gravity, fixture.temperature(truth.lag), clock.now_ns()
+        numbers = {name: truth.sample(name, gravity, element, now_ns, number) for name in columns.channels}
+        return columns.line({**numbers, TEMPERATURE: fixture.temperature() + truth.thermometer_error})
 
     return StreamingTwin(truth, clock, line, period=PERIOD, baudrate=BAUDRATE)
 
@@ -54,8 +39,6 @@ def draw_truth(channels: tuple[str, ...], offset: float, sensitivity: float, see
         Nominal, unit.
     sensitivity : float
         Nominal, unit/g.
-    seed : int
-        The same seed is the same device.
     """
     within = part_errors(seed)
 

@@ -18,13 +18,6 @@ class Conversions:
 
     They depend on the truth, the pose, the temperature and the time alone, so a session that is killed and resumed
     goes on with the bytes it would have had.
-
-    Parameters
-    ----------
-    fixture : HeldPose
-        Holds the sensor, in the sensor frame.
-    clock : Clock
-        Session time.
     """
 
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:

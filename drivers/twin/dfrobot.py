@@ -22,8 +22,6 @@ class DfrobotTwin(LineTwin):
 
     Parameters
     ----------
-    fixture : HeldPose
-        Holds the module, in the sensor frame.
     clock : Clock
         Advances by the bytes of request and answer.
     """

@@ -45,8 +45,6 @@ class Iis2iclxRegisters(CountingUp):
 
     Parameters
     ----------
-    clock : Clock
-        Session time.
     settings : Iis2iclxSettings
         What the driver is going to set; the truth is in counts of this range.
     """

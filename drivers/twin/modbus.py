@@ -25,15 +25,7 @@ NO_SUCH_FUNCTION, NO_SUCH_REGISTER = 1, 2
 
 
 class ModbusTwin(TwinLink):
-    """A device with the columns of an address in its registers.
-
-    Parameters
-    ----------
-    fixture : HeldPose
-        Holds the sensor; its frame is the sensor's.
-    clock : Clock
-        Session time.
-    """
+    """A device with the columns of an address in its registers."""
 
     letter = "m"
 

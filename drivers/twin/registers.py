@@ -43,8 +43,6 @@ class CountingUp(ABC):
 
     Parameters
     ----------
-    clock : Clock
-        Session time.
     after_reset : mapping of int to int
         What registers hold after a reset; the others hold 0.
     set_up : mapping of int to int

@@ -48,8 +48,6 @@ class Sca100tTwin(TwinLink):
 
     Parameters
     ----------
-    fixture : HeldPose
-        Holds the sensor, in the sensor frame.
     clock : Clock
         Session time; each frame advances it by its bits at 500 kHz.
     """
@@ -199,11 +197,6 @@ class Push:
 
 def draw_truth(part: Sca100tPart, seed: int) -> Truth:
     """Return a plausible part, with errors uniformly distributed within the tolerances of the datasheet.
-
-    Parameters
-    ----------
-    seed : int
-        The same seed is the same part.
 
     Returns
     -------

@@ -55,8 +55,6 @@ class Scl3300Twin(RecallingTwin):
         What the driver is going to set; a session that is resumed finds it set.
     truth : Truth
         In counts of ``measuring``.
-    fixture : HeldPose
-        Holds the sensor, in the sensor frame.
     clock : Clock
         Session time; each frame lets it advance by its bits at 2 MHz.
     """

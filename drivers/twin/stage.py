@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field, replace
 from math import radians
 from typing import TYPE_CHECKING
@@ -44,32 +43,21 @@ def stage_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Cl
     ----------
     truth : StageTruth
         During its fault ``stuck``, it repeats the first line of the fault.
-    fixture : HeldPose
-        Unused: the stage stands by itself.
-    clock : Clock
-        Session time.
     """
     disk = truth.disk if isinstance(truth, StageTruth) else Disk()
     gradiometer = Gradiometer(disk, truth.seed)
-    between = next(mark for mark in (b",", b";", b"\t", b" ") if re.fullmatch(columns.separator, mark))
 
     def line(number: int) -> bytes:
         fault = truth.fault(number / disk.rate)
         sample = gradiometer.sample(round(fault.start * disk.rate) if fault.kind == "stuck" else number)
-        printed = {TIME: number / disk.rate, THETA: sample.theta, **dict(zip(CHANNELS, sample.readings, strict=True))}
-        return between.join(f"{printed.get(name, 0.0):.9g}".encode() for name in columns.names) + b"\r\n"
+        readings = dict(zip(CHANNELS, sample.readings, strict=True))
+        return columns.line({TIME: number / disk.rate, THETA: sample.theta, **readings})
 
     return StreamingTwin(truth, clock, line, period=1.0 / disk.rate, baudrate=BAUDRATE)
 
 
 def draw_truth(seed: int) -> StageTruth:
-    """Return accelerometers near those of the source; the tolerances are ours.
-
-    Parameters
-    ----------
-    seed : int
-        The same seed is the same disk.
-    """
+    """Return accelerometers near those of the source; the tolerances are ours."""
     within = part_errors(seed)
 
     parts = tuple(

@@ -55,8 +55,6 @@ class Tolerances:
             Axes that it measures.
         counts_per_g : float
             Nominal.
-        seed : int
-            The same seed is the same part.
         """
         within = part_errors(seed)
 
