@@ -446,10 +446,10 @@ class Section(Format[T]):
 
     def read(self, node: Node, context: Context = ANY) -> T:
         declared = {declaration.key: (name, declaration) for name, declaration in entries_of(self.record).items()}
-        _refuse_former_names(node, [declaration for _, declaration in declared.values()])
         values = node.mapping(
             required=[*self._fixed(), *(key for key, (_, declaration) in declared.items() if declaration.required)],
             optional=[key for key, (_, declaration) in declared.items() if not declaration.required],
+            former={declaration.formerly: key for key, (_, declaration) in declared.items() if declaration.formerly},
         )
         found: dict[str, Any] = {}
         for key, (name, declaration) in declared.items():
@@ -488,11 +488,3 @@ class Section(Format[T]):
     def _fixed(self) -> dict[str, Any]:
         """Return the keys that identify the file."""
         return {"tiltcal": FORMAT_VERSION, "kind": self.kind} if self.kind else {}
-
-
-def _refuse_former_names(node: Node, declared: Sequence[KeyDeclaration]) -> None:
-    """Refuse a key by its name in earlier versions, with the name that it has now."""
-    former = {declaration.formerly: declaration.key for declaration in declared if declaration.formerly}
-    for name, value in node.entries().items():
-        if name in former:
-            raise value.error(f"the key {name!r} is called {former[name]!r} now; rename it")

@@ -154,9 +154,22 @@ class Node:
             raise self._unexpected("a mapping")
         return self.content
 
-    def mapping(self, *, required: Sequence[str] = (), optional: Sequence[str] = ()) -> dict[str, Node]:
-        """Return the members of a mapping with fixed keys; an optional one that holds null is taken as absent."""
-        entries = self.entries()
+    def mapping(
+        self, *, required: Sequence[str] = (), optional: Sequence[str] = (), former: Mapping[str, str] | None = None
+    ) -> dict[str, Node]:
+        """Return the members of a mapping with fixed keys; an optional one that holds null is taken as absent.
+
+        Parameters
+        ----------
+        former : mapping of str to str
+            The present names of keys by those that files of earlier versions have.
+        """
+        former, entries = former or {}, {}
+        for written, node in self.entries().items():
+            name = former.get(written, written)
+            if name in entries:
+                raise node.error(f"this is the key {name!r} by its present and its former name: leave one out")
+            entries[name] = node
         known = [*required, *optional]
         for name, node in entries.items():
             if name not in known:

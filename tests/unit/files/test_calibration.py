@@ -93,6 +93,29 @@ def test_example_is_read() -> None:
     assert calibration.provenance == Provenance()
 
 
+@pytest.mark.parametrize(
+    ("present", "former"),
+    [
+        ("fit: {jig_estimated_degrees: 0.1}", "jig_that_shows_degrees: 0.1"),
+        ("fit: {suspect_positions: {a: {off_degrees: 1}}}", "worse_than_stated: {a: {off_degrees: 1}}"),
+    ],
+)
+def test_former_name_of_a_key_is_read(present: str, former: str) -> None:
+    head = EXAMPLE[: EXAMPLE.index("limits")] + "limits: {}\n"
+    section, entry = present.split(": {", 1)
+    both = f"{section}: {{{entry[:-1]}, {former}}}\n"
+    found = dump_calibration(read(head + present.replace(entry, former + "}") + "\n"))
+    assert found == dump_calibration(read(head + present + "\n"))
+    assert found != dump_calibration(read(head))
+    with pytest.raises(InputError, match="by its present and its former name"):
+        read(head + both)
+
+
+def test_calibration_of_an_earlier_version_is_read() -> None:
+    text = EXAMPLE.replace("  covariance", "  reading: {x: 0.2}\n  covariance")
+    assert read(text).uncertainty.single_reading == {"x": 0.2}
+
+
 def test_two_channels_may_have_a_z_column() -> None:
     text = EXAMPLE.replace("y: 9.1}", "z: 3.0, y: 9.1}").replace("y: 820.7}", "y: 820.7, z: 1.0}")
     coefficients = read(text).coefficients
@@ -145,16 +168,6 @@ def test_two_channels_may_have_a_z_column() -> None:
         ("[{position", "[1, {position", 19, "positions[0]", "a mapping is needed"),
         ("chi_square: 3.1", "chi_square: x", 18, "fit.chi_square", "a number is needed"),
         ("chi_square", "chi_sqare", 18, "fit.chi_sqare", "did you mean 'chi_square'"),
-        ("notes: [one]", "jig_that_shows_degrees: 1", 18, "fit.jig_that_shows_degrees", "'jig_estimated_degrees' now"),
-        ("notes: [one]", "worse_than_stated: {}", 18, "fit.worse_than_stated", "'suspect_positions' now"),
-        ("offset: {x: 0.1, y: 0.1}", "reading: {}", 15, "uncertainty.reading", "'single_reading' now"),
-        (
-            "fit:",
-            "derived: {intrinsic: {not_separated: x}}\nfit:",
-            18,
-            "derived.intrinsic.not_separated",
-            "'left_handed' now",
-        ),
         ("fit:", "provenance: {journal: x}\nfit:", 18, "provenance.journal", "a mapping is needed"),
         ("residual: 2}", "residual: [2]}", 18, "fit.worst.residual", "a number is needed"),
         ("fit:", "fitt:", 18, "fitt", "did you mean 'fit'"),
