@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
 from tiltcal.drivers import find_model
@@ -40,16 +39,12 @@ class DeviceSetup:
         """The model as it is wired at the address."""
         return find_model(self.model_name).at(parse_address(self.address))
 
-    def record(self) -> dict[str, Any]:
-        """As plain data, for the journal."""
-        straight = self.orientation.straight
-        return {
-            "model": self.model_name,
-            "serial": self.serial,
-            "address": self.address,
-            "output": self.output,
-            **({} if straight else {"axes": list(self.orientation.names)}),
-        }
+    def header(self) -> DeviceHeader:
+        """Return the device as a journal's header has it."""
+        axes = None if self.orientation.straight else tuple(self.orientation.names)
+        return DeviceHeader(
+            model=self.model_name, serial=self.serial, address=self.address, output=self.output, axes=axes
+        )
 
     @classmethod
     def from_header(cls, device: DeviceHeader) -> DeviceSetup:

@@ -28,6 +28,7 @@ from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
+from tiltcal.files.journal_header import HEADER
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.modbus import ModbusLine
@@ -296,7 +297,7 @@ class Session:
             yield None
             return
         if self.journal is None:
-            writer = JournalWriter.create(self.path, self.plan.header())
+            writer = JournalWriter.create(self.path, HEADER.write(self.plan.header()))
             self._captured = True
         else:
             writer = JournalWriter.resume(self.journal)

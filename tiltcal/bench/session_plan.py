@@ -10,16 +10,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import tiltcal
 from tiltcal.bench.device_setup import DeviceSetup, devices_of
 from tiltcal.calibration.prediction import require_in_range
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.errors import InputError, JournalError, UsageError
-from tiltcal.files.base_calibration import BASE, BaseFile
+from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.journal import Journal
+from tiltcal.files.journal_header import Header, SettingsHeader
 from tiltcal.files.moments import stamp
 from tiltcal.files.node import require_printable
 from tiltcal.files.procedure import Procedure
@@ -183,35 +184,32 @@ class SessionPlan:
         found = found.with_alignment(begun.alignment if begun.determines.level else None)
         return begun == (found.with_closing() if begun.closes else found)
 
-    def header(self) -> dict[str, Any]:
-        """As plain data, for the journal."""
-        return {
-            "software": self.software,
-            "journal": self.journal,
-            "started": stamp(self.started),
-            "virtual": self.virtual,
-            "operator": self.operator,
-            **({} if self.person is None else {"person": self.person}),
-            "sensors": [device.record() for device in self.sensors],
-            **({} if self.thermometer is None else {"thermometer": self.thermometer.record()}),
-            "settings": {
-                "samples": self.settings.samples,
-                "settle": self.settings.settle,
-                "soak": self.settings.soak,
-                "jig": self.jig,
-                "thermometer": self.thermometer_uncertainty,
-                **{
-                    name: value
-                    for name, value in (("table", self.table), ("heading", self.heading))
-                    if value is not None
-                },
-                "angle": self.procedure.angle,
-                **({} if self.procedure.rotation is None else {"turns": self.procedure.rotation.turns}),
-            },
-            "procedure": dict(self.procedure.record),
-            **({"bases": {serial: BASE.write(base) for serial, base in self.bases.items()}} if self.bases else {}),
-            **({"typical_temperature": True} if self.typical else {}),
-        }
+    def header(self) -> Header:
+        """Return the header of the session's journal."""
+        return Header(
+            software=self.software,
+            journal=self.journal,
+            started=stamp(self.started),
+            virtual=self.virtual,
+            operator=self.operator,
+            person=self.person,
+            sensors=tuple(device.header() for device in self.sensors),
+            thermometer=None if self.thermometer is None else self.thermometer.header(),
+            settings=SettingsHeader(
+                samples=self.settings.samples,
+                settle=self.settings.settle,
+                soak=self.settings.soak,
+                jig=self.jig,
+                thermometer=self.thermometer_uncertainty,
+                table=self.table,
+                heading=self.heading,
+                angle=self.procedure.angle,
+                turns=None if self.procedure.rotation is None else self.procedure.rotation.turns,
+            ),
+            procedure=dict(self.procedure.record),
+            bases=self.bases,
+            typical_temperature=self.typical,
+        )
 
     @classmethod
     def from_journal(cls, journal: Journal) -> SessionPlan:

@@ -32,12 +32,12 @@ class SettingsHeader:
     samples: int = entry(Integer(minimum=2), "samples a position")
     settle: float = entry(Number(above=0.0), "seconds over which the reading must hold still")
     soak: float = entry(Number(above=0.0), "seconds of the window at a new temperature")
-    jig: float | None = entry(FROM_ZERO, "standard uncertainty of a set angle, degrees", default=None)
-    thermometer: float | None = entry(FROM_ZERO, "standard uncertainty of a temperature, °C", default=None)
-    angle: float | None = entry(Number(), "the angle that the procedure leaves free, degrees", default=None)
-    turns: int | None = entry(Integer(minimum=1), "the most turns of a rotation", default=None)
+    jig: float | None = entry(FROM_ZERO, "standard uncertainty of a set angle, degrees", default=None, kept=True)
+    thermometer: float | None = entry(FROM_ZERO, "standard uncertainty of a temperature, °C", default=None, kept=True)
     table: float | None = entry(FROM_ZERO, "uncertainty of the table's lean, degrees", default=None)
     heading: float | None = entry(FROM_ZERO, "uncertainty of a heading, degrees", default=None)
+    angle: float | None = entry(Number(), "the angle that the procedure leaves free, degrees", default=None, kept=True)
+    turns: int | None = entry(Integer(minimum=1), "the most turns of a rotation", default=None)
 
 
 @frozen(kw_only=True)
