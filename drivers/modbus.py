@@ -237,7 +237,8 @@ def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
     UsageError
         A column is wrong, a name is given twice, or there is no reading.
     """
-    columns = [_column(address, text.strip()) for text in address.text("columns", default).split(",")]
+    named = [_column(address, text.strip()) for text in address.text("columns", default).split(",")]
+    columns = [column for column in named if column.name != "-"]
     names = [column.name for column in columns]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:

@@ -170,8 +170,8 @@ def measure(
         _require_named(
             procedure, bench, resume, {"--sensor": sensor, "--address": address, "--serial": serial, "-o": output}
         )
-        steps = find_procedure(str(procedure), tilt).with_turns(turns).with_alignment(alignment)
-        steps = steps.with_closing() if closing else steps
+        steps = find_procedure(str(procedure), tilt)
+        steps = steps.with_turns(turns).with_alignment(alignment).with_closing(closing)
         if bench is None:
             require_name(str(serial), "the serial number")
         _require_settings(steps, samples, settle, jig)

@@ -123,8 +123,7 @@ def plan(
     model = find_model(sensor or str(own and own.sensor.model))
     if address is not None:
         model = model.at(parse_address(address))
-    steps = find_procedure(procedure, tilt)
-    steps = steps.with_closing() if closing else steps
+    steps = find_procedure(procedure, tilt).with_closing(closing)
     require_no_jig(steps, jig)
     require_whole("--samples", samples, 2, "samples")
     require_from_zero("--noise", noise)
@@ -142,7 +141,7 @@ def plan(
     found = known(steps, model)
     if steps.closes or steps.determines.free or steps.ramp is not None or len(steps.positions) < 2:
         return found
-    dof = known(steps.with_closing(), model).prediction.dof
+    dof = known(steps.with_closing(True), model).prediction.dof
     first, count = steps.positions[0], samples or steps.samples
     soaked = "" if first.temperature is None else f"a soak at {first.temperature:g} °C and "
     costs = f"--closing takes {first.name} again at the end ({soaked}{count} samples)"

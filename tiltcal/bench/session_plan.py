@@ -182,7 +182,7 @@ class SessionPlan:
             return False
         found = found.with_turns(None if begun.rotation is None else begun.rotation.turns)
         found = found.with_alignment(begun.alignment if begun.determines.level else None)
-        return begun == (found.with_closing() if begun.closes else found)
+        return begun == found.with_closing(begun.closes)
 
     def header(self) -> Header:
         """Return the header of the session's journal."""

@@ -350,16 +350,18 @@ class Procedure:
         """Whether the last position is the first one again."""
         return len(self.positions) > 1 and _stands(self.positions[0]) == _stands(self.positions[-1])
 
-    def with_closing(self) -> Procedure:
+    def with_closing(self, closing: bool) -> Procedure:
         """Return this procedure with its first position once more at the end, which shows what has changed meanwhile.
 
-        One that ends where it began stays as it is.
+        One that ends where it began stays as it is, and so does every one without ``closing``.
 
         Raises
         ------
         UsageError
             There are no positions, or nobody sets them.
         """
+        if not closing:
+            return self
         self.require_positions()
         if self.determines.free:
             raise UsageError(f"{self.name} sets no position that could be visited again: leave --closing out")
@@ -369,8 +371,8 @@ class Procedure:
         name, again = f"{first.name}-again", "Back to the first position, to show what has changed."
         entries = list(self.record["positions"])
         entries.append({**entries[0], "name": name, "prompt": f"{again} {entries[0]['prompt']}"})
-        closing = replace(first, name=name, prompt=f"{again} {first.prompt}")
-        return replace(self, positions=(*self.positions, closing), record={**self.record, "positions": entries})
+        last = replace(first, name=name, prompt=f"{again} {first.prompt}")
+        return replace(self, positions=(*self.positions, last), record={**self.record, "positions": entries})
 
 
 def _stands(position: Position) -> tuple[object, ...]:

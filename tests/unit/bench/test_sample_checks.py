@@ -301,14 +301,14 @@ def test_a_closing_visit_shows_a_sensor_that_was_knocked(monkeypatch: pytest.Mon
 
 
 def test_a_closing_visit_is_planned_once_and_replays() -> None:
-    steps = find_procedure("plane").with_closing()
+    steps = find_procedure("plane").with_closing(True)
     assert len(steps.positions) == 5
-    assert steps.with_closing() == steps
+    assert steps.with_closing(True) == steps
     costs = plan("plane", sensor="sca100t-d02", jig=0.1, samples=40)
     assert "--closing takes x-tilt1 again at the end (40 samples), and leaves 4 degrees" in str(costs)
     assert "--closing" not in str(plan("plane", sensor="sca100t-d02", jig=0.1, closing=True))
     assert plan("plane", sensor="sca100t-d02", jig=0.1, closing=True).prediction.dof == 4  # type: ignore[union-attr]
     with pytest.raises(UsageError, match="sets no position that could be visited again"):
-        find_procedure("free").with_closing()
+        find_procedure("free").with_closing(True)
     session("zero-45", closing=True, settle=0.2, samples=10)
     assert [str(one) for one in Session.of_journal(Path("S-1.journal.jsonl")).replay().texts] == ["S-1.yaml"]

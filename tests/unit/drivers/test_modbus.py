@@ -61,6 +61,15 @@ def test_the_address_names_registers_types_factors_and_order() -> None:
     assert sensor.read().step == 0.001
 
 
+def test_a_column_that_is_skipped_is_no_reading() -> None:
+    """As in ``serial-columns``; its registers are not asked for."""
+    columns = "columns=-@0,x@1,-@2:float32,y@4"
+    assert at(columns)[0].channels == ("x", "y")
+    sensor = scripted(columns, r0300010001="03 02 0007", r0300040001="03 02 0009")
+    assert sensor.read().values == (7.0, 9.0)
+    assert find_model("modbus-columns").at(parse_address(f"sim:{columns}")).channels == ("x", "y")
+
+
 @pytest.mark.parametrize(
     ("order", "registers"),
     [("abcd", "3F00 0000"), ("cdab", "0000 3F00"), ("badc", "003F 0000"), ("dcba", "0000 003F")],
