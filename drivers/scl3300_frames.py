@@ -71,6 +71,11 @@ class Answer(NamedTuple):
         """The data as two's complement."""
         return self.data - 0x10000 if self.data & 0x8000 else self.data
 
+    def answers(self, request: bytes) -> bool:
+        """Return whether it is intact and belongs to this request: it echoes the operation and the written data."""
+        unlike = bool(request[0] & 0x80) and self.data != int.from_bytes(request[1:3], "big")
+        return self.intact and self.operation == request[0] >> 2 and not unlike
+
 
 def crc8(head: bytes) -> int:
     """Return the CRC-8 of the first three bytes of a frame."""

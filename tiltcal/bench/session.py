@@ -20,8 +20,8 @@ from tiltcal.bench.recording import sample_rows
 from tiltcal.bench.sensor_set import SensorSet, connected, open_device
 from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
 from tiltcal.bench.session_plan import SessionPlan
-from tiltcal.bench.verification import Verification, verify_positions
 from tiltcal.bench.virtual_bench import VirtualBench
+from tiltcal.calibration.verification import Verification, verify_positions
 from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError

@@ -69,7 +69,7 @@ def command(
     from tiltcal.bench.operators.selection import open_operator
     from tiltcal.bench.session import Session
     from tiltcal.bench.session_plan import plan_session
-    from tiltcal.bench.verification import PASSED
+    from tiltcal.calibration.verification import PASSED
 
     judged = read_calibration(calibration)
     if resume is not None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiltcal.bench.verification import Verification, VerifiedPosition, verify_positions
 from tiltcal.calibration.measurement import Measurement
+from tiltcal.calibration.verification import Verification, VerifiedPosition, verify_positions
 from tiltcal.core.model import Coefficients
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
