@@ -21,9 +21,18 @@ def moment(text: str | date, path: str | Path | None = None) -> datetime:
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 
+LEAST_SECONDS, MOST_SECONDS = 1e8, 253402300799.0
+"""Since 1970, up to the end of the year 9999: what counts fewer or more is no moment."""
+
+
 def stamp(moment: datetime) -> str:
     """Return a moment as text, to the millisecond."""
     return moment.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def stamp_of(seconds: float) -> str | None:
+    """Return seconds since 1970 as text, to the millisecond; None where they count from another beginning."""
+    return stamp(datetime.fromtimestamp(seconds, UTC)) if LEAST_SECONDS < seconds < MOST_SECONDS else None
 
 
 def to_the_second(moment: datetime) -> str:

@@ -23,7 +23,7 @@ from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_colum
 from tiltcal.core.model import Array, polynomial
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.moments import moment
+from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.logs.columns import TEMPERATURE, TIME, SensorColumns, named_columns
 from tiltcal.logs.compensation_kernel import ElementTemperature, Kernel, RoleValues
@@ -47,8 +47,6 @@ SERIAL_NOTES = ("serial", "serial_number", "sensor_serial_number", "instrument_s
 """The attributes or metadata of a log that may state its sensor."""
 
 _ON_LINE = ("offset", "temperature.offset")
-_FIRST_MOMENT = 1e8  # seconds since 1970: what counts fewer of them is no moment
-_LAST_MOMENT = 1e11
 _MOST_PIECES = 1000  # of a block, compensated one by one
 _OUTSIDE = 1 << 16  # steps before the first calibration and after the last one are counted from here
 _GROWTH = 8  # steps of the time outside, for each doubling of it
@@ -233,13 +231,13 @@ class LibraryKernel:
         known = np.isfinite(time)
         if known.any():
             first = float(time[known.argmax()])
-            if self._start is not None and first - self._start > _FIRST_MOMENT:
+            if self._start is not None and first - self._start > LEAST_SECONDS:
                 raise InputError(
                     "the times are dates, or count seconds since 1970: leave out --start, which is for times that "
                     "count from the beginning of the log",
                     file=self._log,
                 )
-            if not _FIRST_MOMENT < first < _LAST_MOMENT:
+            if not LEAST_SECONDS < first < MOST_SECONDS:
                 raise InputError(
                     f"the time {first:g} is not a date and no count of seconds since 1970: state when the log began "
                     "with --start, such as --start 2026-05-01T12:00:00Z",

@@ -28,6 +28,7 @@ from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.declaration import Section
+from tiltcal.files.moments import stamp_of
 from tiltcal.files.node import require_name
 from tiltcal.files.positions import TabledRow, read_positions, tabled_channels
 from tiltcal.files.procedure import Procedure
@@ -308,7 +309,7 @@ class FitSource:
             dict.fromkeys(sensor.channels, SampleSummary(0.0, 0.0, 1, 0.0)),
         )
         segments = None if segment is None else _origin(self.segments, SegmentsRecord)
-        provenance = self._provenance(record, segments)
+        provenance = self._provenance(record, segments, [(found.time[0], found.time[-1])])
         if provenance.log is not None:
             provenance = replace(provenance, log=replace(provenance.log, missing=missing or None))
         return FitPositions([attitude], provenance, found)
@@ -334,7 +335,8 @@ class FitSource:
             chosen, tried = find_still(readings, windows)
             say(choice_table(chosen, tried, sensor.unit))
             found = still_segments(chosen)
-            intervals = intervals_of(*sampled(record, found, self.rails), record, file=record.name)
+            samples, step = sampled(record, found, self.rails)
+            intervals = intervals_of(samples, step, record, file=record.name)
         attitudes = directions([interval.summaries for interval in intervals])
         for interval, (x, y, z) in zip(intervals, attitudes.tolist(), strict=True):
             rows = [segment for segment in found if segment.name == interval.position]
@@ -347,7 +349,7 @@ class FitSource:
             threshold=significant(chosen.threshold, 4),
             times_noise=chosen.multiple,
         )
-        return FitPositions(oriented(intervals, attitudes), self._provenance(record, how))
+        return FitPositions(oriented(intervals, attitudes), self._provenance(record, how, _times(samples)))
 
     @property
     def _name(self) -> str:
@@ -373,34 +375,38 @@ class FitSource:
             require_positions(segments, procedure, file=self._name)
         samples, step, record = self._sampled(sensor, segments, soak)
         intervals = intervals_of(samples, step, record, file=self._name)
-        return intervals, self._provenance(record, _origin(self.segments, SegmentsRecord))
+        return intervals, self._provenance(record, _origin(self.segments, SegmentsRecord), _times(samples))
 
     def _whole(self, sensor: SensorIdentity, procedure: Procedure) -> tuple[list[StaticInterval], Provenance]:
         """What the sensor read in the one position of a procedure, which is the whole log."""
         whole = [Segment(procedure.positions[0].name, 0, TO_THE_END, None, None)]
         samples, step, record = self._sampled(sensor, whole)
-        return intervals_of(samples, step, record, file=record.name), self._provenance(record)
+        return intervals_of(samples, step, record, file=record.name), self._provenance(record, times=_times(samples))
 
     def _sampled(
         self, sensor: SensorIdentity, segments: Sequence[Segment], soak: float = 0.0
     ) -> tuple[list[IntervalSamples], float, RecordedReadings]:
-        """Read the log, with its times where a soak is judged and it has any."""
-        with self._record(sensor, timed=soak > 0.0) as record:
+        """Read the log."""
+        with self._record(sensor) as record:
             return (*sampled(record, segments, self.rails, soak), record)
 
     @contextmanager
-    def _record(
-        self, sensor: SensorIdentity, others: Sequence[str] = (), *, timed: bool = False
-    ) -> Iterator[RecordedReadings]:
+    def _record(self, sensor: SensorIdentity, others: Sequence[str] = ()) -> Iterator[RecordedReadings]:
         named = named_columns(self.columns, sensor.channels)
         with (
             ThreadPoolExecutor(1) as thread,
-            recorded_readings(self.data, sensor.channels, named, sensor.unit, self.progress, others, timed) as record,
+            recorded_readings(self.data, sensor.channels, named, sensor.unit, self.progress, others) as record,
         ):
             thread.submit(import_module, "scipy.special")  # which the fit needs, and a long log leaves time for
             yield record
 
-    def _provenance(self, record: RecordedReadings | None = None, segments: SegmentsRecord | None = None) -> Provenance:
+    def _provenance(
+        self,
+        record: RecordedReadings | None = None,
+        segments: SegmentsRecord | None = None,
+        times: Sequence[tuple[float, float]] = (),
+    ) -> Provenance:
+        """Return what was read; ``times`` are those of the first and the last row of each interval, s."""
         log = None
         if record is not None and record.sha256 is not None:
             log = LogRecord(name=Path(self.data).name, sha256=record.sha256, rows=record.rows)
@@ -410,7 +416,13 @@ class FitSource:
             table=_origin(self.data, FileRecord) if self.table else None,
             segments=segments,
             software=f"tiltcal {tiltcal.__version__}",
+            started=stamp_of(min(begin for begin, _ in times)) if times else None,
+            ended=stamp_of(max(end for _, end in times)) if times else None,
         )
+
+
+def _times(samples: Sequence[IntervalSamples]) -> list[tuple[float, float]]:
+    return [one.times for one in samples if one.times is not None]
 
 
 def _serial(serial: str | None, base: str | Path | None) -> str:

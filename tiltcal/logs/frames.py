@@ -43,9 +43,13 @@ class FrameReader(LogReader):
         self.names = self._frame.names
         self.notes = {str(key): str(note) for key, note in dict(getattr(frame, "attrs", None) or {}).items()}
 
-    def has_times(self, name: str) -> bool:
+    def has_times(self, name: str, beside: int) -> bool:
         frame = self._frame
-        return super().has_times(name) and len(frame.dimensions(name)) == 1 and frame.times(name) is not None
+        return (
+            super().has_times(name, beside)
+            and frame.dimensions(name) == frame.dimensions(self.names[beside])
+            and frame.times(name) is not None
+        )
 
     def unit(self, column: int) -> str | None:
         return self._frame.unit(self.names[column])

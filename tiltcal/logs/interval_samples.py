@@ -161,6 +161,8 @@ class IntervalSamples:
     ----------
     before : Line or None
         Of the temperature up to the interval's end, where it is judged over more rows than these.
+    times : (float, float) or None
+        Of the first and the last of its rows that have one, s; None where none has.
     """
 
     def __init__(
@@ -170,6 +172,7 @@ class IntervalSamples:
         self.last = max(parts, key=lambda part: part.start)
         self.pieces: list[Future[Piece]] = []
         self.before: Line | None = None
+        self.times: tuple[float, float] | None = None
         self.rails = rails
         self._channels, self._submit = channels, submit
         self._block = sum(part.end - part.start for part in parts) // BLOCKS if self.last.end < TO_THE_END else _ROWS
@@ -189,6 +192,12 @@ class IntervalSamples:
                     self._sum_up(self._piece, self._block)
                     self._begun += PIECE
                 self._piece, self._next, self._rows = self._next, [], 0
+
+    def add_times(self, times: Array) -> None:
+        """Take the times of some rows, shape (n,), s."""
+        known = times[np.isfinite(times)]
+        if len(known):
+            self.times = (float(known[0]) if self.times is None else self.times[0], float(known[-1]))
 
     def end(self) -> None:
         """Sum up the last rows."""
@@ -243,7 +252,10 @@ def sampled(
                 recent.add(values[len(record.channels) :])
             while coming and coming[0][0].start < record.rows:
                 part, interval = coming[0]
-                interval.add(values[:columns], max(part.start - first, 0), min(part.end, record.rows) - first)
+                start, end = max(part.start - first, 0), min(part.end, record.rows) - first
+                interval.add(values[:columns], start, end)
+                if record.timed:
+                    interval.add_times(values[columns][start:end])
                 if part.end > record.rows:
                     break
                 coming.popleft()

@@ -180,8 +180,8 @@ class LogReader(ABC):
         if self._hashing is not None:
             self._hashing.read(self.bytes_read - self._hashing.bytes_read)
 
-    def has_times(self, name: str) -> bool:
-        """Return whether there is a column of this name that may be read as times."""
+    def has_times(self, name: str, beside: int) -> bool:
+        """Return whether there is a column of this name that may be read as times of the rows of another column."""
         return name in self.names
 
     def unit(self, column: int) -> str | None:

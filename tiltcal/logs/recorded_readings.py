@@ -73,7 +73,6 @@ def recorded_readings(
     unit: str,
     progress: Progress | None = None,
     others: Sequence[str] = (),
-    timed: bool = False,
 ) -> Iterator[RecordedReadings]:
     """Open a log for its readings.
 
@@ -86,9 +85,8 @@ def recorded_readings(
     progress : callable, optional
         Called with the bytes that have been read, after each block.
     others : sequence of str
-        Further roles that are needed: time.
-    timed : bool
-        Read the times too where the user names their column, or the log has one; in this, what is no time is missing.
+        Further roles that are needed: time. Where it is not, the column of that name is read if the log has one, and
+        what is no time in it is missing.
 
     Raises
     ------
@@ -98,9 +96,11 @@ def recorded_readings(
     is_file = isinstance(log, str | Path)
     with open_log(log, digest=is_file, progress=progress) as reader:
         needs_time = TIME in named or TIME in others
-        if timed and (needs_time or reader.has_times(TIME)):
+        if needs_time:
             others = (*others, TIME)
         where = locate_readings(reader, channels, named, unit, others)
+        if TIME not in where and reader.has_times(TIME, where[channels[0]]):
+            where[TIME] = reader.names.index(TIME)
         columns = [where[role] for role in (*channels, TEMPERATURE, TIME) if role in where]
         blocks = (
             [block.values[index] for index in columns]

@@ -17,6 +17,7 @@ from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.statistics import SampleSummary, summary_of
 from tiltcal.errors import InputError
+from tiltcal.files.moments import stamp_of
 from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
@@ -48,7 +49,7 @@ class StaticInterval:
     warming : float
         By how much the temperature rose from beginning to end, °C.
     where : mapping of str to Any
-        How it is found again: rows of the log, or the line of a table.
+        How it is found again: rows and time of the log, or the line of a table.
     """
 
     name: str
@@ -262,7 +263,8 @@ def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, n
         summary_of(known).mean if known else None,
         parts[0].line,
         warming if samples.before is None else max(warming, samples.before.rise, key=abs),
-        {"rows": tuple((part.start, part.end) for part in parts), **({"left_out": far} if far else {})},
+        {"rows": tuple((part.start, part.end) for part in parts), **({"left_out": far} if far else {})}
+        | ({} if samples.times is None else {"time": stamp_of(samples.times[1])}),
     )
 
 

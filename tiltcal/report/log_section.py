@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.flags import FLAGS, REASONS
 from tiltcal.core.model import Array
+from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS
 from tiltcal.report.figure import BLUE, GREY, RED, SvgFigure, picture
 from tiltcal.report.number_format import AlignedNumber, at_place, column, grouped
 
@@ -30,9 +31,6 @@ ROUND = "roll"
 
 FEW = 100
 """Largest number of rows that are drawn one by one."""
-
-LEAST_MOMENT, LAST_MOMENT = 1e8, 253402300799.0
-"""Seconds since 1970, from 1973 to 9999; smaller numbers have an unknown start."""
 
 GAP = 5.0
 """Distance of two groups of rows, in usual distances, that counts as a gap."""
@@ -206,7 +204,7 @@ def _clock(log: ReportedLog) -> tuple[Array, str]:
 
 def _moment(seconds: float) -> str:
     """Return the start of a log, if its seconds can only be those since 1970."""
-    if not LEAST_MOMENT <= seconds <= LAST_MOMENT:
+    if not LEAST_SECONDS < seconds < MOST_SECONDS:
         return "the first row"
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 

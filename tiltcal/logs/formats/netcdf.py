@@ -110,6 +110,16 @@ class NetcdfReader(LogReader):
         unit = self._data[self.names[column]].attrs.get("units")
         return None if unit is None else str(unit)
 
+    def has_times(self, name: str, beside: int) -> bool:
+        if not super().has_times(name, beside) or self._data[name].dims != self._data[self.names[beside]].dims:
+            return False
+        kind = self._data[name].dtype.kind
+        try:
+            seconds_since_1970(np.empty(0), self.unit(self.names.index(name)))
+        except InputError:
+            return False
+        return kind in "iuf" or kind in _TEXT
+
     def dimension(self, columns: Sequence[int]) -> str:
         """Along which the columns have their rows.
 

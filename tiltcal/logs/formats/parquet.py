@@ -60,6 +60,9 @@ class ParquetReader(LogReader):
         if not self._rows:
             raise InputError("the log has columns and no rows", file=self.name)
 
+    def has_times(self, name: str, beside: int) -> bool:
+        return super().has_times(name, beside) and not self._schema[name].is_nested()
+
     @property
     def _reads_ahead(self) -> bool:
         return bool(self._rows > _ROWS)
