@@ -27,6 +27,7 @@ STANDARD = "-"
 """The name of standard input and standard output."""
 
 _PIPE_BUFFER = 1 << 16  # bytes that a pipe holds
+_LOOK = 0.2  # seconds until a wait for bytes looks whether Ctrl-C came
 _OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")  # how the engine ends its message where the system refuses
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
 _WRITEBACK = 32 << 20  # bytes of a result that go to the disk together
@@ -254,8 +255,9 @@ class PipeReader:
 
     def read1(self, size: int = -1) -> bytes:
         """Return what has arrived, once something has; nothing at the end."""
-        if os.name == "posix":
-            select([self._descriptor], [], [])
+        # A signal that comes just before the wait, or to another thread, does not end it.
+        while os.name == "posix" and not select([self._descriptor], [], [], _LOOK)[0]:
+            pass
         return os.read(self._descriptor, size if size >= 0 else _PIPE_BUFFER)
 
     def read(self, size: int = -1) -> bytes:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+import sys
 import threading
 from collections.abc import Iterator
 from io import BytesIO
@@ -12,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tiltcal.logs import streams
-from tiltcal.logs.streams import HashingReader, read_ahead, with_writeback
+from tiltcal.logs.streams import HashingReader, log_source, read_ahead, with_writeback
 
 
 def test_the_items_come_in_order_from_another_thread() -> None:
@@ -68,3 +70,24 @@ def test_the_checksum_is_that_of_what_was_read() -> None:
     while reader.read(30_000):
         pass
     assert reader.sha256 == "cdc76e5c9914fb9281a1c7e284d73e67f1809a48a497200e046d39ccc7112cd0"
+
+
+def test_ctrl_c_that_does_not_reach_the_wait_ends_it(tmp_path: Path) -> None:
+    """Another thread gets the signal while the first one waits for a pipe, and nothing wakes the wait."""
+    os.mkfifo(tmp_path / "device")
+    first, ended, given_up = threading.main_thread().ident, threading.Event(), []
+
+    def interrupt() -> None:
+        with open(tmp_path / "device", "wb"):
+            while not (frame := sys._current_frames().get(first)) or frame.f_code.co_name != "read1":
+                pass
+            signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+            given_up.append(not ended.wait(10))
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with log_source(str(tmp_path / "device"), live=True) as (stream, _):
+        assert stream.read(1000) == b""
+        ended.set()
+        thread.join()
+    assert given_up == [False]
