@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import asin, degrees
 from pathlib import Path
+from textwrap import indent
 from typing import TYPE_CHECKING
 
 import click
@@ -56,7 +57,7 @@ def command(folder: Path, seed: int) -> None:
         serial=SERIAL,
         output=calibration,
         journal=journal,
-        remark=lambda line: click.echo(f"   {line}"),
+        remark=lambda text: click.echo(indent(text, "   ")),
     )
     click.echo("\n2. the calibration file")
     click.echo(summary(read_calibration(calibration)))

@@ -69,6 +69,25 @@ def test_what_is_wrong_with_a_typed_number_is_said_in_plain_words(person, shown)
     assert "could not convert" not in said
 
 
+def test_an_unknown_key_is_answered_with_those_that_are_offered(person, shown) -> None:
+    """An arrow key is one ESC; with --plain a line that is not answered would look like a program that hangs."""
+    assert asked(person("\x1b\n")) == OperatorAnswer("ready")
+    assert "  not one of the keys: Enter, a, t, b, q\n" in shown.getvalue()
+    operator = person("z\n")
+    operator.begin("A title", 3, {"S-1": find_model("sca100t-d02")})
+    assert operator.review(REVIEWED) == OperatorAnswer("accept")
+    assert "  not one of the keys: Enter, r, b, q\n" in shown.getvalue()
+
+
+def test_a_reading_of_more_than_1_g_has_no_tilt(shown: io.StringIO) -> None:
+    """An SCL3300 with an offset of -97 counts reads -6097 upside down, where the data sheet has 6000 count/g."""
+    console = Console(file=shown, force_terminal=True, width=100, color_system=None)
+    operator = TerminalOperator(console, Typed(ENTER), live=True)
+    operator.begin("A title", 3, {"S-1": find_model("scl3300")})
+    operator.look(LEVEL, {"S-1": Reading((-6097.0, 6100.0, 0.0), None)}, "live")
+    assert "x -6097 (beyond -90°)   y 6100 (beyond +90°)   z 0 (+0.00°)" in shown.getvalue()
+
+
 def test_a_direction_is_typed_or_left(person, shown) -> None:
     free = Position("free-1", "Any attitude.", (0.0, 0.0, 1.0))
     assert asked(person("a\n", ""), free) == OperatorAnswer("ready")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from math import asin, degrees, isfinite
+from math import asin, copysign, degrees, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -55,6 +55,7 @@ class _Terminal:
         self._console = console
         self._keys = keys
         self._live = live
+        self._offered: list[str] = []
 
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         """Ask once more before the files are written."""
@@ -76,17 +77,23 @@ class _Terminal:
             key = self._keys.choice(None)
             if key is not None and key in keys:
                 return key
+            self._refuse_key()
 
     def _say(self, text: str, style: str = "", end: str = "\n") -> None:
         """Print a line as it stands: what comes from a file is no markup, and holds no escape sequence."""
         self._console.print(Text(printable(text), style=style), end=end)
 
     def _hint(self, *choices: str) -> None:
-        line = Text("  ")
+        line, self._offered = Text("  "), []
         for choice in choices:
             key, _, meaning = choice.partition(" ")
             line.append(key, style="bold").append(f" {meaning}   ", style="dim")
+            self._offered.append(key)
         self._console.print(line)
+
+    def _refuse_key(self) -> None:
+        """Name the keys that are offered; the one that was pressed may have no name to print, such as an arrow."""
+        self._say(f"  not one of the keys: {', '.join(self._offered)}")
 
     def _line(self, *parts: str) -> None:
         """Print one line that the next one overwrites; parts that do not fit are left out whole."""
@@ -146,7 +153,7 @@ class TerminalOperator(_Terminal):
             elif key == "a":
                 gravity = self._typed("direction that points up, as gx gy gz", direction, gravity)
             elif key is not None:
-                self._say(f"  {key!r} is not one of the keys")
+                self._refuse_key()
 
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
         self._show(readings, why)
@@ -238,7 +245,7 @@ class TerminalOperator(_Terminal):
         """Return a reading as a tilt, by the model's nominal coefficients."""
         model = self._models[serial]
         sine = (value - model.offset) / model.sensitivity
-        return f"{degrees(asin(sine)):+.2f}°" if abs(sine) <= 1 else "over range"
+        return f"{degrees(asin(sine)):+.2f}°" if abs(sine) <= 1 else f"beyond {copysign(90.0, sine):+.0f}°"
 
     def _angles(self, asked: Mapping[str, float], before: dict[str, float]) -> dict[str, float]:
         """Ask for the angles actually set, one an axis; an empty line keeps what was typed before."""
@@ -266,12 +273,12 @@ class TerminalOperator(_Terminal):
                 raise InputError(f"it must be between {low:g} and {high:g}")
             return value
 
-        return self._typed(f"{what}, or Enter to keep it", parse, before)
+        return self._typed(what, parse, before)
 
     def _typed(self, what: str, parse: Callable[[str], T], before: T | None) -> T | None:
         """Ask until the typed line can be understood; an empty line leaves what was there before."""
         while True:
-            self._say(f"  {what}: ", end="")
+            self._say(f"  {what}, or Enter to keep it: ", end="")
             typed = self._keys.line()
             if not typed.strip():
                 return before
