@@ -29,7 +29,7 @@ from tiltcal.core.estimation.joint_equations import ADC, JIG, NOISE, TABLE, THER
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import CoefficientChange
-from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.rounding import plus_minus, round_to, significant
 from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
@@ -150,7 +150,7 @@ def _lines(calibration: CalibrationRecord) -> Iterator[str]:
         column = coefficients.axes.index(channel) if channel in coefficients.axes else row
         angle = degrees(asin(max(-1.0, min(change / float(coefficients.sensitivity[row, column]), 1.0))))
         yield (
-            f"  offset {channel}  {offset:.6g} ± {calibration.uncertainty.get(f'offset.{channel}', 0.0):.2g} "
+            f"  offset {channel}  {plus_minus(offset, calibration.uncertainty.get(f'offset.{channel}', 0.0))} "
             f"{sensor.unit}; was {offset - change:.6g}, changed by {change:+.3g} ± "
             f"{found.change_uncertainty.get(channel, 0.0):.2g} ({angle:+.3f}°)"
         )

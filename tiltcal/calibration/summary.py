@@ -8,6 +8,7 @@ from math import asin, degrees
 import numpy as np
 
 from tiltcal.core.named_coefficients import values
+from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.fit_record import FitRecord
@@ -114,4 +115,5 @@ def _probability(fit: FitRecord) -> float | None:
 
 
 def _pair(value: float, u: float) -> str:
-    return f"{value:>12.6g} ± {u:.2g}"
+    number, _, told = plus_minus(value, u).partition(" ")
+    return f"{number:>12} {told}"

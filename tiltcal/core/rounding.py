@@ -8,6 +8,8 @@ from math import isfinite
 _GUARD_DIGITS = 3
 """Digits kept after the first one of the uncertainty: rounding adds less than a thousandth of it."""
 _DIGITS_WITHOUT_UNCERTAINTY = 12
+_MOST_ZEROS = 4
+"""Largest number of zeros before the first digit; smaller numbers have a power of ten."""
 
 
 def round_to(value: float, uncertainty: float) -> float:
@@ -55,12 +57,32 @@ def bracketed(value: float, uncertainty: float, digits: int = 1) -> str:
         return f"{value:.6g}"
     rounded = Decimal(f"{uncertainty:.{digits - 1}e}")
     place = rounded.adjusted() - (digits - 1)
-    if place > 0:
-        return f"{round(Decimal(value), -place):.0f}({rounded:.0f})"
-    shown = f"{Decimal(value):.{-place}f}"
-    if not any(digit in shown for digit in "123456789"):
-        shown = shown.lstrip("-")
-    return f"{shown}({int(rounded.scaleb(-place))})"
+    return f"{round_to_place(value, place)}({int(rounded if place > 0 else rounded.scaleb(-place))})"
+
+
+def plus_minus(value: float, uncertainty: float) -> str:
+    """Return a value and its standard uncertainty with two digits of the uncertainty (GUM, 7.2.6): ``1020.68 ± 0.42``.
+
+    Two small numbers share a power of ten: ``(2.10 ± 0.34)e-6``.
+
+    Parameters
+    ----------
+    value, uncertainty : float
+        Of one unit. Without an uncertainty (zero, or not finite) the value has six digits.
+    """
+    if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
+        return f"{value:.6g} ± {uncertainty:.2g}"
+    power = max(Decimal(number).adjusted() for number in (value, uncertainty) if number)
+    if power < -_MOST_ZEROS:
+        return f"({plus_minus(value * 10.0**-power, uncertainty * 10.0**-power)})e{power}"
+    place = Decimal(f"{uncertainty:.1e}").adjusted() - 1
+    return f"{round_to_place(value, place)} ± {round_to_place(uncertainty, place)}"
+
+
+def round_to_place(value: float, place: int) -> str:
+    """Return a number in plain decimals, rounded to this power of ten; without a minus before zeros."""
+    shown = f"{Decimal(value):.{-place}f}" if place < 0 else f"{round(Decimal(value), -place):.0f}"
+    return shown if any(digit in shown for digit in "123456789") else shown.lstrip("-")
 
 
 def _exponent(number: Decimal) -> int:

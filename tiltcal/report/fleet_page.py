@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 
-from tiltcal.calibration.fleet import FleetHistory, ModelFleet
+from tiltcal.calibration.fleet import CoefficientDistribution, FleetHistory, ModelFleet
 from tiltcal.calibration.labels import symbol, unit_of, words
 from tiltcal.calibration.sensor_history import SensorHistory
 from tiltcal.report.figure import SvgFigure
 from tiltcal.report.fleet_figures import distribution_figure, drift_figure
-from tiltcal.report.number_format import AlignedNumber, column, plain
+from tiltcal.report.number_format import LABORATORY, AlignedNumber, at_place, column, plain
 from tiltcal.report.page import render
 from tiltcal.report.provenance import Fact
 
@@ -87,15 +88,7 @@ def _change_rows(history: SensorHistory) -> Iterator[CalibrationChangeRow]:
 
 def _model_section(fleet: ModelFleet, number: int) -> ModelSection:
     found = fleet.distributions
-    numbers = [
-        column(plain(value, 4) for value in values)
-        for values in (
-            [distribution.median for distribution in found],
-            [distribution.spread for distribution in found],
-            [min(distribution.values.values()) for distribution in found],
-            [max(distribution.values.values()) for distribution in found],
-        )
-    ]
+    numbers = [column(texts) for texts in zip(*map(_row_of, found), strict=True)]
     rows = [
         DistributionRow(
             words(distribution.name),
@@ -109,3 +102,13 @@ def _model_section(fleet: ModelFleet, number: int) -> ModelSection:
     at = "" if fleet.reference is None else f", at {fleet.reference:g} °C"
     heading = f"{len(fleet.histories)} {fleet.model}{at}"
     return ModelSection(heading, rows, distribution_figure(fleet, number), drift_figure(fleet, number))
+
+
+def _row_of(distribution: CoefficientDistribution) -> list[str]:
+    """Return the median, the spread, the least and the most, to the second digit of the spread where there is one."""
+    spread, values = distribution.spread, distribution.values.values()
+    numbers = [distribution.median, spread, min(values), max(values)]
+    if not spread > 0.0:
+        return [plain(number, 4) for number in numbers]
+    decimals = LABORATORY - 1 - Decimal(f"{spread:.{LABORATORY - 1}e}").adjusted()
+    return [at_place(number, max(decimals, 0)) for number in numbers]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from math import isfinite
 
-from tiltcal.core.rounding import bracketed
+from tiltcal.core.rounding import bracketed, round_to_place
 
 LABORATORY = 2
 """Digits of an uncertainty on the page (GUM, 7.2.6)."""
@@ -55,8 +55,7 @@ def half_width(value: float) -> str:
 
 def at_place(value: float, decimals: int) -> str:
     """Return a number with this number of decimals, without a minus before zeros."""
-    text = f"{value:.{decimals}f}"
-    return signed(text if any(digit in text for digit in "123456789") else text.lstrip("-"))
+    return signed(round_to_place(value, -decimals))
 
 
 def signed(text: str) -> str:

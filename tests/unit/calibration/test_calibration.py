@@ -66,8 +66,8 @@ def test_a_log_without_a_model_is_looked_up_in_no_package(tmp_path: Path, monkey
 
 def test_text_has_every_coefficient_with_its_uncertainty_and_unit(calibration: Calibration) -> None:
     lines = [" ".join(line.split()) for line in str(calibration).splitlines()]
-    assert "offset x 1024.6 ± 0.4 count" in lines
-    assert "sensitivity yx -6.4 ± 0.2 count/g" in lines
+    assert "offset x 1024.60 ± 0.40 count" in lines
+    assert "sensitivity yx -6.40 ± 0.20 count/g" in lines
 
 
 def test_at_a_prompt_it_is_named_in_a_line(calibration: Calibration) -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.rounding import plus_minus, round_to, significant
 
 
 @pytest.mark.parametrize(
@@ -50,3 +50,21 @@ def test_rounding_moves_by_less_than_a_thousandth_of_the_uncertainty(value: floa
 def test_shortest_form_has_no_tail(value: float, decade: int) -> None:
     rounded = round_to(value, 10.0 ** (decade + 3))
     assert float(f"{rounded:.{max(0, -decade)}f}") == rounded
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "shown"),
+    [
+        (100.02147, 0.00035, "100.02147 ± 0.00035"),  # the mass of GUM 7.2.2, in g
+        (10.0572123, 0.0274, "10.057 ± 0.027"),  # the resistance of GUM 7.2.6, in ohm
+        (820.047, 0.62, "820.05 ± 0.62"),
+        (-0.0012, 0.42, "0.00 ± 0.42"),
+        (12.0, 0.996, "12.0 ± 1.0"),
+        (123456.0, 2340.0, "123500 ± 2300"),
+        (2.1e-6, 3.44e-7, "(2.10 ± 0.34)e-6"),
+        (0.0, 3.44e-7, "(0.0 ± 3.4)e-7"),
+        (0.3333333333, 0.0, "0.333333 ± 0"),
+    ],
+)
+def test_a_value_has_the_decimals_of_its_uncertainty(value: float, uncertainty: float, shown: str) -> None:
+    assert plus_minus(value, uncertainty) == shown
