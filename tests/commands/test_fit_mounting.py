@@ -64,6 +64,23 @@ def test_the_rotation_that_the_log_was_made_with(angles: tuple[float, float, flo
     assert "  roll " in result.stdout
 
 
+def test_positions_that_were_exchanged_are_not_credible(tmp_path: Path) -> None:
+    options = ("--base", "base.yaml", "--jig", "0.1")
+    sound = fitted(tmp_path, NAMES, *options, rotation=Rotation.identity())
+    assert "  degrees of freedom 7, uncertainty from stated jig, chi-square " in sound.stdout
+    assert "not credible" not in sound.stdout
+    named = (tmp_path / "segments.csv").read_text()
+    (tmp_path / "segments.csv").write_text(named.replace("y-up", "y").replace("x-up", "y-up").replace("y,", "x-up,", 1))
+    result = tiltcal(
+        *("fit", "mounting", "log.csv", "--segments", "segments.csv", "-o", "out.yaml", *options), cwd=tmp_path
+    )
+    assert result.returncode == 0, result.stderr
+    assert "with 7 degrees of freedom is not credible: the jig is worse than stated, a position" in result.stdout
+    checked = tiltcal("check", "out.yaml", cwd=tmp_path)
+    assert checked.returncode == 1
+    assert "mounting: chi-square " in checked.stdout
+
+
 def test_one_position_leaves_the_turn_about_gravity_undetermined(tmp_path: Path) -> None:
     result = fitted(tmp_path, ("level",), "--base", "base.yaml", rotation=Rotation.identity())
     assert result.returncode == 2

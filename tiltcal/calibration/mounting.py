@@ -24,6 +24,7 @@ from tiltcal.core.mounting_rotation import (
     solve_mounting,
 )
 from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.uncertainty_budget import central_differences
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
@@ -61,6 +62,7 @@ def mount(
     if sigma is not None and all(position.noise_unknown for position in seen) and found.chi_square > found.dof:
         # Nothing is stated of the noise, and the residuals show more than the jig.
         found, side, sigma = _best(base.coefficients, measurements, known, None)
+    p = None if sigma is None else _probability(base, found, lambda c: _unit(_directions(c, measurements, side)), sigma)
     joint = _joined(base, found, lambda c: mounting_rotation(_directions(c, measurements, side), known, sigma))
     mounting, u = _rounded(found, joint)
     locked = found.gimbal_lock or u.get("roll") == significant(degrees(UNKNOWN_ANGLE), 4)
@@ -69,7 +71,7 @@ def mount(
         coefficients=replace(base.coefficients, mounting=mounting),
         uncertainty=_uncertainty(base.uncertainty, joint, mounting, u, locked=locked),
         derived=replace(base.derived, gimbal_lock=base.derived.gimbal_lock or locked),
-        fit=replace(base.fit, mounting=_record(found, measurements, jig)),
+        fit=replace(base.fit, mounting=_record(found, measurements, jig, p)),
         procedure=replace(
             base.procedure,
             mounting=CompletingRun(positions=tuple(m.position for m in measurements)),
@@ -101,6 +103,31 @@ def _sigma(coefficients: Coefficients, measurements: Sequence[Measurement], side
         moved = _unit(_directions(coefficients, measurements, side, shift))
         square += np.sum((moved - start) ** 2, axis=1) / 2.0  # a direction has two angles
     return np.asarray(np.maximum(np.hypot(radians(jig), np.sqrt(square)), 1e-6))
+
+
+def _probability(
+    base: CalibrationRecord, found: MountingEstimate, seen: Callable[[Coefficients], Array], sigma: Array
+) -> float:
+    """Return the probability of so large a chi-square or a larger one, the uncertainty of the base among the causes.
+
+    Parameters
+    ----------
+    seen : callable
+        From coefficients to up in the sensor's frame in every position, shape (positions, 3).
+    sigma : ndarray, shape (positions,)
+        Of each direction, from the jig and the noise, radians.
+    """
+    from scipy.special import chdtrc
+
+    coefficients = replace(base.coefficients, mounting=None)
+    own = uncertainty_inputs(base.uncertainty, coefficients).without_turn
+    by = central_differences(
+        lambda vector: seen(with_vector(coefficients, own.names, vector)).ravel(),
+        vector_of(coefficients, own.names),
+        np.sqrt(np.diag(own.covariance)),
+    )
+    shared = np.einsum("ik,kl,il->i", by, own.covariance, by).reshape(len(sigma), 3).sum(axis=1) / 2.0
+    return float(chdtrc(found.dof, np.sum(found.residuals**2 / (sigma**2 + shared))))
 
 
 def _unit(vectors: Array) -> Array:
@@ -187,7 +214,9 @@ def _rounded(found: MountingEstimate, joint: UncertaintyInputs) -> tuple[Mountin
     return Mounting(**angles), {name: significant(value, 4) for name, value in u.items()}
 
 
-def _record(found: MountingEstimate, measurements: Sequence[Measurement], jig: float | None) -> MountingFit:
+def _record(
+    found: MountingEstimate, measurements: Sequence[Measurement], jig: float | None, p: float | None
+) -> MountingFit:
     return MountingFit(
         residuals_degrees={
             m.position: round(degrees(float(r)), 4) for m, r in zip(measurements, found.residuals, strict=True)
@@ -195,4 +224,5 @@ def _record(found: MountingEstimate, measurements: Sequence[Measurement], jig: f
         degrees_of_freedom=found.dof,
         uncertainty_from="stated jig" if found.stated else "residuals",
         chi_square=significant(found.chi_square, 4) if found.stated and jig else None,
+        p_value=None if p is None or not jig else significant(p, 3),
     )

@@ -11,7 +11,7 @@ from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.fit_record import FitRecord
+from tiltcal.files.fit_record import FitRecord, MountingFit
 
 INCREDIBLE = 1e-3
 """A chi-square of which so little is the probability is no chance."""
@@ -28,7 +28,17 @@ def summary(calibration: CalibrationRecord) -> str:
 def mounting_summary(calibration: CalibrationRecord) -> str:
     """Return how a sensor sits in its application, with standard uncertainties where they are known."""
     sensor = calibration.sensor
-    return "\n".join([f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)", *mounting_lines(calibration)])
+    told = [f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)", *mounting_lines(calibration)]
+    fit = calibration.fit.mounting
+    if fit is not None and fit.residuals_degrees:
+        worst = max(fit.residuals_degrees, key=lambda name: fit.residuals_degrees[name])
+        told.append(f"  worst residual  {worst}: {fit.residuals_degrees[worst]:.3g}°")
+        chi_square = "" if fit.chi_square is None else f", chi-square {fit.chi_square:g}"
+        told.append(
+            f"  degrees of freedom {fit.degrees_of_freedom}, uncertainty from {fit.uncertainty_from}{chi_square}"
+        )
+        told += [f"  {objection}" for objection in _objections_to_mounting(fit)]
+    return "\n".join(told)
 
 
 def mounting_lines(calibration: CalibrationRecord) -> Iterator[str]:
@@ -100,7 +110,16 @@ def objections(fit: FitRecord) -> list[str]:
         named = [f"{position} ({suspect.off_degrees:g}°)" for position, suspect in fit.suspect_positions.items()]
         more = f" and {len(named) - SHOWN} more" if len(named) > SHOWN else ""
         found.append(f"further off than the stated jig allows, the worst first: {', '.join(named[:SHOWN])}{more}")
-    return found
+    return found + _objections_to_mounting(fit.mounting)
+
+
+def _objections_to_mounting(fit: MountingFit | None) -> list[str]:
+    if fit is None or fit.p_value is None or fit.p_value >= INCREDIBLE:
+        return []
+    return [
+        f"mounting: chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom is not credible: "
+        "the jig is worse than stated, a position was not the one that is named, or a sensor of two axes stands on edge"
+    ]
 
 
 def _probability(fit: FitRecord) -> float | None:

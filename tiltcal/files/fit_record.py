@@ -99,6 +99,11 @@ class MountingFit:
     degrees_of_freedom: int | None = entry(Integer(minimum=0), "readings left over", default=None)
     uncertainty_from: str | None = entry(Text(), "`stated jig` or `residuals`", default=None)
     chi_square: float | None = entry(FROM_ZERO, "where the jig was stated", default=None)
+    p_value: float | None = entry(
+        FROM_ZERO,
+        "the probability of so large a chi-square or a larger one, the uncertainty of the base among its causes",
+        default=None,
+    )
 
 
 @frozen(kw_only=True)

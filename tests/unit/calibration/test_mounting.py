@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import sqrt
+from math import radians, sin, sqrt
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.mounting import mount
@@ -80,3 +81,17 @@ def test_what_the_base_states_beside_its_coefficients_stays() -> None:
     base = replace(base_of([[819.0, 0.0], [0.0, 819.0]], ("x", "y")), uncertainty=before)
     found = mount(base, positions([(819.0 * x, 819.0 * y) for x, y, _ in LEVEL_X_Y]), jig=0.1).uncertainty
     assert (found.alignment, found.single_reading) == (0.2, {"x": 0.5})
+
+
+def test_the_probability_is_that_of_chi_square_with_the_base_among_its_causes() -> None:
+    """An offset that is 0.1° off is no turn: at 30° it leaves 0.013°, far more than a jig of 0.002°, unless stated."""
+    off = 819.0 * sin(radians(0.1))
+    read = positions([(819.0 * x + off, 819.0 * y) for x, y, _ in LEVEL_X_Y])
+    base = base_of([[819.0, 0.0], [0.0, 819.0]], ("x", "y"))
+    exact = mount(base, read, jig=0.002).fit.mounting
+    assert exact.degrees_of_freedom == 3
+    assert exact.p_value == pytest.approx(chi2.sf(exact.chi_square, 3), rel=0.02)
+    assert exact.p_value < 1e-3
+    stated = mount(replace(base, uncertainty=Uncertainty({"offset.x": off, "offset.y": off})), read, jig=0.002)
+    assert stated.fit.mounting.chi_square == exact.chi_square
+    assert stated.fit.mounting.p_value > 0.5
