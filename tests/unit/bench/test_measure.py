@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from support import FIXTURES
 
@@ -199,6 +200,17 @@ def test_an_angle_has_an_axis(axis: str) -> None:
     with pytest.raises(InputError, match="an angle is that of x or y") as refused:
         understood({"answer": "ready", "tilt": {axis: 30.0}})
     assert str(refused.value).isascii()
+
+
+def test_numbers_of_numpy_are_understood() -> None:
+    """An encoder that is read with numpy gives its types; 30.5 is a number of each of them."""
+    said = {"tilt": {"y": np.float32(30.5)}, "gravity": np.array([0.0, 0.6, 0.8]), "temperature": np.int64(20)}
+    found = understood({"answer": "ready", **said})
+    assert found == understood({"answer": "ready", "tilt": {"y": 30.5}, "gravity": [0.0, 0.6, 0.8], "temperature": 20})
+    assert [type(value) for value in (found.tilt["y"], *(found.gravity or ()), found.temperature)] == [float] * 5
+    for wrong in (np.bool_(True), np.float32("nan"), np.array([30.0]), np.array("30")):
+        with pytest.raises(InputError, match="temperature in the answer is .*, not a number"):
+            understood({"answer": "ready", "temperature": wrong})
 
 
 @pytest.mark.parametrize("gravity", [[0, 0.5, 0.866025404], [0, 0.500302, 0.865851]], ids=["asked", "reached"])

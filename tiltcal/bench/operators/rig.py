@@ -73,7 +73,7 @@ class _Rig:
     def _method(self, name: str) -> Callable[..., Any]:
         method = getattr(self._rig, name, None)
         if not callable(method):
-            raise UsageError(f"the operator, a {type(self._rig).__name__}, has no method {name}(ask)")
+            raise UsageError(f"the operator ({type(self._rig).__name__}) has no method {name}(ask)")
         return method  # type: ignore[no-any-return]
 
     def _tell(self, event: str, **fields: Any) -> None:
@@ -232,7 +232,7 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
     other = [axis for axis in tilt if axis not in TILT_AXES]
     if other:
         raise InputError(f"tilt of {other[0]!r} in the answer: an angle is that of {' or '.join(TILT_AXES)}")
-    gravity = said.get("gravity")
+    gravity = _of_python(said.get("gravity"))
     if gravity is not None and not (isinstance(gravity, list | tuple) and len(gravity) == 3):
         raise InputError("gravity is a list of three numbers")
     temperature = said.get("temperature")
@@ -267,7 +267,13 @@ def _temperature(value: object) -> float:
     return temperature
 
 
+def _of_python(value: Any) -> Any:
+    """Return a number or an array of numpy as one of Python."""
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
 def _number(value: object, key: str) -> float:
+    value = _of_python(value)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise InputError(f"{key} in the answer is {value!r}, not a number")
     return float(value)
