@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from math import inf
 from numbers import Integral, Real
+from typing import Any
 
 from tiltcal.errors import UsageError
+
+
+def of_python(value: Any) -> Any:
+    """Return a number or an array of numpy as one of Python, and anything else as it is."""
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def is_number(value: object, least: float = -inf) -> bool:

@@ -36,6 +36,23 @@ def plan(**options: Any) -> None:
     tiltcal.plan("zero-45", sensor="sca100t-d02", **options)
 
 
+def plan_of_free_angle(**options: Any) -> None:
+    tiltcal.plan("plane", sensor="sca100t-d02", **options)
+
+
+def level(**options: Any) -> None:
+    tiltcal.fit("level", ROW, base=FIXTURES / "mavs.yaml", **options)
+
+
+def free(**options: Any) -> None:
+    tiltcal.fit("free", STILL, serial="S-1", unit="V", **options)
+
+
+def rotation(**options: Any) -> None:
+    sensor = {"sensor": "gradiometer", "address": "sim:", "serial": "G-1", "output": "pairs.yaml"}
+    tiltcal.measure("rotation", operator="sim", **sensor, **options)
+
+
 @pytest.mark.parametrize("value", [-1, nan, inf, "a"])
 @pytest.mark.parametrize(
     ("function", "argument"),
@@ -50,10 +67,15 @@ def plan(**options: Any) -> None:
         (plan, "jig"),
         (plan, "noise"),
         (plan, "samples"),
+        (plan_of_free_angle, "tilt"),
+        (level, "alignment"),
+        (free, "window"),
+        (rotation, "turns"),
     ],
 )
 def test_no_number_for_it(function: Callable[..., None], argument: str, value: object) -> None:
-    with pytest.raises(UsageError, match=f"--{argument.replace('_', '-')}"):
+    named = "an angle of" if argument == "tilt" else f"--{argument.replace('_', '-')}"
+    with pytest.raises(UsageError, match=named):
         function(**{argument: value})
 
 
@@ -65,12 +87,51 @@ def test_a_session_that_nobody_can_measure(options: dict[str, Any], tmp_path: Pa
     assert not any(tmp_path.iterdir())
 
 
+def test_numbers_of_numpy_are_those_of_python(tmp_path: Path) -> None:
+    """0.125 is one number in every type; the files and the journals are the same to the byte."""
+    sensor = {"sensor": "sca100t-d02", "address": "sim:seed=3", "serial": "S-1", "operator": "sim"}
+    kinds = {"python": (int, float), "numpy": (np.int64, np.float32)}
+    for name, (whole, number) in kinds.items():
+        (tmp_path / name).mkdir()
+        tiltcal.measure(
+            "plane",
+            output=tmp_path / name / "S-1.yaml",
+            samples=whole(20),
+            jig=number(0.125),
+            tilt=number(30),
+            **sensor,
+        )
+    written = [(tmp_path / name / "S-1.yaml").read_bytes() for name in kinds]
+    assert written[0] == written[1]
+    stated = FACES | {"ux": [0.01] * 3, "uy": [0.01] * 3}
+    fits = [tiltcal.fit("zero-45", stated, serial="S-1", unit="V", jig=number(0.125)) for _, number in kinds.values()]
+    assert fits[0] == fits[1]
+
+
+@pytest.mark.parametrize("columns", [["x", "y"], 5])
+def test_columns_without_roles(columns: Any) -> None:
+    with pytest.raises(UsageError, match="--columns takes the column of each role"):
+        apply(columns=columns)
+
+
+def test_a_mounting_without_names() -> None:
+    with pytest.raises(UsageError, match="--mounting takes angles by name"):
+        apply(mounting=[180, 0, 0])
+
+
+def test_results_are_shown_at_a_prompt_as_the_command_prints_them() -> None:
+    tilt = tiltcal.read(FIXTURES / "mavs.yaml")
+    assert isinstance(tilt, tiltcal.Calibration)
+    for found in (tiltcal.plan("zero-45", sensor="sca100t-d02"), tiltcal.compare(tilt, tilt)):
+        assert repr(found) == str(found)
+
+
 def test_sizes_of_averages() -> None:
     with pytest.raises(UsageError, match="--averages takes a number of samples from 1, not 0"):
         noise(averages=[0])
 
 
-@pytest.mark.parametrize("pairs", [[("a1", "a2")], ["a1,a2,a4"]])
+@pytest.mark.parametrize("pairs", [[("a1", "a2")], ["a1,a2,a4"], "a1,a2,a4", ("a1", "a2", "a4")])
 def test_pairs_that_are_none(pairs: Any) -> None:
     with pytest.raises(UsageError, match="a pair is three columns"):
         tiltcal.match({"a1": [1.0]}, pairs, phase="theta")

@@ -34,7 +34,7 @@ from tiltcal.files.document import read_document
 from tiltcal.files.node import require_name
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.stated_numbers import require_above_zero, require_whole
+from tiltcal.stated_numbers import of_python, require_above_zero, require_whole
 
 if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration
@@ -136,6 +136,10 @@ def measure(
     Stopped
         The operator stopped; the message says how to go on.
     """
+    samples, turns = of_python(samples), of_python(turns)
+    settle, jig, table_lean, heading, tilt, alignment = map(
+        of_python, (settle, jig, table_lean, heading, tilt, alignment)
+    )
     if resume is not None and os.path.exists(resume):
         session = _resumed(Path(resume), None if output is None else Path(output), remark)
         operator = operator or session.plan.operator

@@ -59,6 +59,8 @@ class PlannedRotation:
         )
         return "\n".join([*pairs, *self.left_out, _NOT_PREDICTED])
 
+    __repr__ = __str__
+
 
 def plan(
     procedure: str,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -151,7 +152,7 @@ class Calibration:
         declination: float | None = None,
         magnetometer_noise: float | None = None,
         average: int | None = None,
-        every: str | float | None = None,
+        every: str | float | timedelta | None = None,
         unit: str | None = None,
     ) -> Any:
         """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
@@ -182,7 +183,7 @@ class Calibration:
             With `uncertainty`: standard uncertainty of a component of the field, in its unit.
         average : int, optional
             Apply to the means of so many rows each: the frame has a row for each mean, and ``count``.
-        every : str or float, optional
+        every : str, float or timedelta, optional
             Apply to the means of so much time each, such as ``"10s"``, or in seconds; it needs a column of times.
         unit : str, optional
             Of the readings; an xarray Dataset states it itself. One that is not the calibration's is refused.

@@ -24,7 +24,9 @@ from tiltcal.files.fit_record import NOISE_ALONE
 
 
 def combine(
-    calibrations: Sequence[Calibration | str | Path], *, mounting: Mapping[str, float] | str = ""
+    calibrations: Sequence[Calibration | str | Path] | Calibration | str | Path,
+    *,
+    mounting: Mapping[str, float] | str = "",
 ) -> Calibration:
     """Combine calibrations of one sensor from several sessions.
 
@@ -35,7 +37,7 @@ def combine(
     Parameters
     ----------
     calibrations : sequence of Calibration, str or Path
-        Calibrations, or their files. One alone is enough with a mounting.
+        Calibrations, or their files. One alone is enough with a mounting, and needs no sequence.
     mounting : mapping of str to float, or str
         How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of the calibrations' own.
 
@@ -55,6 +57,8 @@ def combine(
     --------
     >>> both = tiltcal.combine(["S-0042.yaml"], mounting="roll=180")
     """
+    if isinstance(calibrations, str | Path | Calibration):
+        calibrations = [calibrations]
     sessions = _named([CombinedSession.of(calibration) for calibration in calibrations])
     known = stated_mounting(mounting) if mounting else None
     if len(sessions) < 2 and known is None:

@@ -81,6 +81,8 @@ class Comparison:
             )
         return "\n".join([*lines, str(verdict)])
 
+    __repr__ = __str__
+
 
 def compare(old: Calibration, new: Calibration) -> Comparison:
     """Compare two calibrations of one sensor.

@@ -74,6 +74,8 @@ class PredictedUncertainty:
     def __str__(self) -> str:
         return "\n".join(self._lines())
 
+    __repr__ = __str__
+
     def _lines(self) -> Iterator[str]:
         prediction, free = self.prediction, self.design.free
         jig = "positions that are not set" if free else _jig_in_words(self.design.jig)
@@ -133,6 +135,8 @@ class PredictedMounting:
                 "  that of its calibration comes on top",
             ]
         )
+
+    __repr__ = __str__
 
 
 def predict_mounting(

@@ -25,6 +25,8 @@ def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
     UsageError
         An angle that there is not, is no number, or is out of range.
     """
+    if not isinstance(angles, str | Mapping):
+        raise UsageError(f"--mounting takes angles by name, such as {{'roll': 180}}, not {angles!r}")
     named = _pairs(angles) if isinstance(angles, str) else dict(angles)
     for name, angle in named.items():
         if name not in ANGLES:

@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
+from numbers import Integral, Real
 from typing import Any
 
 from tiltcal.errors import InputError
@@ -145,10 +146,10 @@ def _scalar(value: Any, key: str) -> str:
         return "null"
     if isinstance(value, bool):
         return "true" if value else "false"
-    if isinstance(value, int):
-        return int.__repr__(value)
-    if isinstance(value, float):
-        return _number(value, key)
+    if isinstance(value, Integral):  # of numpy, too
+        return int.__repr__(int(value))
+    if isinstance(value, Real):
+        return _number(float(value), key)
     if not isinstance(value, str):
         raise InputError(f"a {type(value).__name__} cannot be written to a file", key=key)
     return value if _BARE.fullmatch(value) and value.lower() not in _READ_AS_OTHER else _quoted(value, key)

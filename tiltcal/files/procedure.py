@@ -29,6 +29,7 @@ from tiltcal.files.declaration import (
 )
 from tiltcal.files.node import Node
 from tiltcal.frozen import frozen
+from tiltcal.stated_numbers import is_number, require_whole, shown
 
 if TYPE_CHECKING:
     from tiltcal.files.rotation import Rotation
@@ -327,6 +328,7 @@ class Procedure:
             return self
         if self.rotation is None:
             raise UsageError(f"the procedure {self.name!r} has positions and no turns; leave --turns out")
+        require_whole("--turns", turns, 1, "turns")
         return replace(self, rotation=self.rotation.with_turns(turns))
 
     def with_alignment(self, alignment: float | None) -> Procedure:
@@ -341,8 +343,8 @@ class Procedure:
             return self
         if not self.determines.level:
             raise UsageError(f"{self.name} renews no offset: leave --alignment out")
-        if not 0.0 <= alignment <= MOST_ASKEW:
-            raise UsageError(f"--alignment {alignment:g}: it is between 0 and {MOST_ASKEW:g} degrees")
+        if not (is_number(alignment, 0.0) and alignment <= MOST_ASKEW):
+            raise UsageError(f"--alignment {shown(alignment)}: it is between 0 and {MOST_ASKEW:g} degrees")
         return replace(self, alignment=alignment, record={**self.record, "alignment": alignment})
 
     @property
@@ -392,6 +394,6 @@ def chosen_angle(name: str, free: float | None, angle: float | None) -> float | 
         return free
     if free is None:
         raise UsageError(f"the procedure {name!r} leaves no angle free; leave the angle out, or copy and edit it")
-    if not 0.0 < angle <= 90.0:
-        raise UsageError(f"an angle of {angle:g}° is not above 0° and at most 90°")
+    if not (is_number(angle) and 0.0 < angle <= 90.0):
+        raise UsageError(f"an angle of {shown(angle)}° is not above 0° and at most 90°")
     return float(angle)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import date
+from datetime import date, timedelta
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,7 +63,7 @@ def apply_log(
     declination: float | None = None,
     magnetometer_noise: float | None = None,
     average: int | None = None,
-    every: str | float | None = None,
+    every: str | float | timedelta | None = None,
     skip_bad_rows: bool = False,
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
@@ -105,7 +105,7 @@ def apply_log(
         With `uncertainty`: standard uncertainty of a component of the field, in its unit.
     average : int, optional
         Apply to the means of so many rows each, and add ``count``.
-    every : str or float, optional
+    every : str, float or timedelta, optional
         Apply to the means of so much time each, such as ``"10s"``, or in seconds, and add ``count``.
     skip_bad_rows : bool
         Keep rows that cannot be parsed, with flag 9, instead of raising.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from datetime import timedelta
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,7 +43,7 @@ class Averaging:
     seconds: float | None = None
 
 
-def averaging(rows: int | None, every: str | float | None) -> Averaging:
+def averaging(rows: int | None, every: str | float | timedelta | None) -> Averaging:
     """Return what ``--average`` and ``--every`` say.
 
     Raises
@@ -55,7 +56,8 @@ def averaging(rows: int | None, every: str | float | None) -> Averaging:
     if rows is not None:
         require_whole("--average", rows, 1, "rows")
         return Averaging(rows=rows)
-    found = _DURATION.fullmatch(str(every).strip())
+    given = every.total_seconds() if isinstance(every, timedelta) else every
+    found = _DURATION.fullmatch(str(given).strip())
     try:
         seconds = float(found[1]) * _SECONDS[found[2] or "s"] if found else 0.0
     except ValueError:

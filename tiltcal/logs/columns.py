@@ -64,6 +64,9 @@ def named_columns(
     """
     roles = tuple(dict.fromkeys((*channels, TEMPERATURE, TIME, *others)))
     named: dict[str, str] = {}
+    columns = columns or {}
+    if not isinstance(columns, str | Mapping):
+        raise UsageError(f"--columns takes the column of each role, such as {{{roles[0]!r}: 'VoutX'}}, not {columns!r}")
     for role, column in _pairs(columns, roles[0]) if isinstance(columns, str) else columns.items():
         if role not in roles:
             raise UsageError(

@@ -52,7 +52,7 @@ from tiltcal.logs.static_intervals import (
     require_positions,
 )
 from tiltcal.logs.streams import sha256_of
-from tiltcal.stated_numbers import is_number, shown
+from tiltcal.stated_numbers import is_number, require_whole, shown
 
 SHORTEST = 4
 """Rows of a window over which a sensor can be still."""
@@ -246,8 +246,7 @@ class FitSource:
             )
         if self.window is not None and not (free and self.finds):
             raise UsageError(FOUND_ONLY)
-        if self.window is not None and self.window < SHORTEST:
-            raise UsageError(f"--window {self.window}: a window has {SHORTEST} rows or more")
+        require_whole("--window", self.window, SHORTEST, "rows")
 
     def channels(self, procedure: Procedure, say: Callable[[str], None]) -> tuple[str, ...]:
         """Return the axes of a procedure that the data have a reading of: a sensor of two axes has no column z."""

@@ -19,6 +19,7 @@ from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import describe, seconds_since_1970
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
+from tiltcal.stated_numbers import of_python
 
 if TYPE_CHECKING:
     import polars as pl
@@ -140,15 +141,7 @@ def rows_of(frame: Any, name: str, keys: Collection[str] = ()) -> list[dict[str,
         rows = [dict(row) for row in frame]
     else:
         rows = _Table(_eager(frame, name)).rows()
-    # A column of whole numbers is one of floats where pandas or an array has none for a row.
-    return [
-        {
-            key: int(cell) if isinstance(cell, float) and cell.is_integer() else cell
-            for key, cell in row.items()
-            if not _is_missing(cell)
-        }
-        for row in rows
-    ]
+    return [{key: _cell(cell) for key, cell in row.items() if not _is_missing(cell)} for row in rows]
 
 
 def _columns_of(frame: Any, name: str) -> _Table | _Arrays | _Dataset:
@@ -368,6 +361,15 @@ def _typed(values: NDArray[Any]) -> NDArray[Any]:
         return values
     found = _of_objects(values.tolist())
     return values if found is None else found
+
+
+def _cell(cell: Any) -> Any:
+    """Return a number of numpy or a Decimal as one of Python, whole where it is.
+
+    A column of whole numbers is one of floats where pandas or an array has none for a row.
+    """
+    cell = float(cell) if isinstance(cell, Decimal) else of_python(cell)
+    return int(cell) if isinstance(cell, float) and cell.is_integer() else cell
 
 
 def _is_missing(cell: Any) -> bool:

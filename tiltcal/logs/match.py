@@ -91,8 +91,8 @@ def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
     UsageError
         There is none or more than two, one is there twice, or its columns are not three different ones.
     """
-    if not 1 <= len(pairs) <= 2:
-        raise UsageError("at most two pairs can be matched at once: those of one stage" if pairs else "name a pair")
+    if not pairs:
+        raise UsageError("name a pair")
     found = []
     for pair in pairs:
         if isinstance(pair, str) or len(pair) != 3:
@@ -103,6 +103,8 @@ def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
                 f"--pair {first},{second} --orthogonal {orthogonal}: these must be three different columns"
             )
         found.append(Pair(first, second, orthogonal))
+    if len(found) > 2:
+        raise UsageError("at most two pairs can be matched at once: those of one stage")
     if len({pair.name for pair in found}) < len(found):
         raise UsageError(f"--pair {found[0].first},{found[0].second} is given twice")
     return found

@@ -136,6 +136,8 @@ class SensorNoise:
         kinds = (line for channel, noise in self.channels.items() for line in _kinds(channel, noise, self.scale))
         return "\n".join([self.log.as_text(), *_table(self.channels, self.scale), "", *kinds, "", *_advice(self)])
 
+    __repr__ = __str__
+
     def as_data(self) -> dict[str, Any]:
         """Everything as plain data, with the whole Allan deviation."""
         found, scale, target = self.positions, self.scale, self.target

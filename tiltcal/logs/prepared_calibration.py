@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
-from datetime import date
+from datetime import date, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,7 +45,7 @@ class ApplyOptions:
     declination: float | None = None
     magnetometer_noise: float | None = None
     average: int | None = None
-    every: str | float | None = None
+    every: str | float | timedelta | None = None
 
     def __post_init__(self) -> None:
         for option in ("reading_noise", "stability", "magnetometer_noise"):

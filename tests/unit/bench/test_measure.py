@@ -209,7 +209,7 @@ def test_numbers_of_numpy_are_understood() -> None:
     assert found == understood({"answer": "ready", "tilt": {"y": 30.5}, "gravity": [0.0, 0.6, 0.8], "temperature": 20})
     assert [type(value) for value in (found.tilt["y"], *(found.gravity or ()), found.temperature)] == [float] * 5
     for wrong in (np.bool_(True), np.float32("nan"), np.array([30.0]), np.array("30")):
-        with pytest.raises(InputError, match="temperature in the answer is .*, not a number"):
+        with pytest.raises(InputError, match=r"temperature in the answer is .*, not a number"):
             understood({"answer": "ready", "temperature": wrong})
 
 

@@ -355,6 +355,15 @@ def test_what_a_run_took_off_for_a_column_that_nobody_else_has_is_in_the_offset_
     assert found.uncertainty["offset.x"] == pytest.approx(expected.uncertainty["offset.x"], rel=0.01)
 
 
+def test_one_calibration_needs_no_sequence(tmp_path: Path) -> None:
+    SCALE.save(tmp_path / "scale.yaml")
+    expected = combine([SCALE], mounting="roll=180")
+    for given in (SCALE, tmp_path / "scale.yaml", str(tmp_path / "scale.yaml")):
+        assert combine(given, mounting="roll=180").coefficients.mounting == expected.coefficients.mounting
+        with pytest.raises(UsageError, match="name two calibrations or more, or a --mounting"):
+            combine(given)
+
+
 def test_a_file_of_two_sessions_is_read_again_and_names_its_sources(tmp_path: Path) -> None:
     SCALE.save(tmp_path / "scale.yaml")
     calibrated(TWO, measured(TWO, 2), SCALE.record).save(tmp_path / "drift.yaml")

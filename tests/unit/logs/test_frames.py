@@ -234,6 +234,12 @@ class TestRowsOfATable:
         assert rows == [{"position": "level", "x": 2.5, "n": 100}, {"position": "x-45", "x": 3}]
         assert isinstance(rows[0]["n"], int)
 
+    def test_numbers_of_numpy_are_those_of_python(self) -> None:
+        row = {"position": "level", "x": np.float32(2.5), "y": np.float64(1.25), "z": Decimal("0.5"), "n": np.int64(9)}
+        assert rows_of([row], "the table") == [{"position": "level", "x": 2.5, "y": 1.25, "z": 0.5, "n": 9}]
+        (found,) = rows_of([row], "the table")
+        assert {type(cell) for cell in found.values()} == {str, float, int}
+
 
 class TestMeans:
     """Of two rows; what a column holds besides numbers is that of the first."""
@@ -253,7 +259,7 @@ class TestMeans:
         columns = READINGS | {"temperature": [20.0, 20.0]}
         data = xarray.Dataset({name: ("time", column) for name, column in columns.items()}, {"time": times})
         for frame in (columns | {"time": times}, data, columns | {"time": times - times[0]}):
-            for how in ({"average": 2}, {"every": "10s"}):
+            for how in ({"average": 2}, {"every": "10s"}, {"every": timedelta(seconds=10)}):
                 found = np.asarray(apply_frame(calibration, frame, **how)["time"])
                 assert found - np.asarray(frame["time"])[0] == [np.timedelta64(2500, "ms")]
 

@@ -37,6 +37,7 @@ from tiltcal.core.detection import TEMPERATURES
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import InputError, Stopped, UsageError
 from tiltcal.files.procedure import Position
+from tiltcal.stated_numbers import of_python
 
 if TYPE_CHECKING:
     from tiltcal.bench.position_result import PositionResult
@@ -232,7 +233,7 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
     other = [axis for axis in tilt if axis not in TILT_AXES]
     if other:
         raise InputError(f"tilt of {other[0]!r} in the answer: an angle is that of {' or '.join(TILT_AXES)}")
-    gravity = _of_python(said.get("gravity"))
+    gravity = of_python(said.get("gravity"))
     if gravity is not None and not (isinstance(gravity, list | tuple) and len(gravity) == 3):
         raise InputError("gravity is a list of three numbers")
     temperature = said.get("temperature")
@@ -267,13 +268,8 @@ def _temperature(value: object) -> float:
     return temperature
 
 
-def _of_python(value: Any) -> Any:
-    """Return a number or an array of numpy as one of Python."""
-    return value.tolist() if hasattr(value, "tolist") else value
-
-
 def _number(value: object, key: str) -> float:
-    value = _of_python(value)
+    value = of_python(value)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise InputError(f"{key} in the answer is {value!r}, not a number")
     return float(value)
