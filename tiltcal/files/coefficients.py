@@ -39,10 +39,10 @@ ROWS = Converted(
 """A sensitivity matrix: a row for each channel, and the same columns in every row."""
 
 
-def polynomials(item: Number = Number()) -> ByChannel[tuple[float, ...]]:  # noqa: B008
-    """Return the declaration of coefficients of dT, dT², ... for some of the channels."""
+def polynomials(item: Number = Number(), *, complete: bool = False) -> ByChannel[tuple[float, ...]]:  # noqa: B008
+    """Return the declaration of coefficients of dT, dT², ... for some of the channels, or where complete for all."""
     says = f"a polynomial has at most {ORDER_LIMIT} coefficients, found {{found}}"
-    return ByChannel(ListOf(item, most=ORDER_LIMIT, says=says), of="channels")
+    return ByChannel(ListOf(item, most=ORDER_LIMIT, says=says), of="channels", complete=complete)
 
 
 @frozen(kw_only=True)
@@ -54,10 +54,10 @@ class ThermalSection:
         Range(), "`[low, high]`, the temperatures that were measured, °C", default=None
     )
     offset: Mapping[str, tuple[float, ...]] = entry(
-        polynomials(), "per channel the coefficients of dT, dT², …, unit/°C, unit/°C², …", default={}
+        polynomials(complete=True), "per channel the coefficients of dT, dT², …, unit/°C, unit/°C², …", default={}
     )
     sensitivity: Mapping[str, tuple[float, ...]] = entry(
-        polynomials(), "per channel the coefficients of dT, dT², …, 1/°C, 1/°C², …", default={}
+        polynomials(complete=True), "per channel the coefficients of dT, dT², …, 1/°C, 1/°C², …", default={}
     )
     lag: float = entry(
         Number(),
@@ -93,7 +93,7 @@ class CoefficientsSection:
         "matrix is an error",
     )
     nonlinearity: Mapping[str, tuple[float, ...]] | None = entry(
-        polynomials(),
+        polynomials(complete=True),
         "per channel one or two numbers n₂, n₃: a channel whose straight part would be S_ii a reads "
         "S_ii (a + n₂a² + n₃a³)",
         default=None,
