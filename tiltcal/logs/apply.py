@@ -15,7 +15,7 @@ from tiltcal.errors import InputError
 from tiltcal.files.atomic import require_apart
 from tiltcal.frozen import frozen
 from tiltcal.logs.apply_summary import ApplySummary, ColumnWidths
-from tiltcal.logs.cf_attributes import same_unit
+from tiltcal.logs.cf_attributes import DEGREE, same_unit
 from tiltcal.logs.columns import (
     HEADING,
     TEMPERATURE,
@@ -24,6 +24,8 @@ from tiltcal.logs.columns import (
     locate_columns,
     named_columns,
     require_celsius,
+    require_degrees,
+    require_one_unit,
     require_unit,
 )
 from tiltcal.logs.compensation_kernel import RoleValues
@@ -201,7 +203,7 @@ def apply_frame(
     log = CompensatedLog.of(reader, prepared, columns)
     for channel, index in zip(prepared.channels, log.channels, strict=True):
         own = prepared.units.get(channel)
-        if unit is not None and own is not None and not same_unit(unit, own):
+        if unit is not None and own not in (None, DEGREE) and not same_unit(unit, own):
             why = f"column {reader.names[index]!r} is in {unit}, and the calibration in {own}"
             raise InputError(f"{why}: convert the readings", file=reader.name)
     blocks = list(log.blocks(count=False))
@@ -290,6 +292,10 @@ class CompensatedLog:
         for channel, unit in prepared.units.items():
             require_unit(log, [where[channel]], unit)
         require_celsius(log, where)
+        if HEADING in where:
+            require_degrees(log, where[HEADING], "headings")
+        for columns_of in vectors.values():
+            require_one_unit(log, columns_of)
         for sensor in prepared.sensors:
             if sensor.thermometer is not None:
                 require_celsius(log, {TEMPERATURE: channels[sensor.thermometer]})

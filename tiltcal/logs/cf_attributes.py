@@ -76,12 +76,14 @@ _EPOCH = re.compile(
 )
 
 _UNITS = {
-    "count": ("counts", "lsb", "digit", "digits"),
+    "count": ("count", "counts", "lsb", "digit", "digits"),
     "V": ("v", "volt", "volts"),
     "°C": ("c", "degc", "deg_c", "deg c", "celsius", "degree_c", "degrees_c", "degree_celsius", "degrees_celsius", "℃"),
+    "degree": ("degree", "degrees", "deg", "°", "arc_degree", "arc_degrees"),
     "g": ("g_n", "g0", "standard_gravity"),
     "m/s2": ("m s-2", "m s^-2", "m s**-2", "m/s^2", "m/s²", "m/s**2", "m.s-2", "meter second-2"),
 }
+DEGREE = "degree"
 _DIMENSIONLESS = ("", "1")
 """Units that fit every count and ratio, and say nothing."""
 

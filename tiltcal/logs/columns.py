@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.frozen import frozen
-from tiltcal.logs.cf_attributes import same_unit
+from tiltcal.logs.cf_attributes import DEGREE, same_unit
 
 if TYPE_CHECKING:
     from tiltcal.logs.log import LogReader
@@ -166,6 +166,22 @@ def require_celsius(log: LogReader, where: Mapping[str, int]) -> None:
     """Raise InputError for a log whose temperature states another unit than °C."""
     if TEMPERATURE in where:
         require_unit(log, [where[TEMPERATURE]], "°C", "temperatures")
+
+
+def require_degrees(log: LogReader, column: int, whose: str) -> None:
+    """Raise InputError for a column of angles that states another unit than degrees; ``whose`` is as above."""
+    require_unit(log, [column], DEGREE, whose)
+
+
+def require_one_unit(log: LogReader, columns: Sequence[int]) -> None:
+    """Raise InputError for components of a vector that state different units."""
+    stated = [(log.names[column], unit) for column in columns if (unit := log.unit(column)) is not None]
+    for name, unit in stated[1:]:
+        if not same_unit(unit, stated[0][1]):
+            raise InputError(
+                f"column {name!r} is in {unit}, and {stated[0][0]!r} in {stated[0][1]}: convert one of them",
+                file=log.name,
+            )
 
 
 def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:

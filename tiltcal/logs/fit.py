@@ -35,7 +35,7 @@ from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.provenance_record import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.segments import Segment, SegmentRow, read_segments
-from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns
+from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns, require_celsius, require_unit
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Rails, sampled
@@ -171,6 +171,7 @@ def fit(
         identity = replace(identity, channels=source.channels(steps, say))
     nominal = None if model is None or model.unit != identity.unit else model
     source = replace(source, rails=rails_of(identity.channels, nominal, own))
+    source.require_unit(identity.unit)
     if steps.ramp is not None:
         positions = source.ramp(identity, steps)
     elif steps.determines.free:
@@ -247,6 +248,16 @@ class FitSource:
         if self.window is not None and not (free and self.finds):
             raise UsageError(FOUND_ONLY)
         require_whole("--window", self.window, SHORTEST, "rows")
+
+    def require_unit(self, unit: str) -> None:
+        """Raise InputError for a table in an xarray Dataset whose means are in another unit; a log is checked later."""
+        if not (self.table and hasattr(self.data, "data_vars")):
+            return
+        table = FrameReader(self.data, name="the table")
+        where = {name: index for index, name in enumerate(table.names)}
+        means = [where[name] for axis in AXES for name in (axis, f"u{axis}") if name in where]
+        require_unit(table, means, unit, "the --unit")
+        require_celsius(table, where)
 
     def channels(self, procedure: Procedure, say: Callable[[str], None]) -> tuple[str, ...]:
         """Return the axes of a procedure that the data have a reading of: a sensor of two axes has no column z."""

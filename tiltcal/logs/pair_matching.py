@@ -14,7 +14,7 @@ from tiltcal.core.pair.demodulate import Demodulation, Demodulator
 from tiltcal.core.pair.encoder import AngleTracker
 from tiltcal.core.pair.spin import Spin, estimate_spin, followed_spin
 from tiltcal.errors import EstimateError, InputError
-from tiltcal.logs.columns import TIME, locate_columns
+from tiltcal.logs.columns import TIME, locate_columns, require_degrees
 from tiltcal.logs.log import LogReader
 from tiltcal.logs.pair_rows import PairBlock, StuckValues
 
@@ -156,6 +156,7 @@ def _blocks(log: LogReader, channels: Sequence[str], phase: str | None) -> Itera
     where = locate_columns(log, channels, {}, option="--pair or --orthogonal ")
     if phase is not None:
         where |= locate_columns(log, (phase,), {}, option="--phase ")
+        require_degrees(log, where[phase], "stage angles")
     if TIME in log.names:
         where[TIME] = log.names.index(TIME)
     first = 0

@@ -13,7 +13,7 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.frozen import frozen
-from tiltcal.logs.cf_attributes import COUNT
+from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME, SensorColumns
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
 from tiltcal.stated_numbers import is_number, require_from_zero, shown
@@ -96,7 +96,7 @@ class PreparedCalibration:
     channels : tuple of str
         The readings that it takes.
     units : mapping of str to str
-        Of each reading; empty for pairs, whose unit does not matter.
+        Of each reading; of pairs that of the stage angle alone: the unit of the others does not matter.
     angles : tuple of str
         The added columns that are angles.
     watched : tuple of str
@@ -211,7 +211,8 @@ def _of_pairs(
                 f"--{name.replace('_', '-')} is for tilt calibrations; {file} is of pairs, which have no tilt"
             )
     matched = calibration.compensation()
-    return PreparedCalibration(PairKernel(matched), matched.channels, {}, (), (), origin)
+    units = {channel: DEGREE for channel in matched.channels if channel == calibration.phase}
+    return PreparedCalibration(PairKernel(matched), matched.channels, units, (), (), origin)
 
 
 def _mounted(calibration: Calibration, angles: Mapping[str, float] | str, say: Callable[[str], None]) -> Calibration:

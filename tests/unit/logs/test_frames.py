@@ -25,6 +25,7 @@ from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import rows_of
 from tiltcal.logs.log import LogBlock
+from tiltcal.logs.match import match
 from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
 
 ROWS = 40_000  # more than a chunk of the kernel, and no multiple of one
@@ -353,7 +354,37 @@ class TestRefusals:
         with pytest.raises(InputError, match="column 'x' is in V, and the calibration in count"):
             apply_frame(calibration, volts)
 
-    @pytest.mark.parametrize("unit", ["count", "counts", "1", "LSB"])
+    @pytest.mark.parametrize(
+        ("units", "option", "why"),
+        [
+            ({"b": "nT", "a": "uT"}, "magnetometer", "column 'b' is in nT, and 'a' in uT: convert one of them"),
+            ({"c": "cm/s", "a": "m/s"}, "velocity", "column 'c' is in cm/s, and 'a' in m/s: convert one of them"),
+            ({"heading": "rad"}, "velocity", "column 'heading' is in rad, and headings in degree"),
+        ],
+    )
+    def test_units_of_a_vector_and_of_a_heading(
+        self, units: dict[str, str], option: str, why: str, calibration: Calibration
+    ) -> None:
+        """2000 nT beside 20 µT are one field: a heading of both as they stand is 45° off."""
+        columns = READINGS | {"a": [20.0, 20.0], "b": [2.0, 2.0], "c": [1.0, 1.0]}
+        columns |= {} if option == "magnetometer" else {"heading": [0.0, 1.0]}
+        data = xarray.Dataset({name: ("n", column) for name, column in columns.items()})
+        assert len(apply_frame(calibration, data, **{option: "a,b,c"})["flag"]) == 2
+        for name, unit in units.items():
+            data[name].attrs["units"] = unit
+        with pytest.raises(InputError, match=why):
+            apply_frame(calibration, data, **{option: "a,b,c"})
+
+    def test_a_stage_angle_in_radians(self) -> None:
+        turns = {"theta": np.linspace(0.0, 20.0, 400), **{f"a{k}": np.ones(400) for k in (1, 2, 3, 4)}}
+        data = xarray.Dataset({name: ("n", column) for name, column in turns.items()})
+        data["theta"].attrs["units"] = "rad"
+        with pytest.raises(InputError, match="column 'theta' is in rad, and the calibration in degree"):
+            read(FIXTURES / "rotation.yaml").apply(data)
+        with pytest.raises(InputError, match="column 'theta' is in rad, and stage angles in degree"):
+            match(data, [("a1", "a2", "a4")], phase="theta")
+
+    @pytest.mark.parametrize("unit", ["count", "counts", "Count", "1", "LSB"])
     def test_another_spelling_of_the_unit_is_none(self, unit: str, calibration: Calibration) -> None:
         assert apply_frame(calibration, READINGS, unit=unit)["flag"].tolist() == [3, 3]  # no temperature
 
