@@ -79,7 +79,7 @@ _UNITS = {
     "count": ("count", "counts", "lsb", "digit", "digits"),
     "V": ("v", "volt", "volts"),
     "°C": ("c", "degc", "deg_c", "deg c", "celsius", "degree_c", "degrees_c", "degree_celsius", "degrees_celsius", "℃"),
-    "degree": ("degree", "degrees", "deg", "°", "arc_degree", "arc_degrees"),
+    "degree": ("degree", "degrees", "deg", "°", "arc_degree", "arc_degrees", "degree_true", "degrees_true"),
     "g": ("g_n", "g0", "standard_gravity"),
     "m/s2": ("m s-2", "m s^-2", "m s**-2", "m/s^2", "m/s²", "m/s**2", "m.s-2", "meter second-2"),
 }

@@ -6,6 +6,7 @@ None of these libraries is imported here: a frame brings its own.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, date, timedelta
 from decimal import Decimal
 from io import BytesIO
@@ -235,21 +236,23 @@ class _Table:
 
     def polars(self, reading: str) -> pl.DataFrame:
         """Return the columns that have the rows of a reading."""
-        import narwhals.stable.v2 as nw
         import polars as pl
 
         try:
             return self._frame.rename({own: name for name, own in self._named.items() if own != name}).to_polars()  # type: ignore[no-any-return]
-        except (TypeError, ValueError):  # a column of pandas with values of several kinds
-            columns = {name: self._column(name) for name in self.names}
-            return pl.DataFrame(
-                {
-                    name: pl.Series(column.to_list(), dtype=pl.Object)
-                    if column.dtype == nw.Object
-                    else column.to_polars()
-                    for name, column in columns.items()
-                }
-            )
+        except (TypeError, ValueError, NotImplementedError, pl.exceptions.PolarsError):  # a column of another kind
+            return pl.DataFrame({name: self._polars_column(name) for name in self.names})
+
+    def _polars_column(self, name: str) -> pl.Series:
+        """Return a column; one of values of several kinds, or of a kind that polars has not, as objects."""
+        import narwhals.stable.v2 as nw
+        import polars as pl
+
+        column = self._column(name)
+        if column.dtype != nw.Object:
+            with suppress(TypeError, ValueError, NotImplementedError, pl.exceptions.PolarsError):
+                return column.to_polars()  # type: ignore[no-any-return]
+        return pl.Series(column.to_list(), dtype=pl.Object)
 
     def of_rows(self, rows: pl.DataFrame) -> _Table:
         """Return other rows as a frame of this kind."""
@@ -290,7 +293,8 @@ class _Arrays:
         return _timed(self._arrays[name])
 
     def polars(self, reading: str) -> pl.DataFrame:
-        return _polars({name: values for name, values in self._arrays.items() if values.ndim == 1})
+        rows = self._arrays[reading].shape
+        return _polars({name: values for name, values in self._arrays.items() if values.shape == rows})
 
     def of_rows(self, rows: pl.DataFrame) -> _Arrays:
         return _Arrays({name: rows[name].to_numpy() for name in rows.columns})
@@ -304,40 +308,47 @@ class _Dataset:
 
     def __init__(self, data: Any) -> None:
         self._data = data
-        self.names = tuple(str(variable) for variable in data.variables)
+        self._named = {str(variable): variable for variable in data.variables}  # a number may be a name
+        self.names = tuple(self._named)
+
+    def _variable(self, name: str) -> Any:
+        return self._data[self._named[name]]
 
     def unit(self, name: str) -> str | None:
-        unit = self._data[name].attrs.get("units")
+        unit = self._variable(name).attrs.get("units")
         return None if unit is None else str(unit)
 
     def kind(self, name: str) -> object:
-        return self._data[name].dtype
+        return self._variable(name).dtype
 
     def dimensions(self, name: str) -> tuple[str, ...]:
-        return tuple(map(str, self._data[name].dims))
+        return tuple(map(str, self._variable(name).dims))
 
     def numbers(self, name: str) -> Array | None:
-        return _numeric(_typed(self._data[name].values))
+        return _numeric(_typed(self._variable(name).values))
 
     def times(self, name: str) -> Array | None:
-        found = _timed(_typed(self._data[name].values))
+        found = _timed(_typed(self._variable(name).values))
         return None if found is None else seconds_since_1970(found, self.unit(name))
 
     def polars(self, reading: str) -> pl.DataFrame:
-        dims = self._data[reading].dims
-        return _polars({name: _typed(self._data[name].values) for name in self.names if self._data[name].dims == dims})
+        dims = self._variable(reading).dims
+        alike = {name: variable for name in self.names if (variable := self._variable(name)).dims == dims}
+        return _polars({name: _typed(variable.values) for name, variable in alike.items()})
 
     def of_rows(self, rows: pl.DataFrame) -> _Dataset:
-        (dimension,) = self._data[rows.columns[0]].dims
+        (dimension,) = self._variable(rows.columns[0]).dims
         kept = self._data.drop_dims(dimension).assign_attrs(self._data.attrs)
-        columns = {name: (dimension, rows[name].to_numpy(), self._data[name].attrs) for name in rows.columns}
+        columns = {
+            self._named[name]: (dimension, rows[name].to_numpy(), self._variable(name).attrs) for name in rows.columns
+        }
         coordinates = {name: column for name, column in columns.items() if name in self._data.coords}
         others = {name: column for name, column in columns.items() if name not in coordinates}
         return _Dataset(kept.assign_coords(coordinates).assign(others))
 
     def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any:
-        (dimension,) = self._data[readings[0]].dims
-        like = self._data[readings[0]].attrs
+        (dimension,) = self._variable(readings[0]).dims
+        like = self._variable(readings[0]).attrs
         return self._data.assign(
             {
                 name: (
@@ -352,7 +363,14 @@ class _Dataset:
 
 def _array(values: Any) -> NDArray[Any]:
     """Return values as an array, which keeps its mask."""
-    return values if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
+    if isinstance(values, np.ma.MaskedArray):
+        return values
+    try:
+        return np.asarray(values)
+    except ValueError:  # lists of different lengths
+        found = np.empty(len(values), object)
+        found[:] = values
+        return found
 
 
 def _typed(values: NDArray[Any]) -> NDArray[Any]:

@@ -282,6 +282,25 @@ class TestMeans:
             (found,) = np.asarray(apply_frame(calibration, frame, average=2)["note"]).tolist()
             assert (None if found != found else found) == first
 
+    @pytest.mark.parametrize(
+        "frame",
+        [
+            pd.DataFrame(READINGS | {"other": [1j, 2j]}),
+            pd.DataFrame(READINGS | {"other": pd.arrays.SparseArray([0, 1])}),
+            pd.DataFrame(READINGS | {"other": pd.period_range("2026-05", periods=2, freq="M")}),
+            pa.table(READINGS | {"other": pa.array([(1, 2, 3), None], pa.month_day_nano_interval())}),
+            xarray.Dataset({name: ("row", column) for name, column in READINGS.items()} | {5: ("row", [1.0, 2.0])}),
+            READINGS | {"other": [[1.0], [2.0, 3.0]]},
+            READINGS | {"other": [1.0, 2.0, 3.0]},
+        ],
+        ids=["complex", "sparse", "period", "interval", "number for a name", "lists", "another length"],
+    )
+    def test_other_columns_do_not_matter(self, frame: Any, calibration: Calibration) -> None:
+        expected = apply_frame(calibration, {name: [np.mean(column)] for name, column in READINGS.items()})
+        assert array(apply_frame(calibration, frame), "flag").tolist() == [3, 3]
+        means = apply_frame(calibration, frame, average=2)
+        assert array(means, "tilt_x").tolist() == expected["tilt_x"].tolist()
+
     def test_a_masked_text_is_missing(self, calibration: Calibration) -> None:
         note = np.ma.masked_array(["a", "b"], mask=[True, False])
         found = apply_frame(calibration, READINGS | {"temperature": [20.0, 20.0], "note": note}, average=2)
