@@ -16,8 +16,9 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from support import DATA, FIXTURES
+from support import FIXTURES
 from support.command import TILTCAL
+from support.recordings import RECORDINGS, needs
 
 from tiltcal.cli.apply import command
 from tiltcal.errors import InputError, TiltcalError, UsageError
@@ -257,13 +258,10 @@ class TestRefusals:
         assert "two channels" in said
 
 
-SHARED = DATA
-
-
-@pytest.mark.skipif(not (SHARED / "ferraris_session.csv").exists(), reason="ferraris_session.csv is not there")
+@needs("ferraris_session.csv", "ferraris_segments.csv")
 def test_a_whole_recorded_session_comes_out_row_for_row(tmp_path: Path) -> None:
     """Held still on its faces, the wearable sensor must read 90° and 0° within its placement error."""
-    session = SHARED / "ferraris_session.csv"
+    session = RECORDINGS / "ferraris_session.csv"
     (tmp_path / "imu1.yaml").write_text(
         "tiltcal: 1\nkind: tilt\n"
         "sensor: {model: wearable, serial: IMU1, unit: m/s2, channels: [x, y, z]}\n"
@@ -282,7 +280,7 @@ def test_a_whole_recorded_session_comes_out_row_for_row(tmp_path: Path) -> None:
     lines = output.read_text().splitlines()
     assert [line.split(",")[:7] for line in lines] == [line.split(",") for line in session.read_text().splitlines()]
     found = rows(output.read_text())
-    for segment in rows((SHARED / "ferraris_segments.csv").read_text()):
+    for segment in rows((RECORDINGS / "ferraris_segments.csv").read_text()):
         inside = found[int(segment["start"]) : int(segment["end"])]
         for axis in "xyz":
             mean = sum(float(row[f"g_{axis}"]) for row in inside) / len(inside)

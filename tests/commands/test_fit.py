@@ -6,14 +6,14 @@ import csv
 from pathlib import Path
 
 import pytest
-from support import DATA
 from support.command import tiltcal
+from support.recordings import RECORDINGS, needs
 
 from tiltcal.files.calibration import read_calibration
 
-SESSION, SEGMENTS = DATA / "ferraris_session.csv", DATA / "ferraris_segments.csv"
+SESSION, SEGMENTS = RECORDINGS / "ferraris_session.csv", RECORDINGS / "ferraris_segments.csv"
 
-pytestmark = pytest.mark.skipif(not SESSION.exists(), reason="the recorded data are not in ../shared/data")
+pytestmark = needs(SESSION.name, SEGMENTS.name)
 
 COLUMNS = "x=acc_x,y=acc_y,z=acc_z"
 

@@ -1,6 +1,6 @@
 """``tiltcal fit free``: recorded logs of sensors that were held still by hand, and unit gravity alone.
 
-Published values are those of ../shared/data/README.md (imu_tk and imu-calib).
+Published values are those of the recordings' own projects, imu_tk and imu-calib.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from math import acos, degrees, hypot
 from pathlib import Path
 
 import pytest
-from support import DATA
 from support.command import tiltcal
+from support.recordings import RECORDINGS, needs
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.position_record import PositionRecord
 
-XSENS, MPU = DATA / "xsens_acc.txt", DATA / "mpu9150_imu0.txt"
+XSENS, MPU = RECORDINGS / "xsens_acc.txt", RECORDINGS / "mpu9150_imu0.txt"
 
-needs_data = pytest.mark.skipif(not XSENS.exists(), reason="the recorded data are not in ../shared/data")
+needs_data = needs(XSENS.name, MPU.name)
 
 
 @dataclass(frozen=True)

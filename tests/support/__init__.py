@@ -8,5 +8,3 @@ ROOT = Path(__file__).parents[2]
 """The repository."""
 
 FIXTURES = ROOT / "fixtures"
-DATA = ROOT.parent / "shared" / "data"
-"""Recordings that are not the project's; tests that need them are skipped where they are missing."""

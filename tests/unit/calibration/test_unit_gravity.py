@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support import DATA
+from support.recordings import RECORDINGS, needs
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
@@ -154,11 +154,11 @@ def test_residuals_smaller_than_the_noise_do_not_shrink_the_uncertainty() -> Non
     assert all(one.uncertainty["offset.z"] > 0.95 * noise for one in found)
 
 
-@pytest.mark.skipif(not (DATA / "mpu9150_imu0.txt").exists(), reason="the recorded data are not in ../shared/data")
+@needs("mpu9150_imu0.txt")
 @pytest.mark.parametrize("half", [slice(0, 7984), slice(7984, None)], ids=["first half", "second half"])
 def test_half_a_real_recording_holds_the_published_offsets(half: slice) -> None:
     """12 and 11 attitudes with residuals of a fifth of the noise: it was off by 2.5 times what it stated."""
-    readings = np.loadtxt(DATA / "mpu9150_imu0.txt")[half]
+    readings = np.loadtxt(RECORDINGS / "mpu9150_imu0.txt")[half]
     columns = {axis: readings[:, k] for k, axis in enumerate("xyz")}
     found = tiltcal.fit("free", columns, serial="S", unit="m/s2", gravity=9.81)
     for axis, published in {"x": 0.103, "y": 0.097, "z": 0.344}.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support import DATA
+from support.recordings import RECORDINGS, needs
 
 from tiltcal.errors import InputError
 from tiltcal.files.segments import Segment, read_segments
@@ -30,9 +30,9 @@ def test_json(tmp_path: Path) -> None:
     assert read(tmp_path, text) == [Segment("x-up", 5, 9, None, 2), Segment("b", 1, 5, (0.0, 0.0, -1.0), 3)]
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="no ../shared/data")
+@needs("ferraris_segments.csv")
 def test_real_session() -> None:
-    segments = read_segments(DATA / "ferraris_segments.csv")
+    segments = read_segments(RECORDINGS / "ferraris_segments.csv")
     assert [segment.name for segment in segments] == ["x-up", "x-down", "y-up", "y-down", "z-up", "z-down"]
     assert segments[1] == Segment("x-down", 1620, 2361, (-1.0, 0.0, 0.0), 3)
 

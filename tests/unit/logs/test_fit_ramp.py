@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from support import DATA
+from support.recordings import RECORDINGS, needs
 
 from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.core.ramp.fit import fit_ramp
@@ -14,7 +14,7 @@ from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.logs.fit import fit
 
-REAL = DATA / "thermal_ramp.csv"
+REAL = RECORDINGS / "thermal_ramp.csv"
 LAG = 120.0
 
 
@@ -195,7 +195,7 @@ def test_a_segment_names_rows_and_attitude(minutes):
     assert found.uncertainty["offset.y"] == pytest.approx(found.uncertainty["sensitivity.y.y"], rel=0.05)
 
 
-@pytest.mark.skipif(not REAL.exists(), reason="thermal_ramp.csv is not there")
+@needs("thermal_ramp.csv")
 def test_the_recorded_ramp_gets_no_lag_and_is_on_no_leg_worse_than_a_polynomial(tmp_path):
     """Its README: a lag helps two axes on one leg and harms on the other; part of the loop is hysteresis."""
     base = tmp_path / "base.yaml"
@@ -222,7 +222,7 @@ def test_the_recorded_ramp_gets_no_lag_and_is_on_no_leg_worse_than_a_polynomial(
     assert found.uncertainty["offset.z"] > 0.02
 
 
-@pytest.mark.skipif(not REAL.exists(), reason="thermal_ramp.csv is not there")
+@needs("thermal_ramp.csv")
 def test_the_last_leg_of_the_recorded_ramp_is_predicted_better_than_by_a_cubic():
     """Fitted to the legs before it, whose ways the curve lies between; numpy's cubic follows the way up."""
     rows = np.genfromtxt(REAL, delimiter=",", names=True)

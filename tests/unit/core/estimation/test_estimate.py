@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from support import DATA
+from support.recordings import RECORDINGS, needs
 
 from tiltcal.core.closed_forms import (
     scale_from_tilt,
@@ -25,9 +25,7 @@ from tiltcal.core.estimation.unit_gravity import directions_from_readings
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.errors import EstimateError
 
-needs_recorded_data = pytest.mark.skipif(
-    not (DATA / "ferraris_session.csv").exists(), reason="the recorded data are not in ../shared/data"
-)
+needs_recorded_data = needs("ferraris_session.csv", "ferraris_segments.csv")
 
 
 def observe(name: str, gravity: tuple[float, float, float], *mean: float, u: float = 0.1, t: float | None = None):
@@ -36,9 +34,9 @@ def observe(name: str, gravity: tuple[float, float, float], *mean: float, u: flo
 
 @pytest.fixture
 def observations() -> list[Observation]:
-    with open(DATA / "ferraris_session.csv") as log:
+    with open(RECORDINGS / "ferraris_session.csv") as log:
         rows = np.array([[float(row[f"acc_{axis}"]) for axis in "xyz"] for row in csv.DictReader(log)])
-    with open(DATA / "ferraris_segments.csv") as segments:
+    with open(RECORDINGS / "ferraris_segments.csv") as segments:
         return [
             Observation(
                 row["position"],
