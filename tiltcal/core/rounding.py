@@ -1,4 +1,4 @@
-"""Numbers with the digits that their uncertainty warrants, and no tail of binary dust."""
+"""Numbers with the digits that their uncertainty warrants, and none that only a binary fraction adds."""
 
 from __future__ import annotations
 
