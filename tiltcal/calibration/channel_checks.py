@@ -68,7 +68,7 @@ _COPIES = "two copies of one channel? Look at the wiring, and at --columns"
 def _require_reaction(sensor: MeasuredSensor, found: Estimate) -> None:
     """Refuse a channel whose sensitivity to every axis is zero within its uncertainty.
 
-    No reading is exact: a sensitivity below a billionth of the readings is the dust of arithmetic.
+    No reading is exact: a sensitivity below a billionth of the readings is a rounding error.
     """
     u, factors, coefficients = found.uncertainty(), found.coverage_factors(), found.coefficients
     for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):

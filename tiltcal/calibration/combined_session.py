@@ -62,7 +62,7 @@ class CombinedSession:
 
     @cached_property
     def known(self) -> UncertaintyInputs:
-        """What is uncertain."""
+        """The inputs of the combination that are uncertain."""
         try:
             stated = stated_uncertainty(self.record.uncertainty, self.coefficients).inputs
         except EstimateError as failure:

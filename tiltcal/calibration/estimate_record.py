@@ -66,7 +66,7 @@ def uncertainty_of(found: DeterminedCoefficients, reading: Mapping[str, float]) 
 
 
 def rounded_covariance(names: Sequence[str], covariance: Array) -> Covariance:
-    """Return the covariance of the coefficients that are uncertain at all, without the dust that stands for zero."""
+    """Return the covariance of the uncertain coefficients, without the rounding errors that stand for zero."""
     u = np.sqrt(np.diag(covariance))
     some = np.flatnonzero(u > 0.0).tolist()
     return Covariance(

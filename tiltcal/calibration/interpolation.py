@@ -40,7 +40,7 @@ LARGEST_CHANGE = 0.5
 
 @dataclass(frozen=True)
 class Stability:
-    """How far the coefficients of a sensor wander.
+    """The stability of a sensor: how far its coefficients wander.
 
     Attributes
     ----------

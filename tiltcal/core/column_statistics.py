@@ -98,12 +98,12 @@ class ColumnStatistics:
 
     @property
     def mean(self) -> Array:
-        """Of each angle, degrees; NaN where it never was one."""
+        """Mean of each angle, degrees; NaN where it never was a number."""
         count = self._counts.sum(axis=1)
         return np.asarray(np.where(count > 0, self._sums / np.maximum(count, 1), np.nan))
 
     def histogram(self, bins: int) -> list[tuple[Array, Array]]:
-        """For each angle the edges of at most so many bins over its range, degrees, and how many rows are in each."""
+        """Return for each angle the edges of so many bins or fewer, degrees, and the number of rows in each."""
         found = []
         for counts in self._counts:
             (met,) = np.nonzero(counts)

@@ -45,7 +45,7 @@ ASSUMED = "assumed"
 
 @frozen
 class Statement:
-    """What one session states of a sensor's coefficients.
+    """The coefficients of a sensor that one session states, with their covariance.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ from tiltcal.frozen import frozen
 
 
 class EarthUncertainty:
-    """From rows in the earth frame to the uncertainty of heading and velocities.
+    """The propagation from rows in the earth frame to the uncertainty of heading and velocities.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ _REACH = 1e6  # of the grid of rates about the largest and the smallest that the
 
 @dataclass(frozen=True)
 class RandomWalk:
-    """How far a coefficient wanders.
+    """The random walk of a coefficient: how far it wanders.
 
     Attributes
     ----------

@@ -66,7 +66,7 @@ class Thermal:
 
 @frozen
 class Coefficients:
-    """What calibrates one sensor.
+    """The coefficients that calibrate one sensor.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ STEP = 1e-6
 
 @frozen
 class MountingEstimate:
-    """How a sensor sits in its application.
+    """An estimated mounting: how a sensor sits in its application.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ _FEW, _MANY, _HUGE = 4096, 1 << 16, 1e150
 
 @frozen
 class SampleSummary:
-    """What a run of samples of one channel says.
+    """The mean of a run of samples of one channel, and its uncertainty.
 
     Attributes
     ----------

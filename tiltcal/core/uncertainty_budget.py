@@ -16,7 +16,7 @@ from tiltcal.frozen import frozen
 
 @frozen
 class Part:
-    """What one source of uncertainty adds to some quantities: errors, and how the quantities follow them.
+    """The part that one source of uncertainty adds to some quantities: errors, and how the quantities follow them.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ TURN = "mounting.turn."
 
 @frozen
 class UncertaintyInputs:
-    """What the angles are uncertain by.
+    """The uncertain inputs of the angles: coefficients and the turn of the mounting, with their covariance.
 
     Attributes
     ----------

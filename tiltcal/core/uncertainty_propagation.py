@@ -67,7 +67,7 @@ class UpGradient:
 
 
 class Propagation:
-    """From rows on their way through the kernel to the uncertainty of their angles.
+    """The propagation from rows on their way through the kernel to the uncertainty of their angles.
 
     The outputs are the components of g in the application's frame; or, of two channels, those in the sensor's frame
     and, where the mounting is uncertain, behind them the errors in the application's frame that its rotation makes.

@@ -84,7 +84,7 @@ class RampFitRecord:
 
     lag: float = entry(Number(), "that was found, s")
     u_lag: float = entry(FROM_ZERO, "its standard uncertainty, s")
-    used: bool = entry(Flag(), "whether it betters every leg that it was not fitted to, and is in the calibration")
+    used: bool = entry(Flag(), "whether each leg is predicted better with it, and it is in the calibration")
     explained_percent: Mapping[str, float] = entry(
         CHANNELS, "per channel which part of the square of the loop it explains, %"
     )

@@ -27,7 +27,7 @@ class DeviceHeader:
 
 @frozen(kw_only=True)
 class SettingsHeader:
-    """How the session measures."""
+    """The settings of a session: how it measures."""
 
     samples: int = entry(Integer(minimum=2), "samples a position")
     settle: float = entry(Number(above=0.0), "seconds over which the reading must hold still")

@@ -56,7 +56,7 @@ class CoefficientUncertainty:
 
 @frozen(kw_only=True)
 class Suppression:
-    """How far the common acceleration is suppressed."""
+    """The suppression of the common acceleration."""
 
     p: float = entry(FROM_ZERO, "after p")
     pq: float = entry(FROM_ZERO, "after p and q")

@@ -34,7 +34,7 @@ class ColumnWidths:
 
     @property
     def median(self) -> float | None:
-        """To half a per cent; None where there is none."""
+        """The median, to half a per cent; None where there is no value."""
         total = int(self._counts.sum())
         if not total:
             return None
@@ -44,13 +44,13 @@ class ColumnWidths:
 
     @property
     def largest(self) -> float | None:
-        """None where there is none."""
+        """The largest value; None where there is none."""
         return self._largest if self._counts.any() else None
 
 
 @dataclass
 class ApplySummary:
-    """What came out of a log, counted.
+    """The counts of an applied log: rows by flag and by reason.
 
     Attributes
     ----------

@@ -37,7 +37,7 @@ _SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 @frozen
 class Averaging:
-    """What belongs into one mean: so many rows of the log, or so many seconds."""
+    """The size of a group of rows that becomes one mean: so many rows of the log, or so many seconds."""
 
     rows: int | None = None
     seconds: float | None = None

@@ -49,7 +49,7 @@ Rails = Mapping[str, tuple[float, float]]
 
 @frozen
 class Sums:
-    """What the samples of a piece say without those that are far off.
+    """The sums over the samples of a piece without those that are far off.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Line:
 
     @property
     def rise(self) -> float:
-        """From the first value to the last, less what their scatter explains."""
+        """The rise from the first value to the last, less what their scatter explains."""
         if self.n < FEWEST_FOR_A_RISE:
             return 0.0
         places = self.n * (self.n**2 - 1.0) / 12.0

@@ -63,7 +63,7 @@ class LogBlock:
 
 @frozen
 class LogSource:
-    """Where a log is read from, and how.
+    """The source of a log: where it is read from, and how.
 
     Attributes
     ----------

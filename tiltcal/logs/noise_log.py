@@ -15,7 +15,7 @@ from tiltcal.printable import counted
 
 @dataclass(frozen=True)
 class NoiseLog:
-    """What a log says of the noise of its sensor.
+    """The noise of the sensor of a log.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class NoiseLog:
 
     @property
     def span(self) -> float:
-        """From the beginning of the first row to the end of the last, seconds."""
+        """The time from the beginning of the first row to the end of the last, seconds."""
         return (self.pace.rows + self.pace.lost) * self.pace.interval
 
     def as_text(self) -> str:

@@ -24,7 +24,7 @@ ROWS_FOR_SPIN = 1 << 20
 
 @dataclass
 class Demodulated:
-    """What came out of a log.
+    """The demodulated components of a log of pairs.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Demodulated:
 
     @property
     def frequency(self) -> float | None:
-        """Of the spin, Hz; None where the log has no time."""
+        """The frequency of the spin, Hz; None where the log has no time."""
         return self.turns / self.seconds if self.seconds else None
 
     @property
@@ -127,7 +127,7 @@ class _Tally:
 
     @property
     def seconds(self) -> float | None:
-        """From the first row with a time to the last; None without time."""
+        """The seconds from the first row with a time to the last; None where the log has no time."""
         return None if self._begin is None or self._end <= self._begin else self._end - self._begin
 
 

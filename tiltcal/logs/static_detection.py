@@ -72,7 +72,7 @@ class StaticDetection:
 
     @property
     def distinct(self) -> int:
-        """How many different attitudes there are."""
+        """The number of different attitudes."""
         return 0 if self.ellipsoid is None else self.ellipsoid.distinct
 
     @property

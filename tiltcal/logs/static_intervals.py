@@ -30,7 +30,7 @@ FEWEST_ROWS = 2
 
 @dataclass(frozen=True)
 class StaticInterval:
-    """What a sensor read while it was held in one place.
+    """The readings of a sensor while it was held in one attitude.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ _GAP_SHARE = 100
 
 @dataclass
 class SamplingInterval:
-    """How the rows of a log follow each other: seconds from row to row, gaps, and the rows that are lost in them.
+    """The interval between the rows of a log: seconds from row to row, gaps, and the rows that are lost in them.
 
     Faulty rows are those that could not be parsed.
     """

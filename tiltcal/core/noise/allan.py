@@ -123,7 +123,7 @@ class _Level:
         return self._halved(sums, counts)
 
     def variance(self, place: int) -> Array:
-        """Of one width, shape (channels,)."""
+        """Return the Allan variance of one width, shape (channels,)."""
         pairs = self._pairs[place]
         return np.asarray(self._squares[place] / (2.0 * np.where(pairs > 0, pairs, np.nan)))
 

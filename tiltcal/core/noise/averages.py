@@ -21,7 +21,7 @@ RANGE_OF_100 = 5.0152
 
 @dataclass(frozen=True)
 class Average:
-    """How averages of so many samples scatter, of one channel.
+    """The scatter of the averages of so many samples, of one channel.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ _LIMITS: dict[str, Limit] = {"B": "flicker", "K": "walk", "R": "drift"}
 
 @dataclass(frozen=True)
 class SampleSize:
-    """How many samples to take.
+    """A recommended number of samples, and why it is that one.
 
     Attributes
     ----------

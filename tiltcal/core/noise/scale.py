@@ -9,7 +9,7 @@ from math import degrees, radians
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """What a reading's unit is worth.
+    """The scale of a sensor's readings, by which their noise becomes degrees.
 
     Attributes
     ----------

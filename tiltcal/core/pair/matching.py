@@ -26,7 +26,7 @@ _CLEAREST = 5.0
 
 @dataclass(frozen=True)
 class Component:
-    """What one channel has at the turning of the stage, in the unit of the readings, with standard uncertainties."""
+    """The component of one channel at the turning of the stage, in its unit, with standard uncertainties."""
 
     sin: float
     cos: float
@@ -35,7 +35,7 @@ class Component:
 
     @property
     def amplitude(self) -> float:
-        """Of both together."""
+        """The amplitude of sine and cosine together."""
         return hypot(self.sin, self.cos)
 
     @property
@@ -56,7 +56,7 @@ class PairCoefficients:
 
 @dataclass(frozen=True)
 class Matching:
-    """What matches a pair, and what it does to a record.
+    """The matching of a pair: p and q, and how far they suppress the common acceleration of a record.
 
     Attributes
     ----------

@@ -251,7 +251,7 @@ class Recursive:
 
 @dataclass(frozen=True)
 class OnlineHistory:
-    """Where the estimates were, after so many turns."""
+    """The estimates of p and q after each number of turns."""
 
     turns: float
     loops: tuple[float, float]

@@ -50,7 +50,7 @@ _LAGS, _STEPS, _CONVERGED = 14, 8, 0.01
 
 @dataclass(frozen=True)
 class HeldOutLeg:
-    """How well a leg is predicted from the others.
+    """The error with which a leg is predicted from the others.
 
     Attributes
     ----------

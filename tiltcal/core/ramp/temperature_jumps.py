@@ -24,7 +24,7 @@ _FIRST = 5
 
 @dataclass(frozen=True)
 class TemperatureJumps:
-    """How many temperatures jump, and the first of them.
+    """The temperatures that jump: how many there are, and the first of them.
 
     Attributes
     ----------

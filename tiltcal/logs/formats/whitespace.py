@@ -3,9 +3,9 @@
 A log whose first line holds nothing but numbers has no header: its columns are called by number, counted from 1. A
 first line that merely counts (0,1,2 or 1,2,3), as some programs write above columns that nobody named, is a header.
 
-Where the first line has no comma, its fields may be parted by blanks and tabs, which the readers behind this door see
-as commas. A header is, where the line below it has as many fields and no comma either; a ``#`` in front of its names
-is none of them.
+Where the first line has no comma, its fields may be parted by blanks and tabs, which are handed on to the
+readers as commas. A header is, where the line below it has as many fields and no comma either; a ``#`` in front of its
+names is none of them.
 """
 
 from __future__ import annotations
