@@ -60,7 +60,7 @@ class _Terminal:
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         """Ask once more before the files are written."""
         named = ", ".join(f"{path} (replaces the one there)" if os.path.exists(path) else str(path) for path in files)
-        self._say(f"\nAll positions are measured. Write {named}?")
+        self._say(f"\nEverything is measured. Write {named}?")
         self._hint("Enter write", "n stop and keep")
         if self._choice(f"{ENTER}ynq") in "nq":
             raise Stopped("not written: the operator declined")
@@ -92,8 +92,10 @@ class _Terminal:
         self._console.print(line)
 
     def _refuse_key(self) -> None:
-        """Name the keys that are offered; the one that was pressed may have no name to print, such as an arrow."""
-        self._say(f"  not one of the keys: {', '.join(self._offered)}")
+        """Name the keys that are offered, once; the one that was pressed may have no name, such as an arrow."""
+        if self._offered:
+            self._say(f"  not one of the keys: {', '.join(self._offered)}")
+            self._offered = []
 
     def _line(self, *parts: str) -> None:
         """Print one line that the next one overwrites; parts that do not fit are left out whole."""
