@@ -148,6 +148,18 @@ def test_a_reading_is_shown_whole_or_not_at_all(shown: io.StringIO) -> None:
     assert shown.getvalue().endswith("\r\x1b[2K")
 
 
+def test_what_is_said_after_a_live_line_has_a_line_of_its_own(shown: io.StringIO) -> None:
+    """A leg of a ramp is accepted without a review, right after a live reading."""
+    console = Console(file=shown, force_terminal=True, width=80, color_system=None)
+    operator = TerminalOperator(console, Typed(ENTER), live=True)
+    operator.begin("A title", 3, {"S-1": find_model("sca100t-d02")})
+    operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "on the way to 5 °C")
+    operator.accepted(REVIEWED)
+    assert shown.getvalue().endswith("on the way to 5 °C\r\x1b[2K  accepted level\n")
+    operator.refused(LEVEL, "it moves")
+    assert shown.getvalue().endswith("  accepted level\n  refused: it moves\n")
+
+
 def test_the_virtual_jig_gives_up_a_position_that_is_refused_again_and_again() -> None:
     operator = SimOperator()
     for _ in range(9):

@@ -55,6 +55,7 @@ class _Terminal:
         self._console = console
         self._keys = keys
         self._live = live
+        self._line_is_live = False
         self._offered: list[str] = []
 
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
@@ -81,6 +82,7 @@ class _Terminal:
 
     def _say(self, text: str, style: str = "", end: str = "\n") -> None:
         """Print a line as it stands: what comes from a file is no markup, and holds no escape sequence."""
+        self.clear()
         self._console.print(Text(printable(text), style=style), end=end)
 
     def _hint(self, *choices: str) -> None:
@@ -106,12 +108,14 @@ class _Terminal:
                 line = f"{line[: room - 2]} …"
                 break
             line = f"{line}   {part}"
+        self._line_is_live = True
         self._console.file.write(f"{CLEAR}  {line[:room]}")
         self._console.file.flush()
 
     def clear(self) -> None:
         """Empty the line of the live reading, which whatever is printed next would be appended to."""
-        if self._live:
+        if self._line_is_live:
+            self._line_is_live = False
             self._console.file.write(CLEAR)
             self._console.file.flush()
 
@@ -179,7 +183,6 @@ class TerminalOperator(_Terminal):
         self._say(f"  accepted {result.position.name}", "green")
 
     def refused(self, position: Position, why: str) -> None:
-        self.clear()
         self._say(f"  refused: {why}", "bold red")
 
     def lost(self, serial: str, why: str) -> None:
@@ -320,18 +323,15 @@ class TerminalRotationOperator(_Terminal):
             self._say(f"  {turn}")
 
     def paused(self, why: str) -> None:
-        self.clear()
         self._say(f"  held: {why}", "yellow")
 
     def resumed(self) -> None:
         self._say("  goes on")
 
     def refused(self, why: str) -> None:
-        self.clear()
         self._say(f"  refused: {why}", "bold red")
 
     def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
-        self.clear()
         for matching in matchings:
             self._say(f"  matched {pair_in_words(matching.pair.name, matching)} after {turns:.1f} turns", "green")
 
