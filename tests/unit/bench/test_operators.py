@@ -136,16 +136,28 @@ def test_no_number_of_a_review_is_cut_off(width: int, shown: io.StringIO) -> Non
 
 
 def test_a_reading_is_shown_whole_or_not_at_all(shown: io.StringIO) -> None:
-    """45 columns have no room for the temperature: `2` of `24.9 °C` would be one that nobody measured."""
+    """45 columns have no room for y: a part of its number would be one that nobody measured."""
     console = Console(file=shown, force_terminal=True, width=45, color_system=None)
     operator = TerminalOperator(console, Typed(ENTER), live=True)
     operator.begin("A title", 3, {"S-1": find_model("sca100t-d02")})
     shown.truncate(0)
-    operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "live")
+    operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "waiting until still")
     line = shown.getvalue().rpartition("K")[2]
-    assert line == "  x 1045 (+1.47°)   y 1019 (-0.35°) …"
+    assert line == "  waiting until still   x 1045 (+1.47°) …"
     operator.clear()
     assert shown.getvalue().endswith("\r\x1b[2K")
+
+
+@pytest.mark.parametrize("width", range(30, 100))
+def test_the_live_line_of_two_sensors_names_each_and_is_cut_between_its_parts(width: int, shown: io.StringIO) -> None:
+    console = Console(file=shown, force_terminal=True, width=width, color_system=None)
+    operator = TerminalOperator(console, Typed(ENTER), live=True)
+    operator.begin("A title", 3, dict.fromkeys(("S-1", "S-2"), find_model("sca100t-d02")))
+    operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9), "S-2": Reading((1024.0, 205.0), None)}, "not still")
+    line = shown.getvalue().rpartition("K")[2]
+    parts = ["not still", "S-1 x 1045 (+1.47°)", "y 1019 (-0.35°)", "24.9 °C", "S-2 x 1024 (+0.00°)", "y 205 (-90.00°)"]
+    whole = ["  " + "   ".join(parts[:count]) + (" …" if count < len(parts) else "") for count in range(1, 7)]
+    assert line == max((text for text in whole if len(text) < width), key=len)
 
 
 def test_what_is_said_after_a_live_line_has_a_line_of_its_own(shown: io.StringIO) -> None:
@@ -155,7 +167,7 @@ def test_what_is_said_after_a_live_line_has_a_line_of_its_own(shown: io.StringIO
     operator.begin("A title", 3, {"S-1": find_model("sca100t-d02")})
     operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "on the way to 5 °C")
     operator.accepted(REVIEWED)
-    assert shown.getvalue().endswith("on the way to 5 °C\r\x1b[2K  accepted level\n")
+    assert shown.getvalue().endswith("24.9 °C\r\x1b[2K  accepted level\n")
     operator.refused(LEVEL, "it moves")
     assert shown.getvalue().endswith("  accepted level\n  refused: it moves\n")
 

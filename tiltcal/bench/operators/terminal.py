@@ -103,8 +103,8 @@ class _Terminal:
         """Print one line that the next one overwrites; parts that do not fit are left out whole."""
         room = self._console.width - 3
         line, *others = (printable(part) for part in parts)
-        for part in others:
-            if len(line) + len(part) + 3 > room:
+        for left, part in enumerate(others, start=1 - len(others)):
+            if len(line) + len(part) + (5 if left else 3) > room:
                 line = f"{line[: room - 2]} …"
                 break
             line = f"{line}   {part}"
@@ -162,7 +162,7 @@ class TerminalOperator(_Terminal):
                 self._refuse_key()
 
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
-        self._show(readings, why)
+        self._show(readings, why)  # first, because what has no room is left out
 
     def review(self, result: PositionResult) -> OperatorAnswer:
         """Show expected, measured and noise, and ask whether it counts."""
@@ -225,26 +225,25 @@ class TerminalOperator(_Terminal):
         key = self._keys.choice(0.0)
         while key is None:
             try:
-                self._show(live(), "live")
+                self._show(live())
             except HardwareError as error:
                 self._line(f"no reading: {error}")
             key = self._keys.choice(LIVE_PAUSE)
         self.clear()
         return key
 
-    def _show(self, readings: Mapping[str, Reading], why: str) -> None:
+    def _show(self, readings: Mapping[str, Reading], *why: str) -> None:
         if not self._live:
             return
-        parts = []
+        parts = [*why]
         for serial, reading in readings.items():
-            channels = self._models[serial].channels
-            parts += [
-                f"{channel} {value:.6g} ({self._angle(serial, value)})"
-                for channel, value in zip(channels, reading.values, strict=True)
-            ]
+            lead = f"{serial} " if len(readings) > 1 else ""
+            for channel, value in zip(self._models[serial].channels, reading.values, strict=True):
+                parts.append(f"{lead}{channel} {value:.6g} ({self._angle(serial, value)})")
+                lead = ""
             if reading.temperature is not None:
                 parts.append(f"{reading.temperature:.1f} °C")
-        self._line(*parts, why)
+        self._line(*parts, *(() if why else ("live",)))
 
     def _angle(self, serial: str, value: float) -> str:
         """Return a reading as a tilt, by the model's nominal coefficients."""
