@@ -259,14 +259,23 @@ class _Table:
         import narwhals.stable.v2 as nw
 
         made = nw.from_dict(rows.to_dict(as_series=False), backend=self._frame.implementation)
-        return _Table(made if self._index is None else nw.maybe_set_index(made, self._index))
+        made = made if self._index is None else nw.maybe_set_index(made, self._index)
+        return _Table(nw.from_native(_with_notes(made.to_native(), self._given.to_native())))
 
     def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any:
         import narwhals.stable.v2 as nw
 
         backend = self._given.implementation
         added = [nw.new_series(name, np.ascontiguousarray(values), backend=backend) for name, values in table.items()]
-        return self._given.with_columns(*added).to_native()
+        return _with_notes(self._given.with_columns(*added).to_native(), self._given.to_native())
+
+
+def _with_notes(made: Any, given: Any) -> Any:
+    """Return a frame with what another of its kind states about itself: attributes of pandas, metadata of pyarrow."""
+    if hasattr(given, "attrs"):
+        made.attrs = dict(given.attrs)
+    metadata = getattr(getattr(given, "schema", None), "metadata", None)
+    return made if metadata is None else made.replace_schema_metadata(metadata)
 
 
 class _Arrays:

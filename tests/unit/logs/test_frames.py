@@ -190,6 +190,20 @@ class TestPythonValues:
         assert apply_frame(calibration, READINGS | {"time": times}, every="10s")["time"] == [np.datetime64(times[0])]
 
 
+class TestNotes:
+    """What a frame states about itself stays, as the serial number does by which a folder is searched."""
+
+    @pytest.mark.parametrize("how", [{}, {"average": 2}])
+    def test_they_stay(self, how: dict[str, int], calibration: Calibration) -> None:
+        frame = pd.DataFrame(READINGS)
+        frame.attrs["serial"] = "S-1"
+        assert apply_frame(calibration, frame, **how).attrs == {"serial": "S-1"}
+        table = pa.table(READINGS).replace_schema_metadata({"serial": "S-1"})
+        assert apply_frame(calibration, table, **how).schema.metadata == {b"serial": b"S-1"}
+        data = xarray.Dataset({name: ("row", column) for name, column in READINGS.items()}, attrs={"serial": "S-1"})
+        assert apply_frame(calibration, data, **how).attrs == {"serial": "S-1"}
+
+
 class TestIndexOfPandas:
     """One that has a name is a column, such as the time that ``resample`` needs there."""
 
