@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property
@@ -154,6 +154,7 @@ class Calibration:
         average: int | None = None,
         every: str | float | timedelta | None = None,
         unit: str | None = None,
+        say: Callable[[str], None] = lambda line: None,
     ) -> Any:
         """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
 
@@ -187,6 +188,8 @@ class Calibration:
             Apply to the means of so much time each, such as ``"10s"``, or in seconds; it needs a column of times.
         unit : str, optional
             Of the readings; an xarray Dataset states it itself. One that is not the calibration's is refused.
+        say : callable
+            Called with each remark about what had to be assumed.
 
         Returns
         -------
@@ -218,6 +221,7 @@ class Calibration:
             average=average,
             every=every,
             unit=unit,
+            say=say,
         )
 
     def with_mounting(self, angles: Mapping[str, float] | str) -> Calibration:

@@ -154,9 +154,7 @@ def apply_log(
     ready = prepare_any(calibration, options, say)
     with open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as reader:
         prepared = ready(reader, columns)
-        rows = CompensatedLog.of(reader, prepared, columns)
-        if TIME in prepared.optional_roles and TIME not in rows.roles:
-            say(NO_TIME)
+        rows = CompensatedLog.of(reader, prepared, columns, say)
         with log_sink(str(output)) as sink:
             writer = create_log(output, sink, reader, prepared.columns, prepared.origin, rows.units)
             writer.write(with_writeback(sink, rows.blocks(frames=writer.frames)))
@@ -169,6 +167,7 @@ def apply_frame(
     *,
     columns: Mapping[str, str] | str = "",
     unit: str | None = None,
+    say: Callable[[str], None] = lambda line: None,
     **options: Any,
 ) -> Any:
     """Apply a calibration to a frame.
@@ -181,6 +180,8 @@ def apply_frame(
         The column of each reading, such as ``{"x": "VoutX"}``; without it, the column of its name.
     unit : str, optional
         Of the readings; an xarray Dataset states it itself.
+    say : callable
+        Called with each remark about what had to be assumed.
     **options
         Those of :class:`ApplyOptions`.
 
@@ -199,8 +200,8 @@ def apply_frame(
     from tiltcal.logs.frames import FrameReader
 
     reader = FrameReader(frame)
-    prepared = prepare_any(calibration, ApplyOptions(**options))(reader, columns)
-    log = CompensatedLog.of(reader, prepared, columns)
+    prepared = prepare_any(calibration, ApplyOptions(**options), say)(reader, columns)
+    log = CompensatedLog.of(reader, prepared, columns, say)
     for channel, index in zip(prepared.channels, log.channels, strict=True):
         own = prepared.units.get(channel)
         if unit is not None and own not in (None, DEGREE) and not same_unit(unit, own):
@@ -272,8 +273,14 @@ class CompensatedLog:
     field_length: FieldLength | None = None
 
     @classmethod
-    def of(cls, log: LogReader, prepared: PreparedCalibration, columns: Mapping[str, str] | str = "") -> CompensatedLog:
-        """Find the readings of a log, and whatever else the calibration asks for.
+    def of(
+        cls,
+        log: LogReader,
+        prepared: PreparedCalibration,
+        columns: Mapping[str, str] | str = "",
+        say: Callable[[str], None] = lambda line: None,
+    ) -> CompensatedLog:
+        """Find the readings of a log, and whatever else the calibration asks for; ``say`` is told that a time is not.
 
         Raises
         ------
@@ -300,6 +307,8 @@ class CompensatedLog:
             if sensor.thermometer is not None:
                 require_celsius(log, {TEMPERATURE: channels[sensor.thermometer]})
         present = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
+        if TIME in prepared.optional_roles and TIME not in present:
+            say(NO_TIME)
         summary = ApplySummary(widths={name: ColumnWidths() for name in prepared.watched})
         return cls(log, prepared, channels, present, vectors, summary, _field_length("magnetometer" in vectors))
 

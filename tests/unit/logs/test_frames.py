@@ -88,6 +88,19 @@ def test_results_are_those_of_the_command(kind: str, written: pl.DataFrame) -> N
     assert "tilt_x" not in given
 
 
+def test_remarks_are_those_of_the_command(tmp_path: Path) -> None:
+    """A heading without a declination, and a lag without a time."""
+    frame = pl.DataFrame(READINGS | {"temperature": [20.0, 20.0], "mx": [20.0] * 2, "my": [0.0] * 2, "mz": [-40.0] * 2})
+    frame.write_csv(tmp_path / "log.csv")
+    of_log: list[str] = []
+    of_frame: list[str] = []
+    lagging = FIXTURES / "ramp.yaml"
+    apply_log(lagging, tmp_path / "log.csv", tmp_path / "out.csv", magnetometer="mx,my,mz", say=of_log.append)
+    apply_frame(read(lagging), frame, magnetometer="mx,my,mz", say=of_frame.append)
+    assert of_frame == of_log
+    assert [text.split(":")[0] for text in of_frame] == ["note"] * 2
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_its_own_columns_stay(kind: str) -> None:
     made = KINDS[kind][1]
