@@ -191,6 +191,10 @@ class NetcdfReader(LogReader):
         kind = self._data[name].dtype
         if kind.kind not in "iuf":
             self._refuse(f"variable {name!r} holds {kind}, not numbers: name another, or make numbers of it")
+        for attribute in ("scale_factor", "add_offset"):
+            packed = self._data[name].encoding.get(attribute, 1.0)
+            if np.asarray(packed).dtype.kind not in "iuf":
+                self._refuse(f"variable {name!r}: its attribute {attribute} is {packed!r}, no number: correct it")
 
     def _refuse(self, why: str) -> NoReturn:
         raise InputError(why, file=self.name)
