@@ -58,17 +58,12 @@ class Adxl202Sentences:
         self._used = self._damaged = self._lost = self._restarts = 0
 
     def probe(self) -> Mapping[str, str]:
-        """Check that sentences arrive.
+        """Check that sentences arrive; the errors are those of :meth:`read`.
 
         Returns
         -------
         mapping of str to str
             Duty cycles, the period, the temperature if it is sent, and the link statistics.
-
-        Raises
-        ------
-        BusError
-            No data, or no valid sentence.
         """
         self.discard()
         sentence = self._next()
@@ -152,19 +147,12 @@ class Adxl202Edges:
         self._used = 0
 
     def probe(self) -> Mapping[str, str]:
-        """Check that both lines pulse.
+        """Check that both lines pulse; the errors are those of :meth:`read`.
 
         Returns
         -------
         mapping of str to str
             Duty cycles, the period, and the link statistics.
-
-        Raises
-        ------
-        BusError
-            No edges.
-        DeviceFault
-            One line is dead, or the lines do not belong together.
         """
         self.discard()
         cycle = self._next()

@@ -113,19 +113,12 @@ class AnalogSensor:
         self._converter = wired.front_end.driver(link, clock)
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the sensor answers plausibly.
+        """Check that the sensor answers plausibly; the errors are those of :meth:`read`.
 
         Returns
         -------
         mapping of str to str
             The reading of each output, the supply and the converter.
-
-        Raises
-        ------
-        BusError
-            The converter does not answer.
-        DeviceFault
-            A supply outside the range of the sensor, or its fault signal.
         """
         values, supply = self._sample()
         said = {
@@ -140,9 +133,9 @@ class AnalogSensor:
         Raises
         ------
         BusError
-            The transaction failed.
+            The converter does not answer.
         DeviceFault
-            As :meth:`probe`.
+            A supply outside the range of the sensor, or its fault signal.
         """
         values, _ = self._sample()
         return Reading(values)

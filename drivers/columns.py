@@ -128,17 +128,12 @@ class ColumnsSensor:
         self._used = self._damaged = 0
 
     def probe(self) -> Mapping[str, str]:
-        """Check that lines of numbers arrive.
+        """Check that lines of numbers arrive; the errors are those of :meth:`read`.
 
         Returns
         -------
         mapping of str to str
             The numbers by name, and the link statistics.
-
-        Raises
-        ------
-        BusError
-            No data, or no line with the right number of columns.
         """
         self.discard()
         reading = self.read()

@@ -85,19 +85,12 @@ class DfrobotSca100t:
         self._used = self._damaged = 0
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the module answers.
+        """Check that the module answers; the errors are those of :meth:`read`.
 
         Returns
         -------
         mapping of str to str
             Both words, the temperature, and the link statistics.
-
-        Raises
-        ------
-        BusError
-            No data, or no valid answer.
-        DeviceFault
-            A word below 102.
         """
         reading = self.read()
         return in_counts(reading.values) | {

@@ -172,20 +172,7 @@ class ModbusColumns:
         self._link = link
 
     def probe(self) -> Mapping[str, str]:
-        """Read every number once.
-
-        Returns
-        -------
-        mapping of str to str
-            The numbers by their names.
-
-        Raises
-        ------
-        BusError
-            No answer.
-        DeviceFault
-            The device refuses, or a number is none.
-        """
+        """Read every number once, and return them by their names; the errors are those of :meth:`read`."""
         return numbers_in_words(self._layout.channels, self.read())
 
     def read(self) -> Reading:

@@ -45,19 +45,12 @@ class PolledSensor(ABC):
         self._ready = False
 
     def probe(self) -> Mapping[str, str]:
-        """Set the part up and take a sample.
+        """Set the part up and take a sample; the errors are those of :meth:`read`.
 
         Returns
         -------
         mapping of str to str
             Identity, range, rate, words and temperature.
-
-        Raises
-        ------
-        BusError
-            No answer, or a data line that never moves.
-        DeviceFault
-            Another part, or one that does not measure.
         """
         self._ready = False
         reading = self.read()
@@ -70,9 +63,9 @@ class PolledSensor(ABC):
         Raises
         ------
         BusError
-            The transaction failed, or every bit of the sample is the same.
+            The transaction failed, every bit of the sample is the same, or the part does not keep its settings.
         DeviceFault
-            Another part answers, it does not keep its settings, or it was reset since it was set up.
+            Another part answers, it does not measure, or it was reset since it was set up.
         """
         ready, self._ready = self._ready, False
         if not ready:

@@ -103,18 +103,13 @@ class Sca3000:
         )
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the device answers plausibly.
+        """Check that the device answers plausibly; the errors are those of :meth:`read`.
 
         Returns
         -------
         mapping of str to str
             Its revision, lock and mode, the words of x, y and z, and the temperature if it has a thermometer. A mode
             that is not normal is reported and not refused.
-
-        Raises
-        ------
-        BusError, DeviceFault
-            As :meth:`read`.
         """
         self._setting = None
         (revision,) = self._port.read(REVID, 1)

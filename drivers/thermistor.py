@@ -168,20 +168,7 @@ class Thermistor:
         self._converter = wired.front_end.driver(link, clock)
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the thermometer answers plausibly.
-
-        Returns
-        -------
-        mapping of str to str
-            Temperature, supply and converter.
-
-        Raises
-        ------
-        BusError
-            The converter does not answer.
-        DeviceFault
-            An open or shorted thermistor, or no supply.
-        """
+        """Return temperature, supply and converter as text; the errors are those of :meth:`read`."""
         celsius, supply = self._sample()
         return {
             "temperature": f"{celsius:.2f} °C",
@@ -195,9 +182,9 @@ class Thermistor:
         Raises
         ------
         BusError
-            The transaction failed.
+            The converter does not answer.
         DeviceFault
-            As :meth:`probe`.
+            An open or shorted thermistor, or no supply.
         """
         return Reading((), self._sample()[0])
 
