@@ -85,6 +85,10 @@ class ColumnLayout:
         """The readings: see :func:`channels_of`."""
         return channels_of(self.names)
 
+    @cached_property
+    def _between(self) -> bytes:
+        return next(mark for mark in (b",", b";", b"\t", b" ") if re.fullmatch(self.separator, mark))
+
     def reading(self, line: bytes) -> Reading | None:
         """Return the reading of a line; None if its number of columns is wrong or a cell is not a number."""
         cells = re.split(self.separator, line.strip())
@@ -107,8 +111,7 @@ class ColumnLayout:
 
     def line(self, numbers: Mapping[str, float]) -> bytes:
         """Return the line that shows these numbers, by the names of their columns; a column without one shows 0."""
-        between = next(mark for mark in (b",", b";", b"\t", b" ") if re.fullmatch(self.separator, mark))
-        return between.join(f"{numbers.get(name, 0.0):.9g}".encode() for name in self.names) + b"\r\n"
+        return self._between.join(f"{numbers.get(name, 0.0):.9g}".encode() for name in self.names) + b"\r\n"
 
 
 class ColumnsSensor:

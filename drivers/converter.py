@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from math import inf
 from typing import TYPE_CHECKING, Protocol
@@ -213,15 +214,14 @@ def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) 
     """
     if "supply" in address.options and "vdd" in address.options:
         address.refuse("options 'supply' and 'vdd' exclude each other: the supply is either measured or stated")
+    supply = partial(Supply, low=low, high=high, full_scale=front_end.full_scale)
     if "vdd" in address.options:
-        return Supply(
-            None, address.number("vdd", low=low, high=high), low, high, front_end.full_scale, front_end.reference
-        )
+        return supply(None, address.number("vdd", low=low, high=high), reference=front_end.reference)
     if "supply" in address.options or (front_end.reference is None and address.simulated):
         number = take_input(address, "supply", front_end, 2)
         if front_end.full_scale <= low:
             address.refuse(f"{front_end.description} cannot measure a supply of {low:g} V or more")
-        return Supply(number, min(NOMINAL, high), low, high, front_end.full_scale, front_end.reference)
+        return supply(number, min(NOMINAL, high), reference=front_end.reference)
     if front_end.reference is None:
         address.refuse(
             "the supply of the sensor is unknown: wire it to an input and add supply=N, or state it with vdd=VOLTS"
@@ -231,7 +231,7 @@ def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) 
             f"the sensor needs a supply of {low:g} to {high:g} V, so the reference of {front_end.reference:g} V is "
             "not its supply: wire that to an input and add supply=N, or state it with vdd=VOLTS"
         )
-    return Supply(None, front_end.reference, low, high, front_end.full_scale)
+    return supply(None, front_end.reference)
 
 
 def require_apart(address: Address, wiring: dict[str, int | None]) -> None:

@@ -173,11 +173,12 @@ class I2cTwin(RecallingTwin):
         self._registers.recalled()
 
     def _seconds(self, out: bytes) -> float:
+        # How many bytes were read, and so how long it took, is not known.
         return 0.0
 
     def _take(self, out: bytes) -> None:
         if len(out) > 1:
             self._registers.write(self._decode(out[0]), out[1])
         elif out:
-            # The number of bytes that were read is not known; the first one takes the sample.
+            # The first byte takes the sample.
             self._registers.read(self._decode(out[0]), 1)

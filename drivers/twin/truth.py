@@ -125,7 +125,10 @@ class Truth:
 
     def fault(self, seconds: float) -> Fault:
         """Return the fault that is present ``seconds`` after the session began; :data:`NO_FAULT` if there is none."""
-        return next((fault for fault in self.faults if fault.start <= seconds < fault.end), NO_FAULT)
+        for fault in self.faults:
+            if fault.start <= seconds < fault.end:
+                return fault
+        return NO_FAULT
 
     def fault_on_link(self, now_ns: int, device: str = "sensor") -> Fault:
         """Return the fault that is present at a transaction.
