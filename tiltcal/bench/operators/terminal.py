@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import asin, copysign, degrees, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -188,26 +188,13 @@ class TerminalOperator(_Terminal):
     def lost(self, serial: str, why: str) -> None:
         self._say(f"  {serial} is dropped, the others continue: {why}", "bold red")
 
-    def _list(self, result: PositionResult) -> None:
-        """Print what the table says, one channel below the other."""
+    def _rows(self, result: PositionResult) -> Iterator[tuple[str, str, str, str, str, str]]:
+        """Iterate over name, expected, measured, tilt, noise and n of each reading; a temperature has two of them."""
         for serial, measurement in result.measurements.items():
             expected = result.expected.get(serial, {})
             for channel, summary in measurement.summaries.items():
-                self._say(f"  {serial} {channel}  {summary.mean:.6g} {self._models[serial].unit}", "bold")
-                self._say(f"    expected {expected[channel]:.6g}" if expected else "    expected unknown")
-                self._say(f"    tilt {self._angle(serial, summary.mean)}, noise {summary.std:.2g}, n {summary.n}")
-            if measurement.temperature is not None:
-                self._say(f"  {serial} T  {measurement.temperature:.2f} °C", "bold")
-
-    def _table(self, result: PositionResult) -> Table:
-        table = Table(box=None, pad_edge=False, padding=(0, 2), header_style="dim")
-        for heading in ("", "expected", "measured", "tilt", "noise", "n"):
-            table.add_column(heading, justify="right")
-        for serial, measurement in result.measurements.items():
-            expected = result.expected.get(serial, {})
-            for channel, summary in measurement.summaries.items():
-                table.add_row(
-                    Text(printable(f"{serial} {channel}")),
+                yield (
+                    f"{serial} {channel}",
                     f"{expected[channel]:.6g}" if expected else "unknown",
                     f"{summary.mean:.6g} {self._models[serial].unit}",
                     self._angle(serial, summary.mean),
@@ -215,7 +202,22 @@ class TerminalOperator(_Terminal):
                     str(summary.n),
                 )
             if measurement.temperature is not None:
-                table.add_row(Text(printable(f"{serial} T")), "", f"{measurement.temperature:.2f} °C", "", "", "")
+                yield f"{serial} T", "", f"{measurement.temperature:.2f} °C", "", "", ""
+
+    def _list(self, result: PositionResult) -> None:
+        """Print what the table says, one channel below the other."""
+        for name, expected, measured, tilt, noise, n in self._rows(result):
+            self._say(f"  {name}  {measured}", "bold")
+            if expected:
+                self._say(f"    expected {expected}")
+                self._say(f"    tilt {tilt}, noise {noise}, n {n}")
+
+    def _table(self, result: PositionResult) -> Table:
+        table = Table(box=None, pad_edge=False, padding=(0, 2), header_style="dim")
+        for heading in ("", "expected", "measured", "tilt", "noise", "n"):
+            table.add_column(heading, justify="right")
+        for name, *cells in self._rows(result):
+            table.add_row(Text(printable(name)), *cells)
         return table
 
     def _wait(self, live: Live) -> str | None:
