@@ -206,20 +206,14 @@ class Scl3300:
     def _set_up(self) -> None:
         """Reset the part, set its mode, and check its identity."""
         standing = 0xFFFF
-        mode = MODES[self._range.mode - 1]
-        requests = (mode, STATUS, STATUS, STATUS, WHOAMI)
+        requests = (MODES[self._range.mode - 1], STATUS, STATUS, STATUS, WHOAMI)
         for attempt in range(ATTEMPTS):
             if attempt:
                 # Another program may have left the part in bank 1, where nothing resets it, or in power-down.
                 self._exchange(BANK_0)
                 self._exchange(WAKE_UP)
                 self._clock.sleep(RESET_SECONDS)
-            self._exchange(RESET)
-            self._clock.sleep(RESET_SECONDS)
-            # What answers the reset is not defined.
-            self._exchange(mode)
-            self._clock.sleep(self._range.settling)
-            raw = [self._exchange(request) for request in (*requests[1:], WHOAMI)]
+            raw = self._reset(*requests)
             try:
                 self._require_a_part(requests, raw)
             except BusError:
@@ -248,6 +242,15 @@ class Scl3300:
             f"the {self._part.name} could not be set up in {ATTEMPTS} attempts ({in_words(self._counts)}): try a "
             "slower clock (such as speed=500000), shorter wires, and check chip select and the supply"
         )
+
+    def _reset(self, mode: bytes, *requests: bytes) -> list[bytes]:
+        """Reset the part and set its mode; return the answers to the mode and to the requests behind it."""
+        self._exchange(RESET)
+        self._clock.sleep(RESET_SECONDS)
+        # What answers the reset is not defined.
+        self._exchange(mode)
+        self._clock.sleep(self._range.settling)
+        return [self._exchange(request) for request in (*requests, requests[-1])]
 
     def _good_answers(self, requests: Sequence[bytes]) -> list[Answer]:
         """Return the answers to requests; repeat the requests until all answers are good."""

@@ -61,43 +61,51 @@ def open_modbus(address: Address, model: Model, lines: MutableMapping[str, Modbu
     """
     unit = address.integer("unit", 1, low=1, high=247)
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=60.0)
-    place = address.path
     library = _pymodbus()
-    if place.startswith("tcp://"):
+    if address.path.startswith("tcp://"):
         address.allow("unit", "timeout", *model.options)
-        host, colon, port = place.removeprefix("tcp://").rstrip("/").rpartition(":")
-        if not colon:
-            host, port = port, str(PORT)
-        if not _PORT_NUMBER.fullmatch(port) or not 0 < int(port) < 65536:
-            address.refuse(f"{port[:20]!r} is no port number (tcp://host:{PORT})")
-        if not host:
-            address.refuse(f"it names no host (tcp://host:{PORT})")
-        client = library.ModbusTcpClient(
-            host.removeprefix("[").removesuffix("]"), port=int(port), timeout=timeout, retries=0
-        )
-        return ModbusLink(ModbusLine(place, client, numbered=True), unit)
+        return ModbusLink(_server(address, library, timeout), unit)
     address.allow("unit", "timeout", "baudrate", "parity", "stopbits", *model.options)
+    line = _serial_line(address, library, timeout)
+    if lines is not None:
+        own, line = line, lines.setdefault(address.path, line)
+        if line.settings != own.settings:
+            address.refuse(
+                f"another unit on {address.path} has another baudrate, parity, stopbits or timeout: those of one line "
+                "are the same"
+            )
+    return ModbusLink(line, unit)
+
+
+def _server(address: Address, library: Any, timeout: float) -> ModbusLine:
+    """Return the server of a ``tcp://`` address."""
+    host, colon, port = address.path.removeprefix("tcp://").rstrip("/").rpartition(":")
+    if not colon:
+        host, port = port, str(PORT)
+    if not _PORT_NUMBER.fullmatch(port) or not 0 < int(port) < 65536:
+        address.refuse(f"{port[:20]!r} is no port number (tcp://host:{PORT})")
+    if not host:
+        address.refuse(f"it names no host (tcp://host:{PORT})")
+    host = host.removeprefix("[").removesuffix("]")
+    client = library.ModbusTcpClient(host, port=int(port), timeout=timeout, retries=0)
+    return ModbusLine(address.path, client, numbered=True)
+
+
+def _serial_line(address: Address, library: Any, timeout: float) -> ModbusLine:
+    """Return the serial line of an address."""
     require_line(address)
     parity = address.text("parity", "N").upper()
     if parity not in PARITIES[:3]:
         address.refuse(f"option parity={parity} is not one of {', '.join(PARITIES[:3])}")
     client = library.ModbusSerialClient(
-        place,
+        address.path,
         baudrate=address.integer("baudrate", BAUDRATE, low=50, high=20_000_000),
         parity=parity,
         stopbits=address.integer("stopbits", 1, low=1, high=2),
         timeout=timeout,
         retries=0,
     )
-    line = ModbusLine(place, client)
-    if lines is not None:
-        line = lines.setdefault(place, line)
-        if line.settings != client.comm_params:
-            address.refuse(
-                f"another unit on {place} has another baudrate, parity, stopbits or timeout: those of one line are the "
-                "same"
-            )
-    return ModbusLink(line, unit)
+    return ModbusLine(address.path, client)
 
 
 class ModbusLine:
