@@ -381,9 +381,8 @@ class CompensatedLog:
             if channel in self.prepared.rails
         }
         sensors = [sensor.of(self.channels) for sensor in self.prepared.sensors] or [SensorColumns("", self.channels)]
-        return Means(
-            self.prepared.averaging, self.log.names, sensors, rails, self.roles.get(TIME), self.roles.get(HEADING)
-        )
+        time, heading = self.roles.get(TIME), self.roles.get(HEADING)
+        return Means(self.prepared.averaging, self.log.names, sensors, rails, time, heading, self.log.name)
 
 
 def _field_length(there: bool) -> FieldLength | None:

@@ -101,6 +101,8 @@ class Means:
         The lowest and the highest reading of some of them.
     time, heading : int or None
         Where the time and a heading stand.
+    log : str or None
+        What messages call the log.
     """
 
     averaging: Averaging
@@ -109,6 +111,7 @@ class Means:
     rails: dict[int, tuple[float, float]]
     time: int | None = None
     heading: int | None = None
+    log: str | None = None
 
     def blocks(self, blocks: Iterable[LogBlock]) -> Iterator[AveragedBlock]:
         """Yield the means of the rows of blocks with all their columns; the last mean may be of fewer rows."""
@@ -144,7 +147,7 @@ class Means:
         time = block.values[self.time or 0]
         known = np.isfinite(time)
         if not known.any() and any(np.isfinite(block.readings(one.readings)).any() for one in self.sensors):
-            raise InputError(no_time_yet(len(time), "to which mean of --every they belong"))
+            raise InputError(no_time_yet(len(time), "to which mean of --every they belong"), file=self.log)
         place = np.maximum.accumulate(np.where(known, np.arange(len(time)), 0))
         # Whole microseconds are exact where seconds are not; a border within half of one is where the row is.
         micros = np.rint(np.where(known, time, time[place]) * 1e6) + 0.5
