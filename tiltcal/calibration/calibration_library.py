@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.interpolation import Interval, Stability, extrapolate
+from tiltcal.calibration.interpolation import Stability, extrapolate
 from tiltcal.calibration.sensor_history import (
     DAY,
     DatedCalibration,
@@ -213,6 +213,4 @@ def calibration_at(history: SensorHistory, time: float, stability: Stability | N
     if time >= times[-1]:
         return Calibration(extrapolate(dated[-1].record, (time - times[-1]) / DAY, stability))
     k = max(i for i, date in enumerate(times) if date <= time)
-    span = times[k + 1] - times[k]
-    interval = Interval.between(dated[k].record, dated[k + 1].record, span / DAY)
-    return Calibration(interval.at((time - times[k]) / span, stability))
+    return Calibration(history.interval(k).at((time - times[k]) / (times[k + 1] - times[k]), stability))

@@ -34,6 +34,9 @@ from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertainty_input
 FARTHEST_TURN = 5.0
 """Degrees by which two mountings may differ to have others between them."""
 
+NAMED = "the two calibrations"
+"""What messages call two calibrations without a name."""
+
 LARGEST_CHANGE = 0.5
 """Share by which the sensitivity of a channel may differ between two calibrations."""
 
@@ -68,15 +71,18 @@ class Interval:
         The time between them, d.
     parts : tuple of _Part
         Their coefficients and covariances at the reference temperature of the second.
+    named : str
+        What messages call the two.
     """
 
     before: CalibrationRecord
     after: CalibrationRecord
     days: float
     parts: tuple[_Part, _Part]
+    named: str = NAMED
 
     @classmethod
-    def between(cls, before: CalibrationRecord, after: CalibrationRecord, days: float) -> Interval:
+    def between(cls, before: CalibrationRecord, after: CalibrationRecord, days: float, named: str = NAMED) -> Interval:
         """Return the interval of two calibrations.
 
         Raises
@@ -87,19 +93,19 @@ class Interval:
         """
         require_same_sensor(before, after)
         one, other = before.coefficients, after.coefficients
-        for named, differ in (
+        for what, differ in (
             ("other axes", one.axes != other.axes),
             ("temperature terms", (one.thermal is None) != (other.thermal is None)),
             ("a mounting", (one.mounting is None) != (other.mounting is None)),
         ):
             if differ:
                 raise UsageError(
-                    f"one of two calibrations has {named} and the other has not: give both the same coefficients, such "
-                    "as with `tiltcal combine`"
+                    f"{named}: one has {what} and the other has not: give both the same coefficients, such as with "
+                    "`tiltcal combine`"
                 )
-        _require_one_sensitivity(one, other)
+        _require_one_sensitivity(one, other, named)
         reference = None if other.thermal is None else other.thermal.reference
-        return cls(before, after, days, (_Part.of(before, reference), _Part.of(after, reference)))
+        return cls(before, after, days, (_Part.of(before, reference), _Part.of(after, reference)), named)
 
     def at(self, share: float, stability: Stability | None = None) -> CalibrationRecord:
         """Return the calibration at a time in the interval.
@@ -117,7 +123,7 @@ class Interval:
             Their mountings are too far apart for a change with time.
         """
         before, after = self.before, self.after
-        coefficients = _blended([part.coefficients for part in self.parts], share)
+        coefficients = _blended([part.coefficients for part in self.parts], share, self.named)
         bridge = {
             name: (walk.rate * self.days * share * (1.0 - share), walk.dof)
             for name, walk in (stability or Stability()).between.items()
@@ -226,7 +232,7 @@ def _joined(
     )
 
 
-def _blended(both: Sequence[Coefficients], share: float) -> Coefficients:
+def _blended(both: Sequence[Coefficients], share: float, named: str) -> Coefficients:
     """Return the coefficients between two at one reference temperature."""
 
     def line(before: Array, after: Array) -> Array:
@@ -257,29 +263,29 @@ def _blended(both: Sequence[Coefficients], share: float) -> Coefficients:
         sensitivity=line(before.sensitivity, after.sensitivity),
         thermal=thermal,
         nonlinearity=shares,
-        mounting=_mounting(before.mounting, after.mounting, share),
+        mounting=_mounting(before.mounting, after.mounting, share, named),
     )
 
 
-def _require_one_sensitivity(before: Coefficients, after: Coefficients) -> None:
+def _require_one_sensitivity(before: Coefficients, after: Coefficients, named: str) -> None:
     change = np.linalg.norm(after.sensitivity - before.sensitivity, axis=1)
     far = change > LARGEST_CHANGE * np.linalg.norm(before.sensitivity, axis=1)
     for channel, is_far in zip(after.channels, far.tolist(), strict=True):
         if is_far:
             raise UsageError(
-                f"the sensitivity of {channel} differs between two calibrations by more than {LARGEST_CHANGE:.0%}, "
-                "which is no change with time: move the file that is wrong out of the folder"
+                f"{named}: the sensitivity of {channel} differs by more than {LARGEST_CHANGE:.0%}, which is no change "
+                "with time: move the file that is wrong out of the folder"
             )
 
 
-def _mounting(before: Mounting | None, after: Mounting | None, share: float) -> Mounting | None:
+def _mounting(before: Mounting | None, after: Mounting | None, share: float, named: str) -> Mounting | None:
     if before is None or after is None or before == after:
         return after
     first, last = mounting_matrix(before), mounting_matrix(after)
     if np.trace(first.T @ last) < 1.0 + 2.0 * cos(radians(FARTHEST_TURN)):
         raise UsageError(
-            f"the mountings of two calibrations are more than {FARTHEST_TURN:g}° apart, so the sensor was mounted anew "
-            "between them: apply the calibration of each mounting by its file, or state --mounting"
+            f"{named}: the mountings are more than {FARTHEST_TURN:g}° apart, so the sensor was mounted anew between "
+            "them: apply the calibration of each mounting by its file, or state --mounting"
         )
     left, _, right = np.linalg.svd((1.0 - share) * first + share * last)
     return mounting_angles(left @ right).mounting

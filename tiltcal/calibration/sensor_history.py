@@ -13,7 +13,7 @@ from operator import attrgetter
 import numpy as np
 
 from tiltcal.calibration.comparison import Comparison, compare_records
-from tiltcal.calibration.interpolation import Stability
+from tiltcal.calibration.interpolation import Interval, Stability
 from tiltcal.core.instrumental_drift import RandomWalk, WalkContrasts, estimate_walk, walk_contrasts
 from tiltcal.core.model import Array, Coefficients
 from tiltcal.core.named_coefficients import referred, values
@@ -105,6 +105,18 @@ class SensorHistory:
     def sensor(self) -> SensorIdentity:
         """The sensor."""
         return self.calibrations[-1].record.sensor
+
+    def interval(self, k: int) -> Interval:
+        """Return the time from a calibration, counted from 0, to the next.
+
+        Raises
+        ------
+        UsageError
+            The two do not lie on a line.
+        """
+        before, after = self.calibrations[k : k + 2]
+        days = (after.date.timestamp() - before.date.timestamp()) / DAY
+        return Interval.between(before.record, after.record, days, f"{before.name} and {after.name}")
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:

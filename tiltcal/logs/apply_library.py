@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.calibration_library import calibration_at
 from tiltcal.calibration.interpolation import Interval
-from tiltcal.calibration.sensor_history import DAY
 from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.model import Array, polynomial
 from tiltcal.core.named_coefficients import referred, values
@@ -294,9 +293,7 @@ class LibraryKernel:
             return calibration_at(self._history, middle, self._stability).record
         k, part = divmod(step, self._parts)
         if k not in self._intervals:
-            before, after = self._history.calibrations[k : k + 2]
-            days = (self._dates[k + 1] - self._dates[k]) / DAY
-            self._intervals[k] = Interval.between(before.record, after.record, days)
+            self._intervals[k] = self._history.interval(k)
         return self._intervals[k].at((part + 0.5) / self._parts, self._stability)
 
     def _middle(self, step: int) -> float:

@@ -359,12 +359,12 @@ def test_what_no_time_changes_is_not_interpolated(tmp_path: Path) -> None:
     assert near.apply(frame)["g_y"] == pytest.approx([-100.0 / SCALE], abs=5.5e-4)
     (tmp_path / "far").mkdir()
     far = tiltcal.open_calibrations(kept(tmp_path / "far", mounted(first, 0.0), mounted(last, 180.0)))
-    with pytest.raises(UsageError, match=r"more than 5° apart.* state --mounting"):
+    with pytest.raises(UsageError, match=r"0\.yaml and S-1-1\.yaml: the mountings are more than 5° apart.* --mounting"):
         far.apply(frame)
     assert far.apply(frame, mounting="roll=180")["g_y"] == pytest.approx([-100.0 / SCALE])
     (tmp_path / "other").mkdir()
     turned = replace(last, coefficients=replace(last.coefficients, sensitivity=-SCALE * np.eye(2)))
-    with pytest.raises(UsageError, match="the sensitivity of x differs"):
+    with pytest.raises(UsageError, match=r"0\.yaml and S-1-1\.yaml: the sensitivity of x differs"):
         tiltcal.open_calibrations(kept(tmp_path / "other", first, turned)).apply(frame)
 
 
