@@ -46,6 +46,14 @@ def printed(folder: Path, *arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.parametrize("name", ["tilt.csv.gz", "tilt.xlsx", "tilt.JSON"])
+def test_an_output_of_another_format_is_refused(folder: Path, name: str) -> None:
+    """It was CSV under that name."""
+    done = tiltcal("apply", FIXTURES / "plane.yaml", "rest.csv", "-o", name, cwd=folder)
+    assert (done.returncode, (folder / name).exists()) == (2, False)
+    assert f"{name}: a log is written as .csv or .parquet, or stays .nc" in done.stderr
+
+
 def test_noise(folder: Path) -> None:
     found = [json.loads(printed(folder, "noise", f"rest.{end}", "--unit", "count", "--json")) for end in FORMATS]
     assert found[0] == found[1] == found[2]

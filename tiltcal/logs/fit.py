@@ -180,10 +180,9 @@ def fit(
         positions = source.set_positions(identity, steps)
     for measurement in positions.measurements:
         if "left_out" in measurement.when:
-            say(
-                f"{measurement.position}: {measurement.when['left_out']} samples are far off the others, "
-                "and are left out"
-            )
+            far = measurement.when["left_out"]
+            which = "1 sample is" if far == 1 else f"{far} samples are"
+            say(f"{measurement.position}: {which} far off the others, and left out")
     measured = MeasuredSensor(
         identity,
         positions.measurements,

@@ -82,7 +82,7 @@ def test_a_sample_far_off_is_left_out_and_counted(base: Path) -> None:
     found = tiltcal.fit("reversal", **readings, base=base, say=said.append, **SENSOR)
     assert found.offset["x"] == pytest.approx(2.56, abs=2e-3)
     assert [one.left_out for one in found.positions][:3] == [None, 1, None]
-    assert said == [f"{found.positions[1].position}: 1 samples are far off the others, and are left out"]
+    assert said == [f"{found.positions[1].position}: 1 sample is far off the others, and left out"]
     readings["data"]["x"][100:106] += 1.0
     with pytest.raises(tiltcal.InputError, match="6 of its 80 samples are far off: x reads"):
         tiltcal.fit("reversal", **readings, base=base, **SENSOR)

@@ -52,13 +52,19 @@ FORMATS: Mapping[str, LogFormat] = {
 """The format of a log by the end of its name."""
 
 
+UNKNOWN = (".gz", ".bz2", ".xz", ".zst", ".zip", ".xlsx", ".xls", ".json", ".feather", ".arrow", ".h5")
+"""Ends of names of files that are no CSV, and that no writer makes."""
+
+
 def log_format(name: str | Path) -> LogFormat:
     """Return the format of a log by its name."""
     return FORMATS.get(Path(name).suffix.lower(), _CSV)
 
 
 def require_way(log: str | Path, output: str | Path) -> None:
-    """Raise UsageError for what cannot be written: NetCDF in another format, or another format in NetCDF."""
+    """Raise UsageError for what cannot be written: NetCDF in another format, another format in NetCDF, or no log."""
+    if Path(output).suffix.lower() in UNKNOWN:
+        raise UsageError(f"{output}: a log is written as .csv or .parquet, or stays .nc: name one of these")
     read, written = log_format(log), log_format(output)
     if read is written or not (read.kept or written.kept):
         return
