@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 _BLOCK = 4 << 20
+_TAIL = 1 << 12
 _LONGEST_ROW = 16 << 20
 _UTF8_BOM = b"\xef\xbb\xbf"
 _UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
@@ -129,15 +130,15 @@ class CsvReader(LogReader):
         # A stream may have brought rows along with its header, and nothing more for a while.
         arrived = _end_of_content(self._pending) > 0
         while not ended:
-            if not arrived:
-                more = self._read()
-                ended = not more
-                self._pending += more
-            arrived = False
+            more = b"" if arrived else self._read()
+            ended, arrived = not more and not arrived, False
             unended = ended and not self._pending.endswith(b"\n")
             if unended and self._pending:
                 data, self._pending = self._pending + b"\n", b""
+            elif cut := _end_of_content(more):  # the lines that were just read are many, and copied once
+                data, self._pending = b"".join((self._pending, memoryview(more)[:cut])), more[cut:]
             else:
+                self._pending += more
                 cut = _end_of_content(self._pending)
                 data, self._pending = self._pending[:cut], self._pending[cut:]
             self._refuse_endless(self._pending, data)
@@ -216,8 +217,13 @@ class CsvReader(LogReader):
 
 def _end_of_content(data: bytes) -> int:
     """Return the end of the last whole line that is not empty: empty ones behind it may be the end of the file."""
-    content = len(data[: data.rfind(b"\n") + 1].rstrip(b"\r\n"))
-    return data.find(b"\n", content) + 1 if content else 0
+    end = data.rfind(b"\n") + 1
+    while end:
+        start = max(end - _TAIL, 0)
+        if content := data[start:end].rstrip(b"\r\n"):
+            return data.find(b"\n", start + len(content)) + 1
+        end = start
+    return 0
 
 
 def _text(data: bytes) -> str:

@@ -38,6 +38,7 @@ Offsets = NDArray[np.intp]
 _LF, _COMMA, _QUOTE, _CR, _NUL, _POINT, _ZERO, _NINE = b'\n,"\r\0.09'
 _PIECE = 1 << 16  # bytes: as many as stay in the cache with what is made of them
 _TORN = "the last row is cut short"
+_OF_NUMBERS = b"0123456789+-."
 _UNUSED = "\x1f\x1e\x1d\x1c\x01\x02\x03\x04\x05\x06\x0e\x0f\x10\x11\x12\x13\x14\x15\x16\x17"
 
 
@@ -331,6 +332,8 @@ def _engine(data: bytes, *, quote_char: str | None = None, **options: Any) -> pl
     """
     import polars as pl
 
+    if data[0] in _OF_NUMBERS:
+        return pl.read_csv(data, has_header=False, quote_char=quote_char, **options)
     return pl.read_csv(b"\n" + data, skip_lines=1, has_header=False, quote_char=quote_char, **options)
 
 
