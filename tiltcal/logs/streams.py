@@ -86,6 +86,7 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         from tiltcal.files.atomic import whole_file
 
         with whole_file(output) as stream:
+            _leave_memory(output)
             yield stream
         return
     if sys.stdout is None:
@@ -99,6 +100,17 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         stdout = sys.stdout.buffer
         shutil.copyfileobj(spool, stdout)
         stdout.flush()
+
+
+def _leave_memory(replaced: str) -> None:
+    """Let the system forget what it holds in memory of a file that is going to be replaced, where it can be told so.
+
+    The new file then takes that memory; taking other memory takes a virtual machine that has returned it to its host
+    half as long as the whole command.
+    """
+    if hasattr(os, "posix_fadvise") and os.path.isfile(replaced):
+        with suppress(OSError), open(replaced, "rb") as stream:
+            os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
 
 def with_writeback(sink: BinaryIO, items: Iterable[T]) -> Iterator[T]:
