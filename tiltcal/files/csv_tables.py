@@ -46,7 +46,7 @@ def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iter
     if not isinstance(table, str | Path):
         rows: Iterable[Node] = document_of(list(table), str(file)).items()
     elif (text := read_text(table)).lstrip().startswith(("[", "{")):  # a CSV header begins with a name
-        rows = parse_document(text, str(file)).items()
+        rows = parse_document(text, str(file), "JSON").items()
     else:
         rows = _csv_rows(text, str(file), required, optional)
     for row in rows:

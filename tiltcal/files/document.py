@@ -98,9 +98,15 @@ def read_text(path: str | Path) -> str:
         raise InputError(f"not UTF-8 (byte 0x{byte:02x}); save the file as UTF-8", file=path, line=line) from None
 
 
-def parse_document(text: str, file: str | None = None) -> Node:
-    """Parse one YAML document; an InputError names ``file`` and line of what is not YAML, or is refused here."""
-    return _Composer(file).compose(text)
+def parse_document(text: str, file: str | None = None, language: str = "YAML") -> Node:
+    """Parse one YAML document; an InputError names ``file`` and line of what is not YAML, or is refused here.
+
+    Parameters
+    ----------
+    language : str
+        What the document is called in messages: JSON is YAML, too.
+    """
+    return _Composer(file, language).compose(text)
 
 
 @dataclass
@@ -115,8 +121,9 @@ class _Open:
 class _Composer:
     """Builds the tree from the parser's events, with a stack of its own: depth costs no recursion."""
 
-    def __init__(self, file: str | None) -> None:
+    def __init__(self, file: str | None, language: str) -> None:
         self._file = file
+        self._language = language
         self._stack: list[_Open] = []
         self._root: Node | None = None
         self._count = 0
@@ -131,12 +138,12 @@ class _Composer:
             problem = failure.problem or failure.context or "the parser gives no reason"
             # What is missing at the end is reported for the last line, not for the one after it.
             line = None if mark is None else min(mark.line + 1, len(text.splitlines()))
-            raise self._error(f"not YAML: {problem}", line) from None
+            raise self._error(f"not {self._language}: {problem}", line) from None
         except yaml.reader.ReaderError as failure:
             line = text.encode().count(b"\n", 0, failure.position) + 1
-            raise self._error(f"not YAML: {failure.reason}", line) from None
+            raise self._error(f"not {self._language}: {failure.reason}", line) from None
         except (yaml.YAMLError, UnicodeError) as failure:
-            raise self._error(f"not YAML: {failure}", None) from None
+            raise self._error(f"not {self._language}: {failure}", None) from None
         if self._root is None:
             raise self._error("the file is empty", None)
         return self._root

@@ -61,7 +61,7 @@ def test_real_session() -> None:
         ('[{"position": "a", "start": "0", "end": 1}]', 1, "[0].start", "found the text '0'"),
         ('[\n{"position": "a", "start": 0}]', 2, "[0]", "'end' is missing"),
         ('{"position": "a"}', 1, None, "a list is needed"),
-        ("[1", 1, None, "not YAML"),
+        ("[1", 1, None, "not JSON"),
     ],
 )
 def test_error_names_line_and_column(tmp_path: Path, text: str, line: int | None, key: str | None, about: str) -> None:
