@@ -18,11 +18,7 @@ A message says what was found, where, and what to do.
 
 from __future__ import annotations
 
-TYPE_CHECKING = False
-"""Not that of ``typing``, which takes time to import; see ``tiltcal/__init__.py``."""
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from os import PathLike
 
 NEGATIVE_VERDICT = 1
 """Exit code of a command that is done and whose verdict is negative."""
@@ -57,7 +53,7 @@ class InputError(TiltcalError):
     """
 
     def __init__(
-        self, message: str, *, file: str | Path | None = None, line: int | None = None, key: str | None = None
+        self, message: str, *, file: str | PathLike[str] | None = None, line: int | None = None, key: str | None = None
     ) -> None:
         self.message = message
         self.file = None if file is None else str(file)

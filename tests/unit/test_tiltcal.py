@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 from support import FIXTURES
@@ -53,6 +54,15 @@ def test_names_are_these() -> None:
 def test_every_name_is_there_and_documented(name: str) -> None:
     found = getattr(tiltcal, name)
     assert name == "__version__" or found.__doc__
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "__version__"])
+def test_type_hints_of_every_name_can_be_resolved(name: str) -> None:
+    found = getattr(tiltcal, name)
+    parts = vars(found).values() if inspect.isclass(found) else [found]
+    functions = [part.fget if isinstance(part, property) else getattr(part, "func", part) for part in parts]
+    for function in filter(inspect.isfunction, functions):
+        get_type_hints(function)
 
 
 def test_another_name_is_no_attribute() -> None:

@@ -9,8 +9,9 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
+from typing import Any
 
+import tiltcal
 from tiltcal.bench.device_setup import DeviceSetup, known_bench, single
 from tiltcal.bench.operators.selection import open_operator
 from tiltcal.bench.sensor_set import open_device
@@ -35,9 +36,6 @@ from tiltcal.files.node import require_name
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.stated_numbers import of_python, require_above_zero, require_whole
-
-if TYPE_CHECKING:
-    from tiltcal.calibration.pair_calibration import PairCalibration
 
 
 def unheard(remark: str) -> None:
@@ -68,7 +66,7 @@ def measure(
     resume: str | Path | None = None,
     plain: bool = False,
     remark: Callable[[str], None] = unheard,
-) -> Calibration | PairCalibration | list[Calibration]:
+) -> Calibration | Any:
     """Take sensors through a procedure, and write their calibration files.
 
     Everything is captured in a journal as it happens. After an interruption the same call with ``resume`` goes on from
@@ -125,7 +123,7 @@ def measure(
     Returns
     -------
     Calibration, PairCalibration or list of Calibration
-        Of the sensor, of the pairs of a stage, or of each of several sensors.
+        Of the sensor, of the pairs of a stage, or of each of several sensors; a type checker cannot know which.
 
     Raises
     ------
@@ -271,15 +269,13 @@ def _resumed(journal: Path, output: Path | None, remark: Callable[[str], None]) 
 
 def _results(
     session: Session, result: SessionResult, remark: Callable[[str], None]
-) -> Calibration | PairCalibration | list[Calibration]:
+) -> Calibration | tiltcal.PairCalibration | list[Calibration]:
     """Return what a session found, and remark what limits it."""
     for name, statistics in result.ending.link_statistics_by_serial.items():
         remark(f"{name}: {in_words(statistics)}")
     found = list(result.calibrations.values())
     if session.plan.procedure.rotation is not None:
-        from tiltcal.calibration.pair_calibration import PairCalibration
-
-        return PairCalibration(found[0])  # type: ignore[arg-type]
+        return tiltcal.PairCalibration(found[0])  # type: ignore[arg-type]
     calibrations = [Calibration(record) for record in found if isinstance(record, CalibrationRecord)]
     _remark_notes(calibrations, remark, renewed=session.plan.procedure.determines.level)
     for calibration in calibrations:

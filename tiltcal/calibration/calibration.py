@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import tiltcal
 from tiltcal.calibration.summary import mounting_lines, summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
@@ -28,9 +29,6 @@ from tiltcal.files.node import Node
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
-
-if TYPE_CHECKING:
-    from tiltcal.calibration.pair_calibration import PairCalibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,8 +277,13 @@ class Calibration:
         return "\n".join([summary(self.record), *mounting_lines(self.record)])
 
 
-def read(path: str | Path) -> Calibration | PairCalibration:
+def read(path: str | Path) -> Calibration | Any:
     """Read and check a calibration file of either kind.
+
+    Returns
+    -------
+    Calibration or PairCalibration
+        By the ``kind`` of the file, which no type checker can know: where it matters, check it with `isinstance`.
 
     Raises
     ------
@@ -290,14 +293,13 @@ def read(path: str | Path) -> Calibration | PairCalibration:
     return calibration_in(read_document(path))
 
 
-def calibration_in(document: Node) -> Calibration | PairCalibration:
+def calibration_in(document: Node) -> Calibration | tiltcal.PairCalibration:
     """Return the calibration of a document, of either kind; an InputError where anything in it is wrong."""
     kind = document.entries().get("kind")
     if kind is not None and kind.names("pair"):
-        from tiltcal.calibration.pair_calibration import PairCalibration
         from tiltcal.files.pair import PAIR
 
-        return PairCalibration(PAIR.read(checked_kind(document, "pair")))
+        return tiltcal.PairCalibration(PAIR.read(checked_kind(document, "pair")))
     calibration = Calibration(TILT.read(checked_kind(document, "tilt")))
     try:
         calibration.compensation()

@@ -10,6 +10,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import tiltcal
 from tiltcal.calibration.calibration import read
 from tiltcal.errors import InputError
 from tiltcal.files.atomic import require_apart
@@ -40,15 +41,12 @@ NO_TIME = (
 )
 
 if TYPE_CHECKING:
-    from tiltcal.calibration.calibration import Calibration
-    from tiltcal.calibration.calibration_library import CalibrationLibrary
-    from tiltcal.calibration.pair_calibration import PairCalibration
     from tiltcal.core.heading import FieldLength
     from tiltcal.logs.averaging import Means
 
 
 def apply_log(
-    calibration: Calibration | PairCalibration | CalibrationLibrary | str | Path,
+    calibration: tiltcal.Calibration | tiltcal.PairCalibration | tiltcal.CalibrationLibrary | str | Path,
     log: str | Path,
     output: str | Path,
     *,
@@ -162,7 +160,7 @@ def apply_log(
 
 
 def apply_frame(
-    calibration: Calibration | PairCalibration | CalibrationLibrary,
+    calibration: tiltcal.Calibration | tiltcal.PairCalibration | tiltcal.CalibrationLibrary,
     frame: Any,
     *,
     columns: Mapping[str, str] | str = "",
@@ -215,7 +213,7 @@ def apply_frame(
 
 
 def prepare_any(
-    calibration: Calibration | PairCalibration | CalibrationLibrary | str | Path,
+    calibration: tiltcal.Calibration | tiltcal.PairCalibration | tiltcal.CalibrationLibrary | str | Path,
     options: ApplyOptions,
     say: Callable[[str], None] = lambda line: None,
 ) -> Callable[[LogReader, Mapping[str, str] | str], PreparedCalibration]:
