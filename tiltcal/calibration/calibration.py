@@ -50,6 +50,13 @@ class Calibration:
 
     record: CalibrationRecord
 
+    def __post_init__(self) -> None:
+        thermal, arrays = self.coefficients.thermal, [self.coefficients.offset, self.coefficients.sensitivity]
+        arrays += [] if thermal is None else [thermal.drift, thermal.gain]
+        arrays += [] if self.coefficients.nonlinearity is None else [self.coefficients.nonlinearity]
+        for array in arrays:  # one that a caller wrote into would change later results
+            array.setflags(write=False)
+
     @property
     def sensor(self) -> SensorIdentity:
         """Model, serial number, unit of the readings, and channels."""
@@ -57,7 +64,7 @@ class Calibration:
 
     @property
     def coefficients(self) -> Coefficients:
-        """The coefficients as arrays, for computation; angles in radians."""
+        """The coefficients as arrays, which are read-only, for computation; angles in radians."""
         return self.record.coefficients
 
     @property

@@ -48,6 +48,19 @@ def test_coefficients_are_named(calibration: Calibration) -> None:
     assert calibration.uncertainty["sensitivity.y.y"] == 1.3
 
 
+@pytest.mark.parametrize("name", ["mavs", "multi-angle"])
+def test_arrays_cannot_be_changed(name: str) -> None:
+    """A drift and a nonlinearity are among them."""
+    coefficients = read(FIXTURES / f"{name}.yaml").coefficients
+    thermal = coefficients.thermal
+    terms = [] if thermal is None else [thermal.drift, thermal.gain]
+    shares = [] if coefficients.nonlinearity is None else [coefficients.nonlinearity]
+    assert terms or shares
+    for array in (coefficients.offset, coefficients.sensitivity, *terms, *shares):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
 def test_limits_have_the_rails_of_the_model_where_the_file_names_none(calibration: Calibration) -> None:
     assert calibration.limits.tilt["x"] == pytest.approx((radians(-30), radians(30)))
     assert calibration.limits.reading == dict.fromkeys(("x", "y"), find_model("sca100t-d02").rails)
