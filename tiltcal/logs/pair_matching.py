@@ -21,6 +21,9 @@ from tiltcal.logs.pair_rows import PairBlock, StuckValues
 ROWS_FOR_SPIN = 1 << 20
 """Rows from whose beginning the spin is estimated where there is no encoder; they are what is kept in memory."""
 
+LARGEST = 1e140
+"""Reading whose squares can be summed up in double precision."""
+
 
 @dataclass
 class Demodulated:
@@ -162,6 +165,11 @@ def _blocks(log: LogReader, channels: Sequence[str], phase: str | None) -> Itera
     first = 0
     for rows in log.rows(sorted(set(where.values())), where.get(TIME)):
         readings = rows.readings([where[channel] for channel in channels])
+        for channel, largest in zip(channels, np.fmax.reduce(np.abs(readings), initial=0.0).tolist(), strict=True):
+            if LARGEST < largest < np.inf:
+                raise InputError(
+                    f"column {channel!r} has a reading of {largest:.3g}, which is no measurement", file=log.name
+                )
         theta = np.full(len(readings), np.nan) if phase is None else rows.values[where[phase]]
         yield PairBlock(theta, readings, rows.values[where[TIME]] if TIME in where else None, first)
         first += len(readings)

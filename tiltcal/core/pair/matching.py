@@ -20,6 +20,8 @@ _WEAKEST = 0.1
 """Amplitude over that of the pair's first accelerometer below which nothing can be trimmed with a channel."""
 _LEAST_ANGLE = 0.1
 """Sine of the phase between first and orthogonal."""
+_SMALLEST = 1e-140
+"""Amplitude below which squares are lost in double precision."""
 _CLEAREST = 5.0
 """How many standard uncertainties the common acceleration must have."""
 
@@ -172,7 +174,7 @@ def _require_signal(demodulation: Demodulation, pair: Pair, vectors: list[Array]
     amplitudes = [float(np.hypot(*vector)) for vector in vectors]
     mix = demodulation.mix({pair.first: 1.0})
     noise = sqrt(float(np.trace(demodulation.covariance(mix))))
-    if amplitudes[0] < _CLEAREST * noise or amplitudes[0] == 0.0:
+    if amplitudes[0] < max(_CLEAREST * noise, _SMALLEST):
         raise EstimateError(
             f"{pair.first} has no clear signal at the turning of the stage ({amplitudes[0]:.3g}, uncertain by "
             f"{noise:.2g}): incline the spin axis, and check that the accelerometer is connected"
