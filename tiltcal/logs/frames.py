@@ -238,27 +238,21 @@ class _Table:
         """Return the columns that have the rows of a reading."""
         import polars as pl
 
-        try:
-            return self._frame.rename({own: name for name, own in self._named.items() if own != name}).to_polars()  # type: ignore[no-any-return]
-        except (TypeError, ValueError, NotImplementedError, pl.exceptions.PolarsError):  # a column of another kind
-            return pl.DataFrame({name: self._polars_column(name) for name in self.names})
-
-    def _polars_column(self, name: str) -> pl.Series:
-        """Return a column; one of values of several kinds, or of a kind that polars has not, as objects."""
-        import narwhals.stable.v2 as nw
-        import polars as pl
-
-        column = self._column(name)
-        if column.dtype != nw.Object:
-            with suppress(TypeError, ValueError, NotImplementedError, pl.exceptions.PolarsError):
-                return column.to_polars()  # type: ignore[no-any-return]
-        return pl.Series(column.to_list(), dtype=pl.Object)
+        frame = pl.DataFrame({name: _polars_column(self._column(name)) for name in self.names})
+        objects = [name for name, kind in frame.schema.items() if kind == pl.Object]
+        typed = {name: _of_objects(frame[name].to_list()) for name in objects}
+        return frame.with_columns(**{name: pl.Series(values) for name, values in typed.items() if values is not None})
 
     def of_rows(self, rows: pl.DataFrame) -> _Table:
         """Return other rows as a frame of this kind."""
         import narwhals.stable.v2 as nw
 
-        made = nw.from_dict(rows.to_dict(as_series=False), backend=self._frame.implementation)
+        backend = self._frame.implementation
+        made = (
+            nw.from_native(rows)
+            if backend.is_polars()
+            else nw.from_dict(rows.to_dict(as_series=False), backend=backend)
+        )
         made = made if self._index is None else nw.maybe_set_index(made, self._index)
         return _Table(nw.from_native(_with_notes(made.to_native(), self._given.to_native())))
 
@@ -268,6 +262,17 @@ class _Table:
         backend = self._given.implementation
         added = [nw.new_series(name, np.ascontiguousarray(values), backend=backend) for name, values in table.items()]
         return _with_notes(self._given.with_columns(*added).to_native(), self._given.to_native())
+
+
+def _polars_column(column: Any) -> pl.Series:
+    """Return a narwhals column; one of values of several kinds, or of a kind that polars has not, as objects."""
+    import narwhals.stable.v2 as nw
+    import polars as pl
+
+    if not isinstance(column.dtype, nw.Object | nw.Unknown):  # of unknown ones a decimal of 256 bits ends in a panic
+        with suppress(TypeError, ValueError, NotImplementedError, pl.exceptions.PolarsError):
+            return column.to_polars()  # type: ignore[no-any-return]
+    return pl.Series(column.to_list(), dtype=pl.Object)
 
 
 def _with_notes(made: Any, given: Any) -> Any:

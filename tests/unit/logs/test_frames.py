@@ -194,6 +194,20 @@ class TestPythonValues:
         for how in ({"average": 2}, {"every": "10s"}):
             assert apply_frame(calibration, columns, **how)["time"] == [np.datetime64("2026-05-01T12:00:02.5")]
 
+    def test_moments_in_a_polars_column_of_objects(self, calibration: Calibration) -> None:
+        """They had the time of the first row."""
+        times = pl.Series("time", [datetime(2026, 5, 1, 12), datetime(2026, 5, 1, 12, 0, 5)], pl.Object)
+        found = apply_frame(calibration, pl.DataFrame(READINGS).with_columns(times), average=2)
+        assert found["time"].to_list() == [datetime(2026, 5, 1, 12, 0, 2, 500_000)]
+
+    @pytest.mark.parametrize("name", ["x", "other"])
+    def test_decimals_of_256_bits(self, name: str, calibration: Calibration) -> None:
+        """Polars has none: it panicked."""
+        cells = [Decimal("1000.25"), Decimal("1001.25")]
+        table = READINGS | {"temperature": [20.0, 20.0], name: pa.array(cells, pa.decimal256(40, 2))}
+        found = apply_frame(calibration, pa.table(table), average=2)
+        assert found.column(name).to_pylist() == [1000.75]
+
     def test_durations(self, calibration: Calibration) -> None:
         found = apply_frame(calibration, READINGS | {"time": [timedelta(0), timedelta(seconds=5)]}, every="10s")
         assert found["time"] == [np.timedelta64(2500, "ms")]
@@ -312,6 +326,7 @@ class TestMeans:
     @pytest.mark.parametrize(
         "frame",
         [
+            pl.DataFrame(READINGS).with_columns(pl.Series("other", ["a", 1], pl.Object)),
             pd.DataFrame(READINGS | {"other": [1j, 2j]}),
             pd.DataFrame(READINGS | {"other": pd.arrays.SparseArray([0, 1])}),
             pd.DataFrame(READINGS | {"other": pd.period_range("2026-05", periods=2, freq="M")}),
@@ -320,7 +335,7 @@ class TestMeans:
             READINGS | {"other": [[1.0], [2.0, 3.0]]},
             READINGS | {"other": [1.0, 2.0, 3.0]},
         ],
-        ids=["complex", "sparse", "period", "interval", "number for a name", "lists", "another length"],
+        ids=["mixed", "complex", "sparse", "period", "interval", "number for a name", "lists", "another length"],
     )
     def test_other_columns_do_not_matter(self, frame: Any, calibration: Calibration) -> None:
         expected = apply_frame(calibration, {name: [np.mean(column)] for name, column in READINGS.items()})
