@@ -19,6 +19,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import UsageError
+from tiltcal.stated_texts import require_text
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -75,6 +76,7 @@ def find_model(name: str) -> Model:
         No model has this name (near names are offered), a plug-in claims the name of another model, or a plug-in
         cannot be loaded.
     """
+    require_text("--sensor", name)
     plug_ins = _plug_ins()
     claims = plug_ins.get(name, [])
     _refuse_rivals(name, claims)

@@ -27,6 +27,7 @@ from urllib.parse import unquote
 
 from tiltcal.drivers.bus import BUSES
 from tiltcal.errors import UsageError
+from tiltcal.stated_texts import require_text
 
 R = TypeVar("R")
 
@@ -194,6 +195,7 @@ def parse_address(text: str) -> Address:
     UsageError
         The address is malformed. The bus that opens it checks the options.
     """
+    require_text("--address", text)
     scheme, colon, rest = text.partition(":")
     if not colon:
         advice = f"did you mean 'spi://{text}'?" if text.startswith("/dev/spi") else "such as spi:///dev/spidev0.0"

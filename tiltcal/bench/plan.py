@@ -63,7 +63,7 @@ class PlannedRotation:
 
 
 def plan(
-    procedure: str,
+    procedure: str | Path,
     *,
     sensor: str | None = None,
     address: str | None = None,
@@ -80,7 +80,7 @@ def plan(
 
     Parameters
     ----------
-    procedure : str
+    procedure : str or Path
         Its name, or the path of your own.
     sensor : str, optional
         The sensor's model; without it that of the ``base``.

@@ -24,6 +24,7 @@ from tiltcal.files.calibration import read_calibration
 from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
 from tiltcal.files.moments import moment
 from tiltcal.stated_numbers import require_from_zero
+from tiltcal.stated_texts import require_path, require_text
 
 FLEET = 50
 """Most other sensors that are read to estimate how far one wanders."""
@@ -49,6 +50,7 @@ class CalibrationLibrary:
     """
 
     def __init__(self, folder: str | Path) -> None:
+        require_path("the folder", folder)
         self.folder = Path(folder)
         self._histories: dict[str, SensorHistory] = {}
 
@@ -80,6 +82,7 @@ class CalibrationLibrary:
             A file is wrong, or two contradict each other.
         """
         if serial not in self._histories:
+            require_text("--serial", serial)
             if serial not in self._files:
                 raise UsageError(self._unknown(serial))
             self._histories[serial] = SensorHistory.of([self._dated(file) for file in self._files[serial]])

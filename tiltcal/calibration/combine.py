@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, permutations
 from pathlib import Path
@@ -59,6 +59,8 @@ def combine(
     """
     if isinstance(calibrations, str | Path | Calibration):
         calibrations = [calibrations]
+    if not isinstance(calibrations, Iterable):
+        raise UsageError(f"combine takes tilt calibrations or their files, not {calibrations!r}")
     sessions = _named([CombinedSession.of(calibration) for calibration in calibrations])
     known = stated_mounting(mounting) if mounting else None
     if len(sessions) < 2 and known is None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from tiltcal.errors import UsageError
+from tiltcal.stated_texts import require_path
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 """Failures of the output; any other that leaves the caller's block is about something else."""
@@ -65,6 +66,7 @@ def check_writable(path: str | Path, *read: str | Path) -> None:
     UsageError
         The folder is not there, is no folder or takes no file, or the target is a folder or may not be replaced.
     """
+    require_path("the output", path)
     _check_place(path)
     require_apart(path, *read)
 

@@ -21,6 +21,7 @@ import yaml
 from tiltcal.errors import InputError
 from tiltcal.files.declaration import FORMAT_VERSION
 from tiltcal.files.node import DEPTH_LIMIT, Node, Scalar, item_key, member_key, require_printable
+from tiltcal.stated_texts import require_path
 
 SIZE_LIMIT = 4_000_000
 """Bytes; the largest calibration file seen is a hundredth of it."""
@@ -76,6 +77,7 @@ def read_text(path: str | Path) -> str:
     InputError
         No such file, a folder, no permission, more than ``SIZE_LIMIT`` bytes, or not UTF-8.
     """
+    require_path("a file", path)
     try:
         with open(path, "rb") as stream:
             size = Path(path).stat().st_size

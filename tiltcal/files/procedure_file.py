@@ -30,6 +30,7 @@ from tiltcal.files.procedure import (
     chosen_angle,
 )
 from tiltcal.frozen import frozen
+from tiltcal.stated_texts import require_path
 
 if TYPE_CHECKING:
     from tiltcal.files.rotation import Rotation
@@ -44,12 +45,12 @@ def shipped_procedures() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
-def find_procedure(name_or_path: str, angle: float | None = None) -> Procedure:
+def find_procedure(name_or_path: str | Path, angle: float | None = None) -> Procedure:
     """Return a shipped procedure by its name, or a user's by its path.
 
     Parameters
     ----------
-    name_or_path : str
+    name_or_path : str or Path
         A shipped name comes first; write ``./plane`` for a file of that name.
     angle : float, optional
         In place of the angle that the procedure leaves free, degrees.
@@ -61,14 +62,15 @@ def find_procedure(name_or_path: str, angle: float | None = None) -> Procedure:
     InputError
         The file is wrong; the message names file, line and key.
     """
+    require_path("PROCEDURE", name_or_path)
     shipped = shipped_procedures()
     if name_or_path in shipped:
         return read_procedure(shipped[name_or_path], angle)
     if os.path.exists(name_or_path):
         return read_procedure(name_or_path, angle)
-    near = get_close_matches(name_or_path, shipped, n=3, cutoff=0.4)
+    near = get_close_matches(str(name_or_path), shipped, n=3, cutoff=0.4)
     hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"there are {', '.join(shipped)}"
-    raise UsageError(f"unknown procedure {name_or_path!r}, and no such file; {hint}")
+    raise UsageError(f"unknown procedure {str(name_or_path)!r}, and no such file; {hint}")
 
 
 def read_procedure(path: str | Path, angle: float | None = None) -> Procedure:

@@ -34,6 +34,7 @@ from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
 from tiltcal.logs.streams import STANDARD, log_sink, sha256_of, with_writeback
+from tiltcal.stated_texts import require_path, require_text
 
 NO_TIME = (
     "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "
@@ -131,6 +132,8 @@ def apply_log(
     A damaged Parquet or NetCDF file can end the process in its library: leave files of doubtful origin to ``tiltcal
     apply``, which reads them in a child process.
     """
+    require_path("the log", log)
+    require_path("the output", output)
     require_way(log, output)
     if str(output) != STANDARD:
         require_apart(output, log, *([calibration] if isinstance(calibration, str | Path) else []))
@@ -197,6 +200,7 @@ def apply_frame(
     """
     from tiltcal.logs.frames import FrameReader
 
+    require_text("--unit", unit)
     reader = FrameReader(frame)
     prepared = prepare_any(calibration, ApplyOptions(**options), say)(reader, columns)
     log = CompensatedLog.of(reader, prepared, columns, say)

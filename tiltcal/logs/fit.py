@@ -66,7 +66,7 @@ FOUND_ONLY = "--window and --segments-out are for `tiltcal fit free` without --s
 
 
 def fit(
-    procedure: str,
+    procedure: str | Path,
     data: Any,
     *,
     serial: str | None = None,
@@ -91,7 +91,7 @@ def fit(
 
     Parameters
     ----------
-    procedure : str
+    procedure : str or Path
         Its name, or the path of your own. With ``free`` the positions need not be known: gravity is 1 g in each.
     data : str, Path or frame
         A log (CSV, Parquet or NetCDF-4), or a table of positions; or a frame of either: polars, pandas, pyarrow, an

@@ -19,6 +19,7 @@ from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.pair_matching import Demodulated, demodulate_log
 from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
+from tiltcal.stated_texts import require_text
 
 
 def match(
@@ -91,11 +92,11 @@ def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
     UsageError
         There is none or more than two, one is there twice, or its columns are not three different ones.
     """
-    if not pairs:
+    if not isinstance(pairs, Sequence) or not pairs:
         raise UsageError("name a pair")
     found = []
     for pair in pairs:
-        if isinstance(pair, str) or len(pair) != 3:
+        if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 3 or not all(map(_is_text, pair)):
             raise UsageError(f"a pair is three columns, the first, the second and the orthogonal one; not {pair!r}")
         first, second, orthogonal = pair
         if len({first, second, orthogonal}) < 3:
@@ -108,6 +109,10 @@ def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
     if len({pair.name for pair in found}) < len(found):
         raise UsageError(f"--pair {found[0].first},{found[0].second} is given twice")
     return found
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
 
 
 def match_log(
@@ -129,6 +134,7 @@ def match_log(
     Stopped
         Ctrl-C ended a stream before there was a result.
     """
+    require_text("--phase", phase)
     if loops and not online:
         raise UsageError("--loops needs --online")
     channels = tuple(dict.fromkeys(channel for pair in pairs for channel in pair.channels))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from tiltcal.logs.noise_log import characterise_log
 from tiltcal.logs.noise_summary import NoiseTarget, SensorNoise
 from tiltcal.logs.uniform_sampling import UniformLog
 from tiltcal.stated_numbers import require_above_zero, require_whole
+from tiltcal.stated_texts import require_text
 
 
 def noise(
@@ -80,6 +81,7 @@ def noise(
     --------
     >>> print(tiltcal.noise(readings, rate=102.4, unit="m/s2"))
     """
+    require_text("--unit", unit)
     facts = NoiseFacts.of(sensor, None, calibration, unit)
     wanted = NoiseTarget(target, target_range)
     facts.require_scale(wanted)
@@ -176,6 +178,8 @@ def characterise_readings(
     ``name`` is what messages call the log, in place of its own name.
     """
     require_above_zero("--rate", rate)
+    if not isinstance(averages, Iterable):
+        raise UsageError(f"--averages takes several sizes, such as [5, 50], not {averages!r}")
     for size in averages:
         require_whole("--averages", size, 1, "samples")
     named = named_columns(columns, AXES)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
 from datetime import date, timedelta
 from pathlib import Path
@@ -17,6 +17,7 @@ from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME, SensorColumns
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
 from tiltcal.stated_numbers import is_number, require_from_zero, shown
+from tiltcal.stated_texts import require_text
 
 if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration
@@ -48,6 +49,7 @@ class ApplyOptions:
     every: str | float | timedelta | None = None
 
     def __post_init__(self) -> None:
+        require_text("--serial", self.serial)
         for option in ("reading_noise", "stability", "magnetometer_noise"):
             require_from_zero(f"--{option.replace('_', '-')}", getattr(self, option))
         for option, value in (("--stability", self.stability), ("--reading-noise", self.reading_noise)):
@@ -138,7 +140,8 @@ class PreparedCalibration:
 
 
 def _three_columns(role: str, names: Sequence[str] | str) -> tuple[str, ...]:
-    columns = tuple(name.strip() for name in (names.split(",") if isinstance(names, str) else names))
+    listed = names.split(",") if isinstance(names, str) else names
+    columns = tuple(str(name).strip() for name in listed) if isinstance(listed, Iterable) else ()
     if len(set(columns)) != 3 or not all(columns):
         raise UsageError(f"--{role} names three columns, along x, y and z, such as {_EXAMPLES[role]}; not {names!r}")
     return columns
@@ -173,6 +176,8 @@ def prepare(
     vectors, averaging = options.vectors(), options.averaging()
     stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}
     if not isinstance(calibration, Calibration):
+        if not isinstance(calibration, tiltcal.PairCalibration):
+            raise UsageError(f"name a calibration or its file, not {calibration!r}")
         return _of_pairs(calibration, options, stated, str(file or "the calibration"))
     if options.mounting:
         calibration = _mounted(calibration, options.mounting, say)
