@@ -301,6 +301,15 @@ class ByName(Format[Mapping[str, T]]):
 
 
 @frozen
+class ByCoefficient(ByName[T]):
+    """A mapping whose keys are dotted names of the file's coefficients."""
+
+    def read(self, node: Node, context: Context = ANY) -> dict[str, T]:
+        known = node.mapping(optional=context.coefficients) if context.coefficients else node.entries()
+        return {name: self.item.read(value, context) for name, value in known.items()}
+
+
+@frozen
 class ByKey(ByName[T]):
     """A mapping with a few fixed keys, whose values are of one kind; where ``complete``, none may be left out."""
 

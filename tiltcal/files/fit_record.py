@@ -8,6 +8,7 @@ from tiltcal.files.coefficients import CHANNELS
 from tiltcal.files.declaration import (
     FROM_ZERO,
     ByChannel,
+    ByCoefficient,
     ByName,
     Flag,
     Integer,
@@ -178,9 +179,9 @@ class FitRecord:
     )
     thermometer_celsius: float | None = entry(FROM_ZERO, "the standard uncertainty of a temperature, °C", default=None)
     budget: Mapping[str, Mapping[str, float]] = entry(
-        ByName(ByName(Number())),
-        "per coefficient, which share of its variance comes from `noise`, `adc`, `jig`, `table`, `thermometer`, "
-        "`assumed`",
+        ByCoefficient(ByName(Number())),
+        "per coefficient, which share of its variance comes from `noise`, `adc`, `jig`, `table`, `heading`, "
+        "`thermometer`, `hysteresis`, `base`, `assumed`, `other sessions`",
         default={},
     )
     notes: tuple[str, ...] = entry(ListOf(Text()), "what limits the numbers", default=())

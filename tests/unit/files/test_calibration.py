@@ -179,6 +179,13 @@ def test_two_channels_may_have_a_z_column() -> None:
         ("[{position", "[1, {position", 19, "positions[0]", "a mapping is needed"),
         ("chi_square: 3.1", "chi_square: x", 18, "fit.chi_square", "a number is needed"),
         ("chi_square", "chi_sqare", 18, "fit.chi_sqare", "did you mean 'chi_square'"),
+        (
+            "{chi_square: 3.1",
+            "{budget: {ofset.x: {noise: 1.0}}, chi_square: 3.1",
+            18,
+            "fit.budget.ofset.x",
+            "did you mean 'offset.x'",
+        ),
         ("fit:", "provenance: {journal: x}\nfit:", 18, "provenance.journal", "a mapping is needed"),
         ("residual: 2}", "residual: [2]}", 18, "fit.worst.residual", "a number is needed"),
         ("fit:", "fitt:", 18, "fitt", "did you mean 'fit'"),
@@ -306,7 +313,13 @@ def calibrations(draw: st.DrawFn) -> CalibrationRecord:
         limits=Limits(tilt, draw(st.none() | ranges), {channel: draw(ranges) for channel in channels}),
         fit=FitRecord(
             notes=tuple(draw(st.lists(serials, max_size=2))),
-            budget=draw(st.dictionaries(serials, st.dictionaries(serials, finite, max_size=2), max_size=2)),
+            budget=draw(
+                st.dictionaries(
+                    st.sampled_from([f"offset.{channel}" for channel in channels]),
+                    st.dictionaries(serials, finite, max_size=2),
+                    max_size=2,
+                )
+            ),
         ),
         positions=(PositionRecord(position=draw(serials), n=draw(st.integers(0, 10**9))),),
     )
