@@ -1,6 +1,7 @@
 """Mean and uncertainty of a run of samples.
 
-Sums are rounded once (:func:`math.fsum`), so a replayed session gives the same digits on every processor.
+Sums of up to some thousand samples are rounded once (:func:`math.fsum`), and longer ones are made in an order that does
+not depend on the processor, so a replayed session gives the same digits everywhere.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain, pairwise
-from math import frexp, fsum, hypot, inf, ldexp, sqrt
+from math import fsum, hypot, inf, sqrt
 from operator import mul
 
 import numpy as np
@@ -20,8 +21,8 @@ from tiltcal.frozen import frozen
 BLOCKS = 10
 """Number of blocks whose means show correlation that std/sqrt(n) does not see."""
 
-_FEW, _MANY, _HUGE = 4096, 1 << 16, 1e150
-"""Samples up to which they are not summed up as arrays, those of an array, and the values from which on not either."""
+_FEW, _MANY = 4096, 1 << 14
+"""Samples up to which a sum is rounded once, and those that are summed up together, within the processor's cache."""
 
 
 @frozen
@@ -191,7 +192,7 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
 def _summands(
     values: NDArray[np.float64], runs: Sequence[tuple[int, int]], mean: float | None = None
 ) -> list[list[float]]:
-    """Return numbers that have the sum of each run, to be rounded once; few of them where the values are many.
+    """Return numbers that have the sum of each run: of few values these, of many the pairwise sums of some each.
 
     Parameters
     ----------
@@ -201,27 +202,12 @@ def _summands(
     """
     parts: list[list[float]] = [[] for _ in runs]
     for begin in range(0, len(values), _MANY):
-        rest = values[begin : begin + _MANY]
-        rest = rest if mean is None else np.square(rest - mean)
-        within = [
-            (part, max(start - begin, 0), end - begin)
-            for part, (start, end) in zip(parts, runs, strict=True)
-            if start < begin + _MANY and begin < end
-        ]
-        largest = max(-float(rest.min()), float(rest.max()))
-        while len(rest) > _FEW and 0.0 < largest < _HUGE:
-            # Rump, Ogita and Oishi (2008), Accurate floating-point summation I, lemma 3.2: the leading digits of each
-            # value, so few that all sums of them are exact, and the digits that are left.
-            sigma = ldexp(1.0, frexp(largest)[1] + len(rest).bit_length())
-            leading = rest + sigma
-            leading -= sigma
-            for part, start, end in within:
-                part.append(float(leading[start:end].sum()))
-            rest = np.subtract(rest, leading, out=leading)
-            largest = max(-float(rest.min()), float(rest.max()))
-        if largest:
-            for part, start, end in within:
-                part.extend(rest[start:end].tolist())
+        some = values[begin : begin + _MANY]
+        some = some if mean is None else np.square(some - mean)
+        for part, (start, end) in zip(parts, runs, strict=True):
+            if start < begin + _MANY and begin < end:
+                run = some[max(start - begin, 0) : end - begin]
+                part.extend(run.tolist() if len(values) <= _FEW else [float(run.sum())])
     return parts
 
 

