@@ -370,13 +370,13 @@ def outliers(samples: Sequence[float] | Array, step: float = 0.0) -> NDArray[np.
         Of the reading, in the unit of the samples: a distance of two steps is no outlier.
     """
     distance, limit, _ = distances(np.asarray(samples, dtype=float))
-    return np.flatnonzero(distance > max(limit, 2.0 * step))
+    return np.flatnonzero(distance > max(limit, 2.0 * step)) if distance is not None else np.empty(0, np.intp)
 
 
-def distances(values: Array) -> tuple[Array, float, float]:
+def distances(values: Array) -> tuple[Array | None, float, float]:
     """Return how far each sample is from the median, beyond what distance it is far off, and the median.
 
-    Where none is, the distance is a lower bound of it, which many samples show sooner.
+    Where none is far off, the distances are None, and the limit is a lower bound of it, which many samples show sooner.
 
     Parameters
     ----------
@@ -384,23 +384,31 @@ def distances(values: Array) -> tuple[Array, float, float]:
         At least one; of fewer than eight none is an outlier.
     """
     centre = _median(values)
-    distance = np.abs(values - centre)
     if len(values) < FEWEST_SAMPLES:
-        return distance, inf, centre
-    farthest = distance.max()
-    if len(values) >= _MANY:
-        # Not more than half of the samples are nearer than a distance that the median of all reaches.
-        near = float(np.partition(distance[:: len(values) // _SAMPLE], count := int(0.47 * _SAMPLE))[count])
-        bound = OUTLYING * _SIGMA_OF_MEDIAN * near
-        if farthest <= bound and np.count_nonzero(distance < near) <= (len(values) - 1) // 2:
-            return distance, bound, centre
+        return None, inf, centre
+    farthest = max(float(values.max()) - centre, centre - float(values.min()))
+    bound = OUTLYING * _SIGMA_OF_MEDIAN * _least_median_distance(values, centre)
+    if farthest <= bound:
+        return None, bound, centre
+    distance = np.abs(values - centre)
     limit = OUTLYING * _SIGMA_OF_MEDIAN * _median(distance)
     if farthest > limit:
         # Where more than half of the samples are in one step, that median is 0; the nearest 90 % are not.
         count = max(1, round(0.9 * len(values)))
         nearest = np.partition(distance, count - 1)[:count]
         limit = max(limit, OUTLYING * _SIGMA_OF_NEAREST * float(np.sqrt(np.mean(nearest**2))))
-    return distance, limit, centre
+    return (distance if farthest > limit else None), limit, centre
+
+
+def _least_median_distance(values: Array, centre: float) -> float:
+    """Return a number that the median distance from the centre reaches; 0 where a few of the samples show none."""
+    if len(values) < _MANY:
+        return 0.0
+    count = int(0.47 * _SAMPLE)
+    near = float(np.partition(np.abs(values[:: len(values) // _SAMPLE] - centre), count)[count])
+    # It does where not more than half of the samples are nearer.
+    nearer = np.count_nonzero(values < centre + near) - np.count_nonzero(values <= centre - near)
+    return near / _EXACT if nearer <= (len(values) - 1) // 2 else 0.0
 
 
 def _median(values: Array) -> float:
@@ -408,9 +416,9 @@ def _median(values: Array) -> float:
     middle = len(values) // 2
     if len(values) >= _MANY:
         few = np.sort(values[:: len(values) // _SAMPLE])
-        lower, upper = few[[int(share * len(few)) for share in (0.45, 0.55)]]
+        lower, upper = few[[int(share * len(few)) for share in (0.46, 0.54)]]
         below = int(np.count_nonzero(values < lower))
-        near = values[(values >= lower) & (values <= upper)]
+        near = np.compress((values >= lower) & (values <= upper), values)
         if below < middle < below + len(near):
             return _middle(near, middle - below, even=len(values) % 2 == 0)
     return _middle(values, middle, even=len(values) % 2 == 0)

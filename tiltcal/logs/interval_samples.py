@@ -195,9 +195,10 @@ class IntervalSamples:
 
     def add_times(self, times: Array) -> None:
         """Take the times of some rows, shape (n,), s."""
-        known = times[np.isfinite(times)]
-        if len(known):
-            self.times = (float(known[0]) if self.times is None else self.times[0], float(known[-1]))
+        if not (len(times) and np.isfinite(times[[0, -1]]).all()):
+            times = times[np.isfinite(times)]
+        if len(times):
+            self.times = (float(times[0]) if self.times is None else self.times[0], float(times[-1]))
 
     def end(self) -> None:
         """Sum up the last rows."""
@@ -284,7 +285,9 @@ def piece_of(
     block : int
         Samples of the interval that make one block of a mean; 0 where these are all and make ten.
     """
-    values = np.stack([np.concatenate(parts) for parts in zip(*rows, strict=True)])
+    values = np.empty((len(rows[0]), sum(len(part[0]) for part in rows)))
+    for row, parts in zip(values, zip(*rows, strict=True), strict=True):
+        np.concatenate(parts, out=row)
     temperatures = _temperatures(values[len(channels)]) if len(values) > len(channels) else None
     samples = values[: len(channels)]
     lost = np.flatnonzero(~np.isfinite(samples).all(axis=0))
@@ -295,8 +298,9 @@ def piece_of(
     # How far a sample is off in the channel in which it is farthest of those that make it an outlier.
     off = np.zeros(samples.shape[1])
     for distance, limit, _ in judged:
-        np.maximum(off, distance, out=off, where=distance > limit)
-    doubtful = off[off > 0.0]
+        if distance is not None:
+            np.maximum(off, distance, out=off, where=distance > limit)
+    doubtful = np.compress(off > 0.0, off)
     if len(doubtful):
         doubtful = np.unique(doubtful[doubtful <= 2.0 * resolution(samples)])
     sums = []
@@ -304,7 +308,10 @@ def piece_of(
         kept = off <= limit
         why, left = "", samples
         if not kept.all():
-            far = [np.flatnonzero((distance > least) & ~kept) for distance, least, _ in judged]
+            far = [
+                np.flatnonzero((distance > least) & ~kept) if distance is not None else np.empty(0, int)
+                for distance, least, _ in judged
+            ]
             first = next(int(numbers[0]) for numbers in far if len(numbers))
             k = max(k for k, numbers in enumerate(far) if first in numbers)
             reads, centre = samples[k][first], judged[k][2]
