@@ -26,6 +26,9 @@ _NOISES = np.geomspace(0.005, 1.0, 80)
 _ENOUGH_VALUES = 1 << 16
 """Different values among which two neighbours are a step apart."""
 
+_TOGETHER = 1 << 14
+"""Samples that are looked up together: so many stay in the processor's cache."""
+
 _MOST_STEPS = 1 << 18
 """From the smallest value to the largest, where the values are tabulated."""
 
@@ -76,10 +79,16 @@ class DifferentValues:
 
     def add(self, samples: Array) -> None:
         """Take the next samples, shape (n,)."""
-        if len(self._values) >= _ENOUGH_VALUES:
-            return
-        new = samples[self._table.take(self._places(samples), mode="clip") != samples]
-        new = np.unique(new[np.isfinite(new)])
+        for start in range(0, len(samples), _TOGETHER):
+            if len(self._values) >= _ENOUGH_VALUES:
+                return
+            some = samples[start : start + _TOGETHER]
+            known = self._table.take(self._places(some), mode="clip") == some
+            if not known.all():
+                self._add_new(some[~known])
+
+    def _add_new(self, samples: Array) -> None:
+        new = np.unique(samples[np.isfinite(samples)])
         if not len(new):
             return
         self._new.append(new)
