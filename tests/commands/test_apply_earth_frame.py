@@ -139,7 +139,7 @@ def test_netcdf_states_units_and_meanings() -> None:
             "u_heading": "degree",
         }
         masks = found["reason"].attrs["flag_masks"].tolist()
-        assert found["reason"].attrs["flag_meanings"].split()[masks.index(128)].startswith("no_heading")
+        assert found["reason"].attrs["flag_meanings"].split()[masks.index(128)].startswith("no_direction")
         assert found["v_north"].values == pytest.approx(BY_HAND["v_north"], abs=2e-6)
 
 

@@ -26,6 +26,7 @@ from tiltcal.core.flags import (
     CLIPPED,
     FAIL,
     MISSING,
+    NO_DIRECTION,
     NO_TEMPERATURE,
     NOT_A_NUMBER,
     PASS,
@@ -49,6 +50,9 @@ CLIP_LIMIT = 1.02
 NEWTON_STEPS = 4
 """Of the nonlinearity's inverse: a nonlinearity of 5 % needs three to reach double precision."""
 
+VANISHES = 1e-9
+"""Gravity of three axes that is no longer than this has no direction, g."""
+
 _CHUNK = 32_768  # rows whose columns stay in the cache from the first step to the last
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
 _TILT_SLACK = radians(1e-9)
@@ -64,9 +68,9 @@ class Compensated:
     gravity : ndarray, shape (n, axes)
         Up in the application frame, g.
     tilt : ndarray, shape (n, axes)
-        asin of each column of ``gravity``, degrees; NaN where the argument is beyond ±1.02.
+        asin of each column of ``gravity``, degrees; NaN where the argument is beyond ±1.02, or all three are 0.
     pitch, roll, inclination : ndarray, shape (n,), or None
-        Degrees over the full circle; None unless the sensor has three axes.
+        Degrees over the full circle, NaN where all of ``gravity`` is 0; None unless the sensor has three axes.
     flag : ndarray of uint8, shape (n,)
         1 pass, 3 suspect, 4 fail, 9 missing.
     reason : ndarray of uint8, shape (n,)
@@ -327,6 +331,7 @@ class Compensation:
             pitch(g_x, g_y, g_z, out=out.pitch)
             roll(g_x, g_y, g_z, out=out.roll)
             inclination(g_x, g_y, g_z, out=out.inclination)
+            _blank_without_direction(application, out)
         self._judge_tilt(own, out)
         self._judge_readings(u, out)
         return KernelChunk(rows, dt, signal, own, hidden, out)
@@ -443,6 +448,17 @@ def _arcsine(argument: Array, angle: Array, out: Compensated) -> None:
     lost = ~(size <= CLIP_LIMIT + _ROUNDING)
     mark(out, lost, FAIL, CLIPPED)
     angle[lost] = np.nan
+
+
+def _blank_without_direction(gravity: Array, out: Compensated) -> None:
+    """Blank the angles of rows in which three axes read 0 g, as in free fall: nothing shows where up is."""
+    none = np.abs(gravity[2]) <= VANISHES
+    if none.any():
+        none &= np.linalg.norm(gravity, axis=0) <= VANISHES
+        mark(out, none, FAIL, NO_DIRECTION)
+        for angle in (out.tilt, out.pitch, out.roll, out.inclination):
+            if angle is not None:
+                angle[none] = np.nan
 
 
 def _inverse(sensitivity: Array) -> Array:

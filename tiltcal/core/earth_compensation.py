@@ -7,9 +7,9 @@ from math import radians
 
 import numpy as np
 
-from tiltcal.core.compensation import CLIP_LIMIT, Compensation, KernelChunk
+from tiltcal.core.compensation import CLIP_LIMIT, VANISHES, Compensation, KernelChunk
 from tiltcal.core.earth_uncertainty import EarthUncertainty
-from tiltcal.core.flags import CLIPPED, FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, SUSPECT, mark
+from tiltcal.core.flags import CLIPPED, FAIL, MISSING, NO_DIRECTION, NOT_A_NUMBER, SUSPECT, mark
 from tiltcal.core.heading import HEADING, VELOCITY, EarthFrame, full_circle, length_of
 from tiltcal.core.model import Array
 from tiltcal.core.uncertainty_columns import round_up, uncertainty_columns, with_shares
@@ -103,7 +103,7 @@ class EarthFrameCompensation:
                 missing |= ~np.isfinite(given).reshape(len(given), -1).all(axis=1)
         mark(chunk.out, missing & (chunk.out.flag < MISSING), FAIL, NOT_A_NUMBER)
         without = ~missing & ~np.isfinite(frame.heading)
-        mark(chunk.out, without & (np.isfinite(up[0]) | (chunk.out.flag < FAIL)), FAIL, MAGNETIC)
+        mark(chunk.out, without & (np.isfinite(up[0]) | (chunk.out.flag < FAIL)), FAIL, NO_DIRECTION)
         rows = [] if field is None else [full_circle(np.degrees(frame.heading), 360.0)]
         instrument = None
         if velocity is not None:
@@ -130,7 +130,7 @@ class EarthFrameCompensation:
             lost = length > CLIP_LIMIT
             mark(chunk.out, lost, FAIL, CLIPPED)
             unknown |= lost
-        length[unknown | (length == 0.0)] = np.nan
+        length[unknown | (length <= VANISHES)] = np.nan
         return np.asarray(up / length)
 
     def _turned(self, vectors: Array) -> Array:

@@ -16,7 +16,7 @@ PASS, SUSPECT, FAIL, MISSING = 1, 3, 4, 9
 """QARTOD flags, worst last."""
 
 CLIPPED, TEMPERATURE_RANGE, RAIL, TILT_RANGE, NO_TEMPERATURE, NOT_A_NUMBER = 1, 2, 4, 8, 16, 32
-OUTSIDE_TIME, MAGNETIC = 64, 128
+OUTSIDE_TIME, NO_DIRECTION = 64, 128
 """Bits of a reason."""
 
 FLAGS = {PASS: "pass", SUSPECT: "suspect", FAIL: "fail", MISSING: "missing"}
@@ -28,7 +28,8 @@ REASONS = {
     NO_TEMPERATURE: "temperature missing",
     NOT_A_NUMBER: "not a number",
     OUTSIDE_TIME: "outside the time of the calibrations",
-    MAGNETIC: "no heading, headings of a mean that differ, or a magnetic field of unusual length",
+    NO_DIRECTION: "no direction of gravity or heading, headings of a mean that differ, or a magnetic field of unusual "
+    "length",
 }
 
 

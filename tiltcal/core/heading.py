@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.flags import MAGNETIC, SUSPECT, Mask, mark_columns
+from tiltcal.core.flags import NO_DIRECTION, SUSPECT, Mask, mark_columns
 from tiltcal.core.model import Array
 from tiltcal.frozen import frozen
 
@@ -148,7 +148,7 @@ class FieldLength:
         field : ndarray, shape (n, 3)
             Of the next rows, in order.
         """
-        return mark_columns(table, self.wanders(length_of(field.T)), SUSPECT, MAGNETIC)
+        return mark_columns(table, self.wanders(length_of(field.T)), SUSPECT, NO_DIRECTION)
 
     def wanders(self, lengths: Array) -> Mask:
         """Return which of the next lengths, shape (n,), differ by more than :data:`FIELD_TOLERANCE`; NaN does not."""

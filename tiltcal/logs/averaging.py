@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.flags import FAIL, MAGNETIC, RAIL, SUSPECT, mark_columns
+from tiltcal.core.flags import FAIL, NO_DIRECTION, RAIL, SUSPECT, mark_columns
 from tiltcal.core.heading import FIELD_TOLERANCE, full_circle
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
@@ -138,7 +138,7 @@ class Means:
         for sensor, railed in zip(self.sensors, block.railed.T, strict=True):
             own = (f"{sensor.lead}flag", f"{sensor.lead}reason")
             marked |= mark_columns({name: table[name] for name in own}, railed, FAIL, RAIL)
-        return {COUNT: block.rows, **mark_columns(marked, block.apart, SUSPECT, MAGNETIC)}
+        return {COUNT: block.rows, **mark_columns(marked, block.apart, SUSPECT, NO_DIRECTION)}
 
     def _groups(self, block: LogBlock, done: int) -> NDArray[np.int64]:
         """Return the number of each row's group, ascending; ``done`` rows are before these."""

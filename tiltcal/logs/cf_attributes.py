@@ -14,7 +14,7 @@ import numpy as np
 from tiltcal.core.flags import (
     CLIPPED,
     FLAGS,
-    MAGNETIC,
+    NO_DIRECTION,
     NO_TEMPERATURE,
     NOT_A_NUMBER,
     OUTSIDE_TIME,
@@ -33,7 +33,7 @@ _MEANINGS = {
     NO_TEMPERATURE: "temperature_missing",
     NOT_A_NUMBER: "not_a_number",
     OUTSIDE_TIME: "outside_time_of_calibrations",
-    MAGNETIC: "no_heading_or_magnetic_field_of_unusual_length",
+    NO_DIRECTION: "no_direction_or_magnetic_field_of_unusual_length",
 }
 _JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
     "flag": {

@@ -250,6 +250,17 @@ class TestFlags:
         assert self.verdicts(result) == [(1, 0), (1, 0)]
         assert result.tilt[:, 0].tolist() == pytest.approx([90.0, -90.0], abs=2e-6)
 
+    @pytest.mark.parametrize("mounting", [None, Mounting(roll=0.3, pitch=-0.2)])
+    def test_three_axes_that_read_0_g_have_no_direction(self, mounting: Mounting | None) -> None:
+        """As `atan2(0, 0)` they were level with flag 1. Of two axes 0 g is level."""
+        out = Compensation(coefficients(THREE, mounting=mounting))([[*OFFSET, -30.0], [*OFFSET, 1290.0]])
+        assert (out.flag.tolist(), out.reason.tolist()) == ([4, 1], [128, 0])
+        for angle in (*out.tilt.T, out.pitch, out.roll, out.inclination):
+            assert np.isnan(angle).tolist() == [True, False]
+        assert out.gravity[0].tolist() == [0.0, 0.0, 0.0]
+        level = Compensation(coefficients(TWO))([[*OFFSET]])
+        assert (level.flag.tolist(), level.tilt.tolist()) == ([1], [[0.0, 0.0]])
+
     @pytest.mark.parametrize("odd", [nan, inf, -inf])
     def test_a_reading_that_is_no_number_makes_the_row_missing_and_nothing_else(self, odd: float) -> None:
         limits = Limits(reading={"x": (-900.0, 900.0)}, temperature=(0.0, 10.0))

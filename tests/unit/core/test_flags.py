@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from tiltcal.core.flags import FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, PASS, RAIL, SUSPECT, count_flags, mark_columns
+from tiltcal.core.flags import FAIL, MISSING, NO_DIRECTION, NOT_A_NUMBER, PASS, RAIL, SUSPECT, count_flags, mark_columns
 
 
 def test_a_mark_raises_the_flag_adds_the_reason_and_leaves_missing_rows() -> None:
@@ -13,7 +13,7 @@ def test_a_mark_raises_the_flag_adds_the_reason_and_leaves_missing_rows() -> Non
         "a_reason": np.array([0, RAIL, NOT_A_NUMBER, 0], np.uint8),
         "flagpole": np.zeros(4),
     }
-    marked = mark_columns(table, np.array([True, True, True, False]), SUSPECT, MAGNETIC)
+    marked = mark_columns(table, np.array([True, True, True, False]), SUSPECT, NO_DIRECTION)
     assert marked["a_flag"].tolist() == [3, 4, 9, 1]
     assert marked["a_reason"].tolist() == [128, 132, 32, 0]
     assert marked["flagpole"] is table["flagpole"]

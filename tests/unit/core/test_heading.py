@@ -14,7 +14,7 @@ from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.earth_compensation import EarthFrameCompensation
 from tiltcal.core.earth_uncertainty import EarthUncertainty
-from tiltcal.core.flags import CLIPPED, FAIL, MAGNETIC, MISSING, NOT_A_NUMBER, PASS, SUSPECT
+from tiltcal.core.flags import CLIPPED, FAIL, MISSING, NO_DIRECTION, NOT_A_NUMBER, PASS, SUSPECT
 from tiltcal.core.heading import FieldLength
 from tiltcal.core.model import Array, Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
@@ -186,18 +186,18 @@ class TestFlags:
 
     def test_no_heading_where_x_is_vertical(self) -> None:
         found = row(level(up=[[1.0, 0.0, 0.0]], magnetometer=[[-45.0, 20.0, 0.0]]))
-        assert found == pytest.approx((FAIL, MAGNETIC, nan, nan, nan, 1.0), nan_ok=True)
+        assert found == pytest.approx((FAIL, NO_DIRECTION, nan, nan, nan, 1.0), nan_ok=True)
         found = row(level(up=[[-1.0, 0.0, 0.0]], heading=[10.0]))
-        assert found == pytest.approx((FAIL, MAGNETIC, nan, nan, -1.0), nan_ok=True)
+        assert found == pytest.approx((FAIL, NO_DIRECTION, nan, nan, -1.0), nan_ok=True)
 
     def test_no_heading_where_nothing_points_up(self) -> None:
         found = row(level(up=[[0.0, 0.0, 0.0]]))
-        assert found == pytest.approx((FAIL, MAGNETIC, nan, nan, nan, nan), nan_ok=True)
+        assert found == pytest.approx((FAIL, NO_DIRECTION, nan, nan, nan, nan), nan_ok=True)
 
     def test_no_heading_where_the_field_is_vertical_or_nothing(self) -> None:
         for field in ([0.0, 0.0, -45.0], [0.0, 0.0, 0.0]):
             found = row(level(magnetometer=[field]))
-            assert found == pytest.approx((FAIL, MAGNETIC, nan, nan, nan, 0.0), nan_ok=True)
+            assert found == pytest.approx((FAIL, NO_DIRECTION, nan, nan, nan, 0.0), nan_ok=True)
 
     def test_a_missing_component_fails_and_leaves_the_tilt(self) -> None:
         table = level(magnetometer=[[20.0, nan, -45.0]])
@@ -220,7 +220,7 @@ class TestFlags:
         assert table["heading"] == pytest.approx(np.zeros(6))
         table = FieldLength().flagged(table, field)
         assert table["flag"].tolist() == [PASS, PASS, PASS, PASS, SUSPECT, SUSPECT]
-        assert table["reason"].tolist() == [0, 0, 0, 0, MAGNETIC, MAGNETIC]
+        assert table["reason"].tolist() == [0, 0, 0, 0, NO_DIRECTION, NO_DIRECTION]
 
 
 def test_the_usual_length_does_not_depend_on_where_blocks_end() -> None:
