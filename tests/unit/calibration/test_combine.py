@@ -19,7 +19,7 @@ from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.verdict import judge
 from tiltcal.core.combination import Statement, combine_statements
-from tiltcal.core.model import Array, Coefficients, Thermal, vector_of
+from tiltcal.core.model import Array, Coefficients, Mounting, Thermal, vector_of
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers import find_model
@@ -96,6 +96,7 @@ def test_two_sessions_give_what_one_joint_session_gives(with_base: bool) -> None
         assert found.uncertainty[name] == pytest.approx(u, rel=0.005), name
     assert found.derived.assumed == ()
     assert found.fit.degrees_of_freedom == joint.fit.degrees_of_freedom
+    assert found.fit.chi_square == pytest.approx(joint.fit.chi_square, rel=0.01)
 
 
 def test_the_order_does_not_matter() -> None:
@@ -362,6 +363,27 @@ def test_one_calibration_needs_no_sequence(tmp_path: Path) -> None:
         assert combine(given, mounting="roll=180").coefficients.mounting == expected.coefficients.mounting
         with pytest.raises(UsageError, match="name two calibrations or more, or a --mounting"):
             combine(given)
+
+
+@pytest.mark.parametrize("what", ["drift", "gain"])
+def test_polynomials_of_two_orders_are_not_weighed_against_each_other(what: str) -> None:
+    night = calibrated(TWO, measured(TWO, 2), SCALE.record)
+    pair = []
+    for order in (1, 2):
+        thermal = replace(night.coefficients.thermal, **{what: np.full((2, order), 1e-4)})
+        pair.append(Calibration(replace(night.record, coefficients=replace(night.coefficients, thermal=thermal))))
+    for sessions in (pair, pair[::-1]):
+        with pytest.raises(UsageError, match=f"the {what} of .* has order .* combine one of them"):
+            combine([SCALE, *sessions])
+
+
+@pytest.mark.parametrize("mounted_first", [True, False])
+def test_a_session_without_a_mounting_takes_that_of_the_other_and_no_two_contradict(mounted_first: bool) -> None:
+    drift, mounting = calibrated(TWO, measured(TWO, 2), SCALE.record), {"roll": 180.0, "pitch": 0.0, "yaw": 0.0}
+    pair = [SCALE.with_mounting(mounting), drift] if mounted_first else [SCALE, drift.with_mounting(mounting)]
+    assert combine(pair).coefficients.mounting == Mounting(roll=np.pi)
+    with pytest.raises(UsageError, match=r"the mountings contradict: .*; state one with --mounting"):
+        combine([pair[0].with_mounting("roll=180"), pair[1].with_mounting("roll=90")])
 
 
 def test_a_file_of_two_sessions_is_read_again_and_names_its_sources(tmp_path: Path) -> None:
