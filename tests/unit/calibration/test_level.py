@@ -36,6 +36,7 @@ def levelled(
     jig: float | None = JIG,
     alignment: float | None = None,
     dof: float = inf,
+    table: float | None = None,
 ) -> CalibrationRecord:
     """The base with the offset of one level position."""
     summaries = {
@@ -45,7 +46,7 @@ def levelled(
     measurement = Measurement("level", (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, temperature, summaries)
     sensor = MeasuredSensor(base.sensor, [measurement], base=base)
     procedure = find_procedure("level").with_alignment(alignment)
-    return calibrate([sensor], procedure, BenchUncertainty(jig, 0.1))[0]
+    return calibrate([sensor], procedure, BenchUncertainty(jig, 0.1, table))[0]
 
 
 def covariance_of(record: CalibrationRecord, *names: str) -> Array:
@@ -127,6 +128,13 @@ def test_after_200_replugs_the_tilt_holds_its_interval(mounting: Mounting | None
         for axis, known in zip("xy", np.degrees(np.arcsin(up[:, :2])).T, strict=True):
             held.append(np.abs(out[f"tilt_{axis}"] - known) <= out[f"U95_tilt_{axis}"])
     assert np.mean(held) > 0.95
+
+
+def test_the_lean_of_the_table_adds_to_the_jigs_by_squares() -> None:
+    found = levelled(COMPLETE, np.array([1030.0, 1010.0]), jig=0.3, table=0.4)
+    assert found.fit.level.jig_degrees == 0.5
+    whole = levelled(COMPLETE, np.array([1030.0, 1010.0]), jig=0.5)
+    assert found.uncertainty["offset.x"] == pytest.approx(whole.uncertainty["offset.x"], rel=1e-3)
 
 
 def test_an_inverted_sensor_has_its_own_offset() -> None:

@@ -69,6 +69,22 @@ def test_a_base_that_drifts_needs_the_temperature_of_each_position() -> None:
     np.testing.assert_allclose(mounting_matrix(found), np.eye(3), atol=1e-5)
 
 
+def test_gimbal_lock_is_stated_and_no_angle_has_an_uncertainty() -> None:
+    """A pitch of 90° gives (-z, y, x) of the sensor, by the matrix of the document."""
+    known = Coefficients(("x", "y", "z"), ("x", "y", "z"), np.zeros(3), 800.0 * np.eye(3))
+    base = CalibrationRecord(SensorIdentity("bench-built", "S-1", "count", known.channels), known)
+    read = [{"x": 800.0 * z, "y": 800.0 * y, "z": -800.0 * x} for x, y, z in LEVEL_X_Y]
+    measured = [
+        replace(one, summaries={c: SampleSummary(u, 0.0, 1, 0.0) for c, u in row.items()})
+        for one, row in zip(positions([(0.0, 0.0)] * 3), read, strict=True)
+    ]
+    found = mount(base, measured, jig=0.1)
+    assert found.derived.gimbal_lock
+    assert found.coefficients.mounting is not None
+    assert found.coefficients.mounting.pitch == pytest.approx(radians(90.0), abs=1e-6)
+    assert not found.uncertainty.standard
+
+
 def test_a_base_that_does_not_drift_needs_no_temperature() -> None:
     found = mount(drifting(0.0), positions([(819.0 * x, 819.0 * y) for x, y, _ in LEVEL_X_Y])).coefficients.mounting
     assert found is not None
