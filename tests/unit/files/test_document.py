@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -353,6 +354,16 @@ def test_json_is_read_as_the_yaml_that_it_is(written: Any) -> None:
 @given(documents)
 def test_plain_data_becomes_the_document_that_it_came_from(written: dict[str, Any]) -> None:
     assert document_of(written).plain() == written
+
+
+@pytest.mark.parametrize("around", [lambda inner: [inner], lambda inner: {"in": inner}], ids=["lists", "mappings"])
+def test_plain_data_may_be_as_deep_as_a_file_and_no_deeper(around: Callable[[Any], Any]) -> None:
+    deep: Any = 1
+    for _ in range(32):
+        deep = around(deep)
+    assert document_of(deep).plain() == deep
+    with pytest.raises(InputError, match="nested deeper than 32"):
+        document_of(around(deep))
 
 
 @given(st.binary(max_size=200) | st.text("ab:-[]{}?&*!|>'\"%@#, \n\t0.~", max_size=60).map(str.encode))
