@@ -87,6 +87,41 @@ def test_redo_asks_again_and_back_goes_back(tmp_path: Path) -> None:
     assert next(words) == "ready"
 
 
+@pytest.mark.parametrize(
+    ("stubborn", "why"),
+    [
+        ({"answer": "ready", "tilt": {"x": 95}}, "95"),
+        ({"answer": "ready", "temperature": 200}, "not between"),
+        ({"answer": "ready", "temperature": 80}, "one of them is wrong"),
+    ],
+)
+def test_a_program_that_does_not_act_on_refusals_is_asked_100_times(stubborn: Event, why: str, tmp_path: Path) -> None:
+    led = table(tmp_path, "plane", lambda ask, n: ready(ask, n) if n < 2 else stubborn)
+    assert led.exit_code == 130
+    refused = led.events("refused")
+    assert {event["position"] for event in refused} == {"x-tilt2"}
+    assert len(refused) == 100
+    assert "x-tilt2 was refused 100 times in a row" in led.errors
+    assert why in led.errors
+    assert "--resume S-1.journal.jsonl" in led.errors
+    assert not (tmp_path / "S-1.yaml").exists()
+    resumed = measure("--resume", "S-1.journal.jsonl", cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+
+
+def test_refusals_of_other_positions_count_apart(tmp_path: Path) -> None:
+    led = table(tmp_path, "plane", lambda ask, n: ready(ask, n) if n % 60 == 0 else "what?")
+    assert led.exit_code == 0, led.errors
+    assert len(led.events("refused")) == 4 * 59
+
+
+def test_back_at_the_first_position_is_refused_with_the_reason(tmp_path: Path) -> None:
+    led = table(tmp_path, "plane", lambda ask, n: {"answer": "back"} if n == 1 else ready(ask, n))
+    assert led.exit_code == 0, led.errors
+    assert [event["position"] for event in led.events("refused")] == ["x-tilt1"]
+    assert "first position" in led.events("refused")[0]["why"]
+
+
 def test_quit_keeps_what_was_measured(tmp_path: Path) -> None:
     led = table(tmp_path, "plane", lambda ask, n: {"answer": "ready" if n < 3 else "quit"})
     assert led.exit_code == 130

@@ -154,3 +154,11 @@ def test_back_and_redo_at_the_prompt(key: str, tmp_path: Path) -> None:
     assert result.returncode in (0, 130), result.stderr
     asked = [line.split()[1] for line in result.stderr.splitlines() if line[:3] in ("1/3", "2/3", "3/3")]
     assert asked[:3] == (["level", "x-45", "level"] if key == "b" else ["level", "x-45", "x-45"])
+
+
+def test_back_at_the_first_position_is_refused_with_the_reason(tmp_path: Path) -> None:
+    result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="zero-45", said="b\n" + "\n" * 7)
+    assert result.returncode == 0, result.stderr
+    asked = [line.split()[1] for line in result.stderr.splitlines() if line[:3] in ("1/3", "2/3", "3/3")]
+    assert asked == ["level", "level", "x-45", "y-45"]
+    assert "refused: this is the first position: there is none before it to go back to" in result.stderr

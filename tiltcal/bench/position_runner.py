@@ -42,6 +42,8 @@ NUDGED = 0.002
 NUDGED_SIGMAS = 6.0
 """And it must be this many standard uncertainties: a refusal costs the operator time, a look while settling none."""
 
+FIRST = "this is the first position: there is none before it to go back to"
+
 
 class PositionRunner:
     """Carries out the positions of a plan.
@@ -108,6 +110,8 @@ class PositionRunner:
                 accepted.append(verdict)
             elif verdict == "back" and accepted:
                 accepted.pop()
+            elif verdict == "back":
+                self._refuse(position, InputError(FIRST))
         return [result.with_steps(self._steps) for result in accepted]
 
     def _attempt(self, position: Position, accepted: Sequence[PositionResult]) -> PositionResult | str:

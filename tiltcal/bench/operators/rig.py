@@ -55,8 +55,8 @@ WHILE_TURNING = ("stop", "quit")
 TILT_AXES = ("x", "y")
 KEYS = {"answer", "tilt", "gravity", "temperature"}
 
-WRONG_ANSWERS = 100
-"""Answers in a row that cannot be understood, after which the session stops."""
+REFUSALS = 100
+"""Refusals in a row of one position, or of the stage, after which the session stops."""
 
 
 class _Rig:
@@ -64,6 +64,8 @@ class _Rig:
 
     def __init__(self, rig: object) -> None:
         self._rig = rig
+        self._refused = ""
+        self._refusals = 0
 
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         return OperatorAnswer("yes")
@@ -88,20 +90,31 @@ class _Rig:
         return self._understood(lambda: _heeded(understood(method(ask), words)), about)
 
     def _understood(self, answer: Callable[[], T], about: str) -> T:
-        """Return an answer; one that cannot be understood is refused and given again.
+        """Return an answer; one that cannot be understood is refused and given again."""
+        while True:
+            try:
+                return answer()
+            except InputError as error:
+                self._refuse(about, str(error))
+
+    def _refuse(self, about: str, why: str) -> None:
+        """Refuse what the rig answered or set.
 
         Raises
         ------
         Stopped
-            Too many cannot.
+            It was refused too often in a row: the rig does not act on refusals.
         """
-        for _ in range(WRONG_ANSWERS):
-            try:
-                return answer()
-            except InputError as error:
-                why = str(error)
-                self._tell("refused", position=about, why=why)
-        raise Stopped(f"{WRONG_ANSWERS} answers in a row could not be understood, the last because {why}")
+        self._refusals = self._refusals + 1 if about == self._refused else 1
+        self._refused = about
+        self._tell("refused", position=about, why=why)
+        if self._refusals == REFUSALS:
+            raise Stopped(f"{about} was refused {REFUSALS} times in a row, the last time because {why}")
+
+    def _accept(self, event: str, **fields: Any) -> None:
+        """Report that the session goes on: refusals from here on count anew."""
+        self._refused = ""
+        self._tell(event, **fields)
 
 
 class RigPositionOperator(_Rig):
@@ -144,10 +157,10 @@ class RigPositionOperator(_Rig):
         event = {"position": result.position.name, **next(iter(values.values()))}
         if len(values) > 1:
             event["sensors"] = values
-        self._tell("accepted", **event)
+        self._accept("accepted", **event)
 
     def refused(self, position: Position, why: str) -> None:
-        self._tell("refused", position=position.name, why=why)
+        self._refuse(position.name, why)
 
     def lost(self, serial: str, why: str) -> None:
         self._tell("lost", sensor=serial, why=why)
@@ -187,7 +200,7 @@ class RigRotationOperator(_Rig):
     def turn_completed(self, turn: StageTurn) -> None:
         remarks: dict[str, Any] = {"unknown": turn.unknown, "left_out": turn.left_out}
         remarks = {name: remark for name, remark in remarks.items() if remark}
-        self._tell("turn", turn=turn.number, of=turn.of, **_coefficients(turn.pairs), **remarks)
+        self._accept("turn", turn=turn.number, of=turn.of, **_coefficients(turn.pairs), **remarks)
 
     def paused(self, why: str) -> None:
         self._tell("held", why=why)
@@ -196,7 +209,7 @@ class RigRotationOperator(_Rig):
         self._tell("resumed")
 
     def refused(self, why: str) -> None:
-        self._tell("refused", position=ROTATION, why=why)
+        self._refuse(ROTATION, why)
 
     def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
         by_name = {matching.pair.name: matching for matching in matchings}
