@@ -100,10 +100,10 @@ def test_a_change_is_told_with_its_uncertainty_and_the_folder_of_its_file(folder
         (tmp_path / name / "U-0.yaml").write_text(text)
     (tmp_path / "a" / "U-0.yaml").write_text(text.replace("x: 1042.0062", "x: 1030.0062").replace("2021", "2020"))
     done = tiltcal("history", tmp_path)
-    assert "  2021-01-01  b/U-0.yaml  changed: offset.x by +12 ± 1 count" in done.stdout.splitlines()
+    assert "  2021-01-01  b/U-0.yaml  changed: offset.x by +12.0 ± 1.0 count" in done.stdout.splitlines()
     page = tmp_path / "fleet.html"
     assert tiltcal("report", tmp_path, "-o", page).returncode == 0
-    assert "<td>offset.x by +12 ± 1 count</td>" in page.read_text(encoding="utf-8")
+    assert "<td>offset.x by +12.0 ± 1.0 count</td>" in page.read_text(encoding="utf-8")
 
 
 def test_a_folder_without_calibrations_and_a_wrong_interval_are_refused(folder: Path, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
 from tiltcal.core.ramp.record import RampRecord
+from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.moments import stamp
 from tiltcal.files.provenance_record import VIRTUAL, BenchRecord, FileRecord, Provenance
@@ -111,7 +112,7 @@ def changes_in_words(calibration: CalibrationRecord) -> str:
         change = last.mean[channel] - first.mean[channel]
         u = hypot((first.u or {}).get(channel, 0.0), (last.u or {}).get(channel, 0.0))
         milligravity = 1000 * change / abs(coefficients.own_sensitivity(channel))
-        parts.append(f"{channel} {change:+.3g} ± {2 * u:.2g} {unit} ({milligravity:+.2g} mg)")
+        parts.append(f"{channel} {plus_minus(change, 2 * u, signed=True)} {unit} ({milligravity:+.2g} mg)")
     return f"{calibration.sensor.serial}: back in {first.position} the readings have changed by {', '.join(parts)}"
 
 

@@ -18,6 +18,7 @@ from tiltcal.calibration.verdict import Verdict, judge
 from tiltcal.core.combination import ASSUMED, Combination, Statement, combine_statements
 from tiltcal.core.model import Coefficients, Thermal, vector_of
 from tiltcal.core.named_coefficients import values
+from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, require_same_sensor
 from tiltcal.files.fit_record import NOISE_ALONE
@@ -257,7 +258,7 @@ def _refuse(sessions: Sequence[CombinedSession], found: Combination, verdict: Ve
             expanded = verdict.thresholds[change.name] * change.u
             told.append(
                 f"{change.name} is {change.after:.6g} in {label} and {change.before:.6g} by the others, apart by "
-                f"{abs(change.difference):.3g} ± {expanded:.2g} (E_n {abs(change.difference) / expanded:.1f})"
+                f"{plus_minus(abs(change.difference), expanded)} (E_n {abs(change.difference) / expanded:.1f})"
             )
     alone = [session.label for session in sessions if session.record.fit.uncertainty_from == NOISE_ALONE]
     why = (

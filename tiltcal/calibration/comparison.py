@@ -8,6 +8,7 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.verdict import Verdict, judge
 from tiltcal.core.named_coefficients import CoefficientChange
+from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
 from tiltcal.files.fit_record import NOISE_ALONE
@@ -40,8 +41,9 @@ class Comparison:
             return self.verdict.word
         changed = [change for change in self.changes if change.name in self.verdict.changed]
         return "changed: " + ", ".join(
-            f"{c.name} by {c.difference:+.3g} ± {c.u or 0.0:.2g} {unit_of(c.name, self.sensor.unit)}".rstrip()
-            for c in changed
+            f"{change.name} by {plus_minus(change.difference, change.u or 0.0, signed=True)} "
+            f"{unit_of(change.name, self.sensor.unit)}".rstrip()
+            for change in changed
         )
 
     def as_data(self) -> dict[str, Any]:

@@ -151,8 +151,8 @@ def _lines(calibration: CalibrationRecord) -> Iterator[str]:
         angle = degrees(asin(max(-1.0, min(change / float(coefficients.sensitivity[row, column]), 1.0))))
         yield (
             f"  offset {channel}  {plus_minus(offset, calibration.uncertainty.get(f'offset.{channel}', 0.0))} "
-            f"{sensor.unit}; was {offset - change:.6g}, changed by {change:+.3g} ± "
-            f"{found.change_uncertainty.get(channel, 0.0):.2g} ({angle:+.3f}°)"
+            f"{sensor.unit}; was {offset - change:.6g}, changed by "
+            f"{plus_minus(change, found.change_uncertainty.get(channel, 0.0), signed=True)} ({angle:+.3f}°)"
         )
     yield f"  {found.verdict}"
     askew = calibration.uncertainty.alignment

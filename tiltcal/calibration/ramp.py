@@ -18,7 +18,7 @@ from tiltcal.core.estimation.joint_equations import HYSTERESIS, JIG, NOISE, PRIO
 from tiltcal.core.model import Array, Coefficients, Thermal, with_vector
 from tiltcal.core.ramp.fit import RESOLVED, RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord
-from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.rounding import plus_minus, round_to, significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
 from tiltcal.core.uncertainty_budget import Budget, Part
@@ -288,21 +288,26 @@ def _ramp_record(fit: RampFit, channels: Sequence[str]) -> RampFitRecord:
 
 
 def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
-    lag = f"a thermal lag of {fit.found_lag:.3g} ± {fit.u_lag:.2g} s"
-    explains = ", ".join(
-        f"{channel} {100.0 * part:.0f} %" for channel, part in zip(design.channels, fit.explained.tolist(), strict=True)
+    lag = f"a thermal lag of {plus_minus(fit.found_lag, fit.u_lag)} s"
+    explains = " and ".join(
+        f"{100.0 * part:.1f} % in {channel}"
+        for channel, part in zip(design.channels, fit.explained.tolist(), strict=True)
     )
     notes = [
-        f"{lag} is used: it betters every leg that it was not fitted to, and explains of the loop {explains}"
+        f"{lag} is used: it makes the residuals of every leg smaller when it is fitted to the other legs, and explains "
+        f"the difference between the ways up and down ({explains})"
         if fit.uses_lag
-        else f"{lag} is not used: it does not better every leg that it was not fitted to, or hysteresis explains the "
-        f"record as well (of the loop it explains {explains})"
+        else f"{lag} is not used: it does not make the residuals of every leg smaller when it is fitted to the other "
+        f"legs, or hysteresis explains the record as well (the lag explains the difference between the ways up and "
+        f"down: {explains})"
     ]
     if fit.u_element >= NOTED:
         cause = "the turns show a second lag: one lag" if fit.lag > 0.0 else "behind turns the temperature in a log"
         notes.append(f"{cause} is off by {fit.u_element:.2g} °C, which is in the uncertainty of a temperature")
     if not fit.uses_lag and abs(fit.found_lag) > RESOLVED * fit.u_lag:
-        notes.append("legs of two paces tell a lag, whose loop grows with the pace, from hysteresis")
+        notes.append(
+            "to separate a lag from hysteresis, record legs at two paces: the effect of a lag grows with the pace"
+        )
     if fit.loop_covariance.any():
         notes.append("the ways up and down differ: the intervals of the drift hold the readings of both")
     return tuple(notes)

@@ -18,6 +18,7 @@ from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.gravity_direction import Vector, tilt_from_gravity
 from tiltcal.core.model import AXES
+from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 
 PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
@@ -127,10 +128,11 @@ class Verification:
                 for axis, angle in position.expected.items()
             )
             lines.append(
-                f"  {position.position:<12} {angles}   off by {position.error:.3f}° ± {position.expanded:.2g}°   "
+                f"  {position.position:<12} {angles}   "
+                f"off by {plus_minus(position.error, position.expanded)}°   "
                 f"{_loud(position.verdict(self.limit))}"
             )
-        worst = f"worst {self.worst.error:.3f}° at {self.worst.position}"
+        worst = f"worst {plus_minus(self.worst.error, self.worst.expanded)}° at {self.worst.position}"
         return "\n".join([*lines, f"{_loud(self.verdict)}: {worst}"])
 
 

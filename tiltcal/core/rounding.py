@@ -60,23 +60,26 @@ def bracketed(value: float, uncertainty: float, digits: int = 1) -> str:
     return f"{round_to_place(value, place)}({int(rounded if place > 0 else rounded.scaleb(-place))})"
 
 
-def plus_minus(value: float, uncertainty: float) -> str:
-    """Return a value and its standard uncertainty with two digits of the uncertainty (GUM, 7.2.6): ``1020.68 ± 0.42``.
+def plus_minus(value: float, uncertainty: float, *, signed: bool = False) -> str:
+    """Return a value and its uncertainty with two digits of the uncertainty (GUM, 7.2.6): ``1020.68 ± 0.42``.
 
     Two small numbers share a power of ten: ``(2.10 ± 0.34)e-6``.
 
     Parameters
     ----------
     value, uncertainty : float
-        Of one unit. Without an uncertainty (zero, or not finite) the value has six digits.
+        Of one unit; the uncertainty is standard or expanded. Without one (zero, or not finite) six digits of the value.
+    signed : bool
+        Whether a value above zero has a plus.
     """
+    plus = "+" if signed and value > 0.0 else ""
     if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
-        return f"{value:.6g} ± {uncertainty:.2g}"
+        return f"{plus}{value:.6g} ± {uncertainty:.2g}"
     power = max(Decimal(number).adjusted() for number in (value, uncertainty) if number)
     if power < -_MOST_ZEROS:
-        return f"({plus_minus(value * 10.0**-power, uncertainty * 10.0**-power)})e{power}"
+        return f"({plus_minus(value * 10.0**-power, uncertainty * 10.0**-power, signed=signed)})e{power}"
     place = Decimal(f"{uncertainty:.1e}").adjusted() - 1
-    return f"{round_to_place(value, place)} ± {round_to_place(uncertainty, place)}"
+    return f"{plus}{round_to_place(value, place)} ± {round_to_place(uncertainty, place)}"
 
 
 def round_to_place(value: float, place: int) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from tiltcal.calibration.summary import INCREDIBLE, objections
+from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.fit_record import FitRecord, LevelFit, MountingFit
 from tiltcal.files.position_record import PositionRecord, PositionSet
@@ -169,7 +170,7 @@ def _levelled(fit: LevelFit | None, unit: str) -> Iterator[str]:
     if fit is None:
         return
     told = [
-        f"{channel} by {signed(plain(change, 3))} ± {plain(fit.change_uncertainty.get(channel, 0.0), 2)} {unit}"
+        f"{channel} by {signed(plus_minus(change, fit.change_uncertainty.get(channel, 0.0)))} {unit}"
         for channel, change in fit.change.items()
     ]
     yield f"A level position has renewed the offset: it changed in {' and in '.join(told)}; {fit.verdict}."

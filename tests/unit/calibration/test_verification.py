@@ -66,3 +66,15 @@ def test_noise_counts_by_the_slope_of_the_angle() -> None:
     (found,) = verify_positions(PERFECT, [one])
     assert found.expanded == pytest.approx(1.96 * 0.0808, rel=1e-3)
     assert found.error == pytest.approx(0.0, abs=1e-9)
+
+
+def test_error_and_uncertainty_have_the_same_decimals() -> None:
+    """Two digits of the uncertainty (GUM, 7.2.6)."""
+    positions = [
+        VerifiedPosition("p", {"x": 10.0}, {"x": 10.0123}, None, 1, 0.2),
+        VerifiedPosition("q", {"x": 10.0}, {"x": 10.0345}, None, 1, 0.00123),
+    ]
+    shown = str(Verification(SENSOR, tuple(positions), 0.3, 0.1))
+    assert "off by 0.01 ± 0.20°" in shown
+    assert "off by 0.0345 ± 0.0012°" in shown
+    assert "worst 0.0345 ± 0.0012° at q" in shown

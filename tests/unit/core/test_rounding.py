@@ -68,3 +68,11 @@ def test_shortest_form_has_no_tail(value: float, decade: int) -> None:
 )
 def test_a_value_has_the_decimals_of_its_uncertainty(value: float, uncertainty: float, shown: str) -> None:
     assert plus_minus(value, uncertainty) == shown
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "shown"),
+    [(0.0012, 0.00042, "+0.00120 ± 0.00042"), (-3.0, 0.4, "-3.00 ± 0.40"), (2.1e-6, 3.44e-7, "(+2.10 ± 0.34)e-6")],
+)
+def test_a_change_has_its_sign(value: float, uncertainty: float, shown: str) -> None:
+    assert plus_minus(value, uncertainty, signed=True) == shown

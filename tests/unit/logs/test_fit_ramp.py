@@ -95,6 +95,14 @@ def test_a_second_lag_is_noted_and_in_the_uncertainty_of_a_temperature(record):
     assert any("second lag" in note for note in found.record.fit.notes)
 
 
+def test_a_lag_is_noted_with_the_decimals_of_its_uncertainty(calibration):
+    note = calibration.record.fit.notes[0]
+    lag, u = (float(number) for number in note.removeprefix("a thermal lag of ").split(" s is used")[0].split(" ± "))
+    assert lag == pytest.approx(120.0, abs=4.0 * u)
+    assert "the residuals of every leg smaller" in note
+    assert note.endswith("the ways up and down (100.0 % in x and 100.0 % in y)")
+
+
 def test_apply_takes_the_loop_out_of_the_log(calibration, record):
     """The tilt of the level sensor: within 0.1° everywhere, where the thermometer alone leaves 4 °C, or 0.8°."""
     columns = {"time": "seconds"}

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
+from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import InputError
 from tiltcal.files.procedure import Position
@@ -231,5 +232,5 @@ class RotationOperator(Operator, Protocol):
 
 
 def pair_in_words(name: str, found: PairCoefficients | Matching) -> str:
-    """Return p and q of a pair in a line: ``a1_a2: p 0.012345 ± 3e-05, q ...``."""
-    return f"{name}: p {found.p:.7f} ± {found.u_p:.1g}, q {found.q:.7f} ± {found.u_q:.1g}"
+    """Return p and q of a pair in a line: ``a1_a2: p 0.012345 ± 0.000030, q ...``."""
+    return f"{name}: p {plus_minus(found.p, found.u_p)}, q {plus_minus(found.q, found.u_q)}"
