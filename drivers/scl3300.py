@@ -265,7 +265,11 @@ class Scl3300:
             if not statuses <= {NORMAL, ERROR}:
                 self._refuse_restart("it is starting up")
             if ERROR in statuses:
-                self._check_flags(self._flags())
+                flags = self._flags()
+                if flags is None:
+                    self._set_up()
+                else:
+                    self._check_flags(flags)
             elif all(map(Answer.answers, answers, requests)):
                 return answers
         if self._counts["saturated"] > saturated:
@@ -288,22 +292,23 @@ class Scl3300:
                 self._counts["out of step"] += 1
         return answers
 
-    def _flags(self) -> int:
-        """Return the flags of STATUS before this call.
+    def _flags(self) -> int | None:
+        """Return the flags of STATUS before this call; None where the line has damaged too much of them.
 
         Of three readings of STATUS the first finds the flags with an error, the second finds them without one, the
-        third finds none. A request that was damaged on the way is answered with an error and any data.
+        third finds none. A fault that stays is there with an error in each. A request that was damaged on the way is
+        answered with an error and any data, so an error counts where two answers agree.
         """
         requests = (STATUS, STATUS, STATUS)
         late, *raw = [self._exchange(request) for request in (*requests, STATUS)]
         self._decoded(None, [late])
         first, second, third = self._decoded(requests, raw)
-        if second.answers(STATUS):
-            shifted = second.status == ERROR and third.answers(STATUS)
-            return third.data if shifted else second.data
-        if first.answers(STATUS):
-            return first.data
-        raise BusError("the part reports an error, and its status was damaged on the way: it is set up anew")
+        if second.answers(STATUS) and second.status == NORMAL:
+            return second.data
+        if third.answers(STATUS) and third.status == NORMAL and (third.data or second.intact):
+            return third.data
+        known = [answer.data for answer in (first, second, third) if answer.answers(STATUS) and answer.status == ERROR]
+        return next((flags for flags in known if known.count(flags) > 1), None)
 
     def _check_flags(self, flags: int) -> None:
         """Count the flags of STATUS; raise an error if the samples before it are not reliable."""
