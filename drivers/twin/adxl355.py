@@ -1,4 +1,4 @@
-"""The virtual ADXL355: links that answer the bytes of the part, over SPI and over I2C."""
+"""The virtual ADXL355: a link that answers the bytes of the part on SPI."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tiltcal.drivers.adxl355 import (
     Adxl355Settings,
 )
 from tiltcal.drivers.twin.conversions import Conversions
-from tiltcal.drivers.twin.registers import CountingUp, I2cTwin, SpiTwin
+from tiltcal.drivers.twin.registers import CountingUp, SpiTwin
 from tiltcal.drivers.twin.tolerances import Tolerances
 
 if TYPE_CHECKING:
@@ -90,11 +90,9 @@ class Adxl355Registers(CountingUp):
         return measured
 
 
-def adxl355_twin(settings: Adxl355Settings, truth: Truth, fixture: HeldPose, clock: Clock, scheme: str = "spi") -> Link:
-    """Return a virtual ADXL355 on the bus of an address scheme, in its state after power-up."""
+def adxl355_twin(settings: Adxl355Settings, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+    """Return a virtual ADXL355 on SPI, in its state after power-up."""
     registers = Adxl355Registers(Conversions(truth, fixture, clock), clock, settings)
-    if scheme == "i2c":
-        return I2cTwin(registers, clock)
     return SpiTwin(registers, clock, lambda command: (command >> 1, not command & 1))
 
 

@@ -1,4 +1,4 @@
-"""The virtual IIS2ICLX: links that answer the bytes of the part, over SPI and over I2C."""
+"""The virtual IIS2ICLX: a link that answers the bytes of the part on SPI."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tiltcal.drivers.iis2iclx import (
     Iis2iclxSettings,
 )
 from tiltcal.drivers.twin.conversions import Conversions
-from tiltcal.drivers.twin.registers import CountingUp, I2cTwin, SpiTwin
+from tiltcal.drivers.twin.registers import CountingUp, SpiTwin
 from tiltcal.drivers.twin.tolerances import Tolerances
 
 if TYPE_CHECKING:
@@ -78,13 +78,9 @@ class Iis2iclxRegisters(CountingUp):
         return measured
 
 
-def iis2iclx_twin(
-    settings: Iis2iclxSettings, truth: Truth, fixture: HeldPose, clock: Clock, scheme: str = "spi"
-) -> Link:
-    """Return a virtual IIS2ICLX on the bus of an address scheme, in its state after power-up."""
+def iis2iclx_twin(settings: Iis2iclxSettings, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+    """Return a virtual IIS2ICLX on SPI, in its state after power-up."""
     registers = Iis2iclxRegisters(Conversions(truth, fixture, clock), clock, settings)
-    if scheme == "i2c":
-        return I2cTwin(registers, clock)
     return SpiTwin(registers, clock, lambda command: (command & ~READING, not command & READING))
 
 
