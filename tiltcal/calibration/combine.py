@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations, permutations
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
@@ -14,14 +14,18 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.combined_record import combined_provenance, combined_record
 from tiltcal.calibration.combined_session import KINDS, CombinedSession
 from tiltcal.calibration.stated_mounting import mounting_in_words, stated_mounting, with_mounting
-from tiltcal.calibration.verdict import Verdict, judge
+from tiltcal.calibration.verdict import judge
 from tiltcal.core.combination import ASSUMED, Combination, Statement, combine_statements
+from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.model import Coefficients, Thermal, vector_of
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, require_same_sensor
 from tiltcal.files.fit_record import NOISE_ALONE
+
+REFUSED = 0.999
+"""Sessions that agree are refused once in a thousand combinations (Baarda's level); at 95 % they are noted."""
 
 
 def combine(
@@ -32,8 +36,9 @@ def combine(
     """Combine calibrations of one sensor from several sessions.
 
     What one session alone has measured is taken from it; what several have measured is their mean, weighted by its
-    covariance. What a session has assumed, such as a nominal sensitivity or that of its base, is no information. Each
-    session's offset is converted to the common reference temperature by the drift.
+    covariance. ``fit.notes`` names a difference that sessions in agreement have once in twenty times. What a session
+    has assumed, such as a nominal sensitivity or that of its base, is no information. Each session's offset is
+    converted to the common reference temperature by the drift.
 
     Parameters
     ----------
@@ -49,8 +54,8 @@ def combine(
     Raises
     ------
     UsageError
-        They are not of one sensor, or what they state contradicts by more than its uncertainty; the message names
-        files and figures.
+        They are not of one sensor, or what they state differs by so much as it does in one of a thousand combinations
+        of sessions that agree; the message names files and figures.
     EstimateError
         A calibration states no uncertainty, or together they determine no sensor.
 
@@ -117,15 +122,12 @@ def _origins(session: CombinedSession) -> set[str]:
 def _combined(sessions: Sequence[CombinedSession]) -> CalibrationRecord:
     target = _target(sessions)
     found, remarks = _estimate(sessions, target, unlevelled=True)
-    verdict = judge([change for _, change in found.differences], among=found.compared)
-    if verdict.changed and any(session.level_unstated for session in sessions):
-        try:
+    if _contradictions(found, COVERAGE) and any(session.level_unstated for session in sessions):
+        with suppress(EstimateError):  # no other session has measured its offset
             found, remarks = _estimate(sessions, target, unlevelled=False)
-        except EstimateError:
-            _refuse(sessions, found, verdict)
-        verdict = judge([change for _, change in found.differences], among=found.compared)
-    if verdict.changed:
-        _refuse(sessions, found, verdict)
+    _require_agreement(sessions, found)
+    if told := _contradictions(found, COVERAGE):
+        remarks = [*remarks, f"sessions that agree differ by so much once in 20 combinations: {told}"]
     return combined_record(sessions, found, remarks)
 
 
@@ -250,20 +252,31 @@ def _assumed(sessions: Sequence[CombinedSession], measured: Sequence[str], targe
     return []
 
 
-def _refuse(sessions: Sequence[CombinedSession], found: Combination, verdict: Verdict) -> NoReturn:
-    """Refuse sessions that differ by more than their uncertainty, with a UsageError."""
-    told = []
-    for label, change in found.differences:
-        if change.name in verdict.changed and change.u:
-            expanded = verdict.thresholds[change.name] * change.u
-            told.append(
-                f"{change.name} is {change.after:.6g} in {label} and {change.before:.6g} by the others, apart by "
-                f"{plus_minus(abs(change.difference), expanded)} (E_n {abs(change.difference) / expanded:.1f})"
-            )
+def _require_agreement(sessions: Sequence[CombinedSession], found: Combination) -> None:
+    """Refuse sessions that differ by far more than their uncertainty, with a UsageError."""
+    told = _contradictions(found, REFUSED)
+    if not told:
+        return
     alone = [session.label for session in sessions if session.record.fit.uncertainty_from == NOISE_ALONE]
     why = (
         f"; the uncertainty of {' and '.join(alone)} leaves out how well positions were set: state the --jig there"
         if alone
         else "; one of the sessions is wrong, or the sensor has changed between them"
     )
-    raise UsageError(f"the calibrations contradict by more than their uncertainty: {'; '.join(told)}{why}")
+    raise UsageError(f"the calibrations contradict by more than their uncertainty: {told}{why}")
+
+
+def _contradictions(found: Combination, confidence: float) -> str:
+    """Return what differs at a level of confidence, with the expanded uncertainty (95 %) of each difference."""
+    changes = [change for _, change in found.differences]
+    expanded = judge(changes, among=found.compared).thresholds
+    changed = judge(changes, among=found.compared, confidence=confidence).changed
+    told = []
+    for label, change in found.differences:
+        if change.name in changed and change.u:
+            size, limit = abs(change.difference), expanded[change.name] * change.u
+            told.append(
+                f"{change.name} is {change.after:.6g} in {label} and {change.before:.6g} by the others, apart by "
+                f"{plus_minus(size, limit)} (E_n {size / limit:.1f})"
+            )
+    return "; ".join(told)

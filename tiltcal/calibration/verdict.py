@@ -54,18 +54,22 @@ class Verdict:
         return f"no verdict: {more}, but {self.incomplete}" if self.incomplete else f"changed: {more}"
 
 
-def judge(found: Sequence[CoefficientChange], incomplete: str = "", *, among: int = 0) -> Verdict:
+def judge(
+    found: Sequence[CoefficientChange], incomplete: str = "", *, among: int = 0, confidence: float = COVERAGE
+) -> Verdict:
     """Judge whether one of several changes is too large for chance, given their number (Šidák).
 
     Parameters
     ----------
-    among : int
-        The number of changes of which these are the largest, where it is more than their own.
     incomplete : str
         Why the uncertainties are too small; empty where they are whole.
+    among : int
+        The number of changes of which these are the largest, where it is more than their own.
+    confidence : float
+        The probability that an unchanged sensor is called unchanged.
     """
     judged = [change for change in found if change.ratio is not None]
-    confidence = COVERAGE ** (1.0 / max(len(judged), among, 1))
-    thresholds = {change.name: change.threshold(confidence) for change in judged}
+    each = confidence ** (1.0 / max(len(judged), among, 1))
+    thresholds = {change.name: change.threshold(each) for change in judged}
     changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
     return Verdict(thresholds, changed, tuple(change.name for change in found if change.is_unjudged), incomplete)

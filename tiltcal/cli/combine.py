@@ -25,9 +25,9 @@ def command(calibrations: tuple[Path, ...], mounting: str, output: Path) -> None
     """Combine calibrations of one sensor from several sessions, each with its covariance.
 
     What one session alone has measured is taken from it: the scale from the vise, the drift from the overnight run.
-    What several have measured is their weighted mean, if they agree within their uncertainty (95 %); if not, they are
-    refused with the figures. An assumed sensitivity, nominal or of a --base, is no information. Offsets are converted
-    to the reference temperature of the first session with a drift.
+    What several have measured is their weighted mean. A difference that sessions in agreement have once in 1000 times
+    is refused with the figures; one that they have once in 20 times is noted. An assumed sensitivity, nominal or of a
+    --base, is no information. Offsets are converted to the reference temperature of the first session with a drift.
     """
     from tiltcal.calibration.combine import combine
     from tiltcal.calibration.summary import summary

@@ -231,6 +231,26 @@ def test_what_differs_by_more_than_its_uncertainty_is_refused_with_the_figures()
     assert "offset.y" not in str(refused.value)
 
 
+@pytest.mark.parametrize(("ratio", "told"), [(2.1, ""), (2.4, "noted"), (3.3, "noted"), (3.7, "refused")])
+def test_sound_sessions_are_seldom_refused(ratio: float, told: str) -> None:
+    """Two offsets are compared: 95 % are within the normal quantile 2.236 for both, and 99.9 % within 3.481."""
+    drift = calibrated(TWO, measured(TWO, 2), SCALE.record).record
+    names = ("offset.x", "offset.y")
+    ours, theirs = (values(one.coefficients) for one in (drift, SCALE))
+    u = [sqrt(drift.uncertainty[name] ** 2 + SCALE.uncertainty[name] ** 2) for name in names]
+    shift = np.array([theirs[names[0]] - ours[names[0]] + ratio * u[0], theirs[names[1]] - ours[names[1]]])
+    warmer = 24.0 - drift.coefficients.thermal.reference
+    assert warmer == 0.0
+    moved = replace(drift, coefficients=replace(drift.coefficients, offset=drift.coefficients.offset + shift))
+    if told == "refused":
+        with pytest.raises(UsageError, match=r"contradict .*offset\.x is .* \(E_n 1\.7\)"):
+            combine([SCALE, Calibration(moved)])
+        return
+    noted = [note for note in combine([SCALE, Calibration(moved)]).fit.notes if "once in 20 combinations" in note]
+    assert len(noted) == (told == "noted")
+    assert all(f"(E_n {ratio / 2.236:.1f})" in note and "offset.y" not in note for note in noted)
+
+
 @pytest.mark.parametrize(
     ("change", "why"),
     [
