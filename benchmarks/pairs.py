@@ -107,7 +107,7 @@ def estimate(case: Case, seed: int) -> tuple[float, float, float, float]:
         online = Online(PAIR, PAIR.channels)
         online.push(theta, readings)
         found = online.recursive
-        return found.p, found.q, found.u_p, found.u_q
+        return found.p, found.q, *found.uncertainty()
     demodulator = Demodulator(PAIR.channels)
     demodulator.add(AngleTracker().follow(theta), readings)
     solved = solve(demodulator.result(), PAIR)
