@@ -141,7 +141,7 @@ class TestFit:
     def test_too_few_positions(self, folder: Path) -> None:
         rows = "9.8,0.1,0.2\n9.9,0.2,0.1\n" * 10 + "0.1,9.8,0.3\n0.2,9.7,0.2\n" * 10
         told = self.fit(folder, "position,start,end\nx-up,0,20\ny-up,20,40\n", rows=rows)
-        assert "no position determines sensitivity.x.z: add the position level (+z up)" in told
+        assert "sensitivity.x.z: add the positions level (+z up) and upside down (+z down)" in told
 
     def test_an_unknown_procedure(self, folder: Path) -> None:
         assert "'six-face'" in self.fit(folder, SEGMENTS, procedure="six-faces")

@@ -141,7 +141,9 @@ def _advice(
 ) -> str:
     held = np.vstack([rows, np.eye(len(theta))[~moving]])
     proposed = _positions_to_add(model, theta, gravity, dt, held)
-    return f"add the position {_listed(proposed)}" if proposed else "add positions that differ from these"
+    if not proposed:
+        return "add positions that differ from these"
+    return f"add the position{'' if len(proposed) == 1 else 's'} {_listed(proposed)}"
 
 
 def _candidates(model: ChannelModel, theta: Array, gravity: Array, dt: Array) -> Iterator[tuple[str, Array]]:
