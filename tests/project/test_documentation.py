@@ -16,6 +16,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"
 )
 WITH_COMMANDS = [page for page in PAGES if "```console" in page.read_text(encoding="utf-8")]
 LIBRARY = ROOT / "docs" / "library.md"
+SENSORS = ROOT / "docs" / "which-sensor.md"
 
 BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NAMED_FILE = re.compile(r"`((?:tiltcal|drivers|procedures|tests|docs|fixtures|benchmarks|firmware)/[\w/.-]*)`")
@@ -174,8 +176,24 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 def test_every_model_is_on_the_page_that_leads_to_it() -> None:
-    page = (ROOT / "docs" / "which-sensor.md").read_text(encoding="utf-8")
+    page = SENSORS.read_text(encoding="utf-8")
     assert [model.name for model in models() if f"`{model.name}`" not in page] == []
+
+
+def sensors_with_procedures() -> Iterator[tuple[str, str]]:
+    """The models and procedures of each row of the table of markings, which has five columns."""
+    for line in SENSORS.read_text(encoding="utf-8").splitlines():
+        cells = line.split("|")[1:-1]
+        if len(cells) == 5:
+            yield from product(re.findall("`([^`]+)`", cells[2]), re.findall("`([^`]+)`", cells[4]))
+
+
+@pytest.mark.parametrize(("model", "procedure"), list(sensors_with_procedures()))
+def test_a_sensor_has_the_range_for_the_procedures_beside_it(model: str, procedure: str) -> None:
+    name, _, tilt = procedure.partition(" --tilt ")
+    address = "sim:?counts_per_g=1000" if model == "sca3000-i2c" else "sim:"
+    found = tiltcal.plan(name, sensor=model, address=address, tilt=float(tilt) if tilt else None)
+    assert str(found).startswith("predicted standard uncertainty")
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if not is_history(page)], ids=name_of)
