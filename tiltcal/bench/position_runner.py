@@ -96,7 +96,7 @@ class PositionRunner:
         positions = self._procedure.positions
         accepted: list[PositionResult] = []
         models = {sensor.serial: sensor.model for sensor in self._sensors.sensors}
-        self._operator.begin(self._procedure.title, len(positions), models)
+        self._operator.begin(self._procedure, models)
         while len(accepted) < len(positions):
             position = positions[len(accepted)]
             try:

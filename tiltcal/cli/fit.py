@@ -100,13 +100,12 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
 
 
 def _tell_free(calibration: CalibrationRecord) -> None:
-    """Print the misfit and the warnings of a calibration from unit gravity."""
+    """Print the misfit and the warning of a calibration from unit gravity."""
     fit = calibration.fit
     click.echo(
         f"  misfit of the length of gravity {fit.misfit_rms_mg:g} mg rms over {len(calibration.positions)} positions, "
         f"{fit.distinct_attitudes} different attitudes"
     )
-    remark(f"mounting {calibration.derived.mounting}")
     if fit.warning:
         remark(f"warning: {fit.warning}")
 

@@ -31,16 +31,9 @@ def command(procedure: str | None, source: bool, as_json: bool) -> None:
     elif procedure is None:
         width = max(len(found.name) for found in shown)
         for found in shown:
-            click.echo(f"{found.name:<{width}} {found.title} ({_length(found)})")
+            click.echo(f"{found.name:<{width}} {found.title} ({found.length})")
     else:
         _show(shown[0])
-
-
-def _length(procedure: Procedure) -> str:
-    """Return how long a procedure is, in its own terms."""
-    if procedure.rotation is not None:
-        return f"up to {procedure.rotation.turns} turns"
-    return f"{len(procedure.positions)} {'positions' if procedure.ramp is None else 'legs'}"
 
 
 def _show(procedure: Procedure) -> None:

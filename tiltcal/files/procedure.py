@@ -308,6 +308,14 @@ class Procedure:
     record: Mapping[str, Any] = field(default_factory=dict, compare=False)
     rotation: Rotation | None = None
 
+    @property
+    def length(self) -> str:
+        """How long it is, in its own terms, such as ``4 positions``."""
+        if self.rotation is not None:
+            return f"up to {self.rotation.turns} turns"
+        part = "position" if self.ramp is None else "leg"
+        return f"{len(self.positions)} {part}{'' if len(self.positions) == 1 else 's'}"
+
     def require_positions(self) -> None:
         """Refuse a procedure of a stage that turns, with a UsageError that names the commands that are meant for it."""
         if self.rotation is not None:

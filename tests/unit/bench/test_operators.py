@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
@@ -18,9 +19,10 @@ from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.device import Reading
 from tiltcal.errors import Stopped
-from tiltcal.files.procedure import Position
+from tiltcal.files.procedure import Determines, Position, Procedure
 
 LEVEL = Position("level", "Lay it level.", (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0})
+PROCEDURE = Procedure(name="one", title="A title", determines=Determines(axes=()), positions=(LEVEL,))
 
 
 class Typed:
@@ -51,7 +53,7 @@ def person(shown: io.StringIO) -> Callable[..., TerminalOperator]:
 
 
 def asked(operator: TerminalOperator, position: Position = LEVEL) -> OperatorAnswer:
-    operator.begin("A title", 3, {})
+    operator.begin(PROCEDURE, {})
     return operator.position(position, 1, dict)
 
 
@@ -74,7 +76,7 @@ def test_an_unknown_key_is_answered_with_those_that_are_offered(person, shown) -
     assert asked(person("\x1b\x1b\x1b\n")) == OperatorAnswer("ready")
     assert shown.getvalue().count("  not one of the keys: Enter, a, t, b, q\n") == 1
     operator = person("z\n")
-    operator.begin("A title", 3, {"S-1": find_model("sca100t-d02")})
+    operator.begin(PROCEDURE, {"S-1": find_model("sca100t-d02")})
     assert operator.review(REVIEWED) == OperatorAnswer("accept")
     assert "  not one of the keys: Enter, r, b, q\n" in shown.getvalue()
 
@@ -83,7 +85,7 @@ def test_a_reading_of_more_than_1_g_has_no_tilt(shown: io.StringIO) -> None:
     """An SCL3300 with an offset of -97 counts reads -6097 upside down, where the data sheet has 6000 count/g."""
     console = Console(file=shown, force_terminal=True, width=100, color_system=None)
     operator = TerminalOperator(console, Typed(ENTER), live=True)
-    operator.begin("A title", 3, {"S-1": find_model("scl3300")})
+    operator.begin(PROCEDURE, {"S-1": find_model("scl3300")})
     operator.look(LEVEL, {"S-1": Reading((-6097.0, 6100.0, 0.0), None)}, "live")
     assert "x -6097 (beyond -90°)   y 6100 (beyond +90°)   z 0 (+0.00°)" in shown.getvalue()
 
@@ -98,7 +100,7 @@ def test_a_direction_is_typed_or_left(person, shown) -> None:
 def test_no_escape_sequence_and_no_markup_of_a_file_reaches_the_terminal(person, shown) -> None:
     """ESC ] 0 ; sets a window title, ESC [ 2 J clears the screen; a title [/] closes what rich never opened."""
     operator = person("\n")
-    operator.begin("a[/]\x1b]0;owned\x07 title", 1, {})
+    operator.begin(replace(PROCEDURE, title="a[/]\x1b]0;owned\x07 title"), {})
     operator.position(Position("p\x1b[2J", "Tilt \x9b2J it", (0.0, 0.0, 1.0)), 1, dict)
     operator.refused(LEVEL, "\x1b[2J[bold]S[/]")
     said = shown.getvalue()
@@ -126,7 +128,7 @@ REVIEWED = PositionResult(
 def test_no_number_of_a_review_is_cut_off(width: int, shown: io.StringIO) -> None:
     console = Console(file=shown, force_terminal=True, width=width, color_system=None)
     operator = TerminalOperator(console, Typed(ENTER), live=False)
-    operator.begin("A title", 3, {"S-1": find_model("sca100t-d02")})
+    operator.begin(PROCEDURE, {"S-1": find_model("sca100t-d02")})
     assert operator.review(REVIEWED) == OperatorAnswer("accept")
     text = shown.getvalue()
     for number in ("1045.25 count", "1018.95 count", "1024", "1023", "+1.49°", "-0.35°", "0.65", "0.69", "24.93 °C"):
@@ -139,7 +141,7 @@ def test_a_reading_is_shown_whole_or_not_at_all(shown: io.StringIO) -> None:
     """45 columns have no room for y: a part of its number would be one that nobody measured."""
     console = Console(file=shown, force_terminal=True, width=45, color_system=None)
     operator = TerminalOperator(console, Typed(ENTER), live=True)
-    operator.begin("A title", 3, {"S-1": find_model("sca100t-d02")})
+    operator.begin(PROCEDURE, {"S-1": find_model("sca100t-d02")})
     shown.truncate(0)
     operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "waiting until still")
     line = shown.getvalue().rpartition("K")[2]
@@ -152,7 +154,7 @@ def test_a_reading_is_shown_whole_or_not_at_all(shown: io.StringIO) -> None:
 def test_the_live_line_of_two_sensors_names_each_and_is_cut_between_its_parts(width: int, shown: io.StringIO) -> None:
     console = Console(file=shown, force_terminal=True, width=width, color_system=None)
     operator = TerminalOperator(console, Typed(ENTER), live=True)
-    operator.begin("A title", 3, dict.fromkeys(("S-1", "S-2"), find_model("sca100t-d02")))
+    operator.begin(PROCEDURE, dict.fromkeys(("S-1", "S-2"), find_model("sca100t-d02")))
     operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9), "S-2": Reading((1024.0, 205.0), None)}, "not still")
     line = shown.getvalue().rpartition("K")[2]
     parts = ["not still", "S-1 x 1045 (+1.47°)", "y 1019 (-0.35°)", "24.9 °C", "S-2 x 1024 (+0.00°)", "y 205 (-90.00°)"]
@@ -164,12 +166,23 @@ def test_what_is_said_after_a_live_line_has_a_line_of_its_own(shown: io.StringIO
     """A leg of a ramp is accepted without a review, right after a live reading."""
     console = Console(file=shown, force_terminal=True, width=80, color_system=None)
     operator = TerminalOperator(console, Typed(ENTER), live=True)
-    operator.begin("A title", 3, {"S-1": find_model("sca100t-d02")})
+    operator.begin(PROCEDURE, {"S-1": find_model("sca100t-d02")})
     operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "on the way to 5 °C")
     operator.accepted(REVIEWED)
     assert shown.getvalue().endswith("24.9 °C\r\x1b[2K  accepted level\n")
     operator.refused(LEVEL, "it moves")
     assert shown.getvalue().endswith("  accepted level\n  refused: it moves\n")
+
+
+def test_the_virtual_jig_numbers_a_position_that_a_resumed_session_only_reports() -> None:
+    """It was accepted before the interruption, so it is not asked for again."""
+    said: list[str] = []
+    operator = SimOperator(said.append)
+    two = replace(PROCEDURE, positions=(replace(LEVEL, name="first"), LEVEL))
+    operator.begin(two, {"S-1": find_model("sca100t-d02")})
+    operator.accepted(REVIEWED)
+    assert said[0] == "A title: 2 positions"
+    assert said[1].startswith("  2/2 level ")
 
 
 def test_the_virtual_jig_gives_up_a_position_that_is_refused_again_and_again() -> None:

@@ -65,6 +65,14 @@ def test_every_shipped_file_is_named_as_its_procedure_and_gives_its_source() -> 
         assert procedure.source
 
 
+@pytest.mark.parametrize(
+    ("name", "length"),
+    [("level", "1 position"), ("plane", "4 positions"), ("ramp", "4 legs"), ("rotation", "up to 100 turns")],
+)
+def test_a_procedure_states_its_length_in_its_own_terms(name: str, length: str) -> None:
+    assert find_procedure(name).length == length
+
+
 def test_signs_are_the_physical_ones() -> None:
     position = {position.name: position for position in find_procedure("cross-axis").positions}
     assert position["x-tilt1"].gravity == pytest.approx((0.5, 0.0, cos(radians(30))))

@@ -17,7 +17,7 @@ from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
 from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import InputError
-from tiltcal.files.procedure import Position
+from tiltcal.files.procedure import Position, Procedure
 
 if TYPE_CHECKING:
     from tiltcal.bench.position_result import PositionResult
@@ -116,7 +116,7 @@ class Operator(Protocol):
 class PositionOperator(Operator, Protocol):
     """The operator of a procedure of positions. Every question raises ``Stopped`` where the operator quits."""
 
-    def begin(self, title: str, positions: int, models: Mapping[str, Model]) -> None:
+    def begin(self, procedure: Procedure, models: Mapping[str, Model]) -> None:
         """Handle the start of a session, or its resumption; the models are by serial number."""
         ...
 

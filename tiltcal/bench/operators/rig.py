@@ -36,7 +36,7 @@ from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import InputError, Stopped, UsageError
-from tiltcal.files.procedure import Position
+from tiltcal.files.procedure import Position, Procedure
 from tiltcal.stated_numbers import of_python
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ class RigPositionOperator(_Rig):
         super().__init__(rig)
         self._method("position")
 
-    def begin(self, title: str, positions: int, models: Mapping[str, Model]) -> None:
+    def begin(self, procedure: Procedure, models: Mapping[str, Model]) -> None:
         pass
 
     def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn, pair_in_words
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import Stopped
-from tiltcal.files.procedure import Position
+from tiltcal.files.procedure import Position, Procedure
 
 if TYPE_CHECKING:
     from tiltcal.bench.position_result import PositionResult
@@ -51,14 +51,18 @@ class SimOperator(_Sim):
     def __init__(self, say: Callable[[str], None] = _silent) -> None:
         super().__init__(say)
         self._models: Mapping[str, Model] = {}
-        self._positions = self._number = self._refusals = 0
+        self._numbers: dict[str, str] = {}
+        self._refusals = 0
 
-    def begin(self, title: str, positions: int, models: Mapping[str, Model]) -> None:
-        self._positions, self._models = positions, models
-        self._say(f"{title}: {positions} positions")
+    def begin(self, procedure: Procedure, models: Mapping[str, Model]) -> None:
+        names = [position.name for position in procedure.positions]
+        self._numbers = {
+            name: f"{number:{len(str(len(names)))}}/{len(names)}" for number, name in enumerate(names, start=1)
+        }
+        self._models = models
+        self._say(f"{procedure.title}: {procedure.length}")
 
     def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
-        self._number = number
         return OperatorAnswer("ready")
 
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
@@ -69,6 +73,7 @@ class SimOperator(_Sim):
 
     def accepted(self, result: PositionResult) -> None:
         self._refusals = 0
+        number = self._numbers[result.position.name]
         for serial, measurement in result.measurements.items():
             values = "  ".join(
                 f"{name} {summary.mean:.6g} ± {summary.std:.2g}" for name, summary in measurement.summaries.items()
@@ -76,7 +81,7 @@ class SimOperator(_Sim):
             whose = f"{serial}  " if len(result.measurements) > 1 else ""
             warmth = "" if measurement.temperature is None else f"  at {measurement.temperature:.1f} °C"
             unit = self._models[serial].unit
-            self._say(f"  {self._number}/{self._positions} {result.position.name:<12} {whose}{values} {unit}{warmth}")
+            self._say(f"  {number} {result.position.name:<12} {whose}{values} {unit}{warmth}")
 
     def refused(self, position: Position, why: str) -> None:
         self._say(f"  {position.name} refused: {why}")

@@ -18,7 +18,7 @@ from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import HardwareError, InputError, Stopped
-from tiltcal.files.procedure import Position
+from tiltcal.files.procedure import Position, Procedure
 from tiltcal.printable import printable
 
 if TYPE_CHECKING:
@@ -128,9 +128,9 @@ class TerminalOperator(_Terminal):
         self._positions = 0
         self._models: Mapping[str, Model] = {}
 
-    def begin(self, title: str, positions: int, models: Mapping[str, Model]) -> None:
-        self._positions, self._models = positions, models
-        self._say(f"\n{title}  {positions} positions", "bold")
+    def begin(self, procedure: Procedure, models: Mapping[str, Model]) -> None:
+        self._positions, self._models = len(procedure.positions), models
+        self._say(f"\n{procedure.title}  {procedure.length}", "bold")
 
     def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
         """Show the operator what to set, and a live reading, until a key is pressed."""
