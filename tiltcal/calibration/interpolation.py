@@ -107,6 +107,10 @@ class Interval:
         reference = None if other.thermal is None else other.thermal.reference
         return cls(before, after, days, (_Part.of(before, reference), _Part.of(after, reference)), named)
 
+    def coefficients(self, share: float) -> Coefficients:
+        """Return the coefficients at a time in the interval; the arguments and errors are those of :meth:`at`."""
+        return _blended([part.coefficients for part in self.parts], share, self.named)
+
     def at(self, share: float, stability: Stability | None = None) -> CalibrationRecord:
         """Return the calibration at a time in the interval.
 
@@ -123,7 +127,7 @@ class Interval:
             Their mountings are too far apart for a change with time.
         """
         before, after = self.before, self.after
-        coefficients = _blended([part.coefficients for part in self.parts], share, self.named)
+        coefficients = self.coefficients(share)
         bridge = {
             name: (walk.rate * self.days * share * (1.0 - share), walk.dof)
             for name, walk in (stability or Stability()).between.items()

@@ -313,8 +313,8 @@ class Compensation:
         gravity[[AXES.index(axis) for axis in self.axes]] = chunk.own
         return gravity
 
-    def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
-        """Compute one chunk into ``out``; ``u`` has a row for each channel."""
+    def unjudged(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
+        """Compute what the sensor's own axes read, without angles; ``u`` has a row for each channel."""
         out.flag.fill(PASS)
         out.reason.fill(0)
         dt = self._temperature_difference(temperature, out)
@@ -322,8 +322,13 @@ class Compensation:
         linearise(signal, self._coefficients)
         own = product(self.inverse, signal)
         hidden = self._solve_hidden(own, out) if self.solves_z else None
-        application = out.gravity.T
-        self._mount(own, hidden, application)
+        return KernelChunk(rows, dt, signal, own, hidden, out)
+
+    def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
+        """Compute one chunk into ``out``; ``u`` has a row for each channel."""
+        chunk = self.unjudged(rows, u, temperature, out)
+        own, application = chunk.own, out.gravity.T
+        self._mount(own, chunk.hidden, application)
         for angle, argument in zip(out.tilt.T, application, strict=True):
             _arcsine(argument, angle, out)
         if len(self.axes) == 3:
@@ -334,7 +339,7 @@ class Compensation:
             _blank_without_direction(application, out)
         self._judge_tilt(own, out)
         self._judge_readings(u, out)
-        return KernelChunk(rows, dt, signal, own, hidden, out)
+        return chunk
 
     def _temperature_difference(self, temperature: Array | None, out: Compensated) -> Array | None:
         """Return the excess over the reference temperature, °C, where it counts; mark the rows without one."""

@@ -1,7 +1,8 @@
 """A folder of calibrations, applied to a log: for each row the calibration that holds at its time.
 
-The time between two calibrations is divided into 64 steps, each with a compensation of its own; within a step the
-offset and its temperature drift follow their line row by row, so that nothing jumps.
+The time between two calibrations is divided into 64 steps, each with a compensation of its own. Within a step all
+coefficients follow their line row by row, so that nothing jumps: offset and temperature drift exactly, the others as
+:mod:`tiltcal.logs.step_change` says.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from tiltcal.logs.columns import TEMPERATURE, TIME, SensorColumns, named_columns
 from tiltcal.logs.compensation_kernel import ElementTemperature, Kernel, RoleValues
 from tiltcal.logs.log import LogReader, Table
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
+from tiltcal.logs.step_change import StepChange
 from tiltcal.logs.streams import sha256_of
 from tiltcal.logs.text_to_numbers import no_time_yet
 
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 STEPS = 64
-"""Of the time between two calibrations, where more than offset and drift lies on a line."""
+"""Of the time between two calibrations, where more than offset and drift changes, or an uncertainty is asked for."""
 
 SERIAL_NOTES = ("serial", "serial_number", "sensor_serial_number", "instrument_serial_number")
 """The attributes or metadata of a log that may state its sensor."""
@@ -185,12 +187,14 @@ class LibraryKernel:
         if options.mounting:  # it replaces that of each
             history = _mounted_as_last(history)
         self._history, self._stability, self._options = history, stability, options
-        self._parts = 1 if not options.uncertainty and _moves_offset_alone(history) else STEPS
+        self._offset_alone = _moves_offset_alone(history)
+        self._parts = 1 if not options.uncertainty and self._offset_alone else STEPS
         self._start, self._log = start, log
         channels = history.calibrations[-1].record.coefficients.channels
         self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in channels}
         self._dates = np.array([calibration.date.timestamp() for calibration in history.calibrations])
         self._kernels: dict[int, tuple[Kernel, float]] = {}
+        self._changes: dict[int, StepChange] = {}
         self._intervals: dict[int, Interval] = {}
         self._last: float | None = None
         thermal = history.calibrations[-1].record.coefficients.thermal
@@ -285,7 +289,10 @@ class LibraryKernel:
             self._kernels[step] = prepare(Calibration(record), self._options).kernel, middle
         kernel, middle = self._kernels[step]
         if 0 <= step < _OUTSIDE:
-            values = replace(values, readings=self._on_line(step // self._parts, values, time - middle))
+            shifted = self._on_line(step // self._parts, values, time - middle)
+            if not self._offset_alone:
+                shifted -= self._change(step, replace(values, readings=shifted), time - middle)
+            values = replace(values, readings=self._at_rail(values.readings, shifted))
         return kernel(values)
 
     def _record_at(self, step: int, middle: float) -> CalibrationRecord:
@@ -312,22 +319,34 @@ class LibraryKernel:
         early = before.coefficients if late.thermal is None else referred(before.coefficients, late.thermal.reference)
         share = seconds / (self._dates[k + 1] - self._dates[k])
         shifted = np.empty(values.readings.shape[::-1]).T
-        for i, channel in enumerate(late.channels):
-            reading = values.readings[:, i]
+        for i, reading in enumerate(values.readings.T):
             change: Array | float = float(late.offset[i] - early.offset[i])
             if late.thermal is not None and early.thermal is not None and values.temperature is not None:
                 drifts = late.thermal.drift[i], early.thermal.drift[i]
                 if not np.array_equal(*drifts):
-                    dt = np.nan_to_num(values.temperature - late.thermal.reference)
+                    dt = np.where(np.isfinite(values.temperature), values.temperature - late.thermal.reference, 0.0)
                     change = change + polynomial(drifts[0], dt) - polynomial(drifts[1], dt)
             np.multiply(share, change, out=shifted[:, i])
             np.subtract(reading, shifted[:, i], out=shifted[:, i])
-            low, high = self._rails[channel]
-            if (low, high) == (-inf, inf):
+        return shifted
+
+    def _change(self, step: int, values: RoleValues, seconds: Array) -> Array:
+        """Return what all but offset and drift have changed of the readings since the middle of the step."""
+        k, part = divmod(step, self._parts)
+        if step not in self._changes:
+            shares = [(part + share) / self._parts for share in (0.0, 0.5, 1.0)]
+            self._changes[step] = StepChange.of(*map(self._intervals[k].coefficients, shares))
+        share = seconds * (self._parts / (self._dates[k + 1] - self._dates[k]))
+        return np.asarray(self._changes[step](values.readings, values.temperature) * share[:, None])
+
+    def _at_rail(self, readings: Array, shifted: Array) -> Array:
+        """Return shifted readings, of which those stay as they are that are at the rail."""
+        for i, rails in enumerate(self._rails.values()):
+            if rails == (-inf, inf):
                 continue
-            stuck = (reading <= low) | (reading >= high)  # what is at the rail stays there
+            stuck = (readings[:, i] <= rails[0]) | (readings[:, i] >= rails[1])
             if stuck.any():
-                shifted[stuck, i] = reading[stuck]
+                shifted[stuck, i] = readings[stuck, i]
         return shifted
 
 

@@ -75,16 +75,49 @@ def test_a_reading_at_the_rail_of_the_model_stays_there(tmp_path: Path) -> None:
     assert (found["flag"].tolist(), found["reason"][0] & 4) == ([4], 4)
 
 
-def test_what_differs_beside_the_offset_is_interpolated_in_steps_of_a_64th(tmp_path: Path) -> None:
-    """Sensitivities of 800 and 864 differ by 1 count/g a step; the middle of the row's step is at 32.5."""
-    records = [calibrated(0, (1000, 1000)), calibrated(100, (1000, 1000))]
-    records = [
-        replace(one, coefficients=replace(one.coefficients, sensitivity=scale * np.eye(2)))
-        for one, scale in zip(records, (800.0, 864.0), strict=True)
-    ]
-    library = tiltcal.open_calibrations(kept(tmp_path, *records))
-    found = library.apply({"time": seconds([50.1]), "x": np.array([1100.0]), "y": np.array([1000.0])})
-    assert found["g_x"] == pytest.approx(100.0 / 832.5, abs=1e-9)
+def changed(record: CalibrationRecord, days: float, **coefficients: Any) -> CalibrationRecord:
+    ended = replace(record.provenance, started=stamp(days - 0.01), ended=stamp(days))
+    return replace(record, coefficients=replace(record.coefficients, **coefficients), provenance=ended)
+
+
+def test_a_sensitivity_lies_on_the_line(tmp_path: Path) -> None:
+    """It changes by 5 % in 100 days: with the middle of one of 64 steps gravity was off by up to 4e-4 of itself."""
+    first = changed(calibrated(0, (1000, 1000)), 0, sensitivity=800.0 * np.eye(2))
+    library = tiltcal.open_calibrations(kept(tmp_path, first, changed(first, 100, sensitivity=840.0 * np.eye(2))))
+    days = np.random.default_rng(3).uniform(0.0, 100.0, 500)
+    found = library.apply({"time": seconds(days), "x": np.full(500, 1700.0), "y": np.full(500, 600.0)})
+    scale = 800.0 + 0.4 * days
+    assert found["g_x"] == pytest.approx(700.0 / scale, abs=1e-6)
+    assert found["g_y"] == pytest.approx(-400.0 / scale, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["free", "multi-angle", "sensitivity-drift", "six-face", "mounting"])
+def test_all_coefficients_follow_their_line(name: str, tmp_path: Path) -> None:
+    """Three axes, a nonlinearity, a gain, a hidden z axis, a mounting: each row as with its own calibration."""
+    first = replace(read_calibration(FIXTURES / f"{name}.yaml"), uncertainty=Uncertainty())
+    old = first.coefficients
+    new: dict[str, Any] = {"offset": old.offset + 20.0, "sensitivity": old.sensitivity * 1.05 + 3.0}
+    if old.thermal is not None:
+        new["thermal"] = replace(old.thermal, drift=old.thermal.drift + 0.3, gain=old.thermal.gain + 5e-4)
+    if old.nonlinearity is not None:
+        new["nonlinearity"] = old.nonlinearity + 0.01
+    if old.mounting is not None:
+        new["mounting"] = replace(old.mounting, roll=old.mounting.roll + 0.02, pitch=old.mounting.pitch + 0.02)
+    library = tiltcal.open_calibrations(kept(tmp_path, changed(first, 0), changed(first, 100, **new)))
+    draw, n = np.random.default_rng(3), 60
+    days, temperature = draw.uniform(0.0, 100.0, n), draw.uniform(5.0, 20.0, n)
+    temperature[7] = np.inf  # not a temperature: the reference counts
+    up = np.column_stack([*draw.uniform(-0.6, 0.6, (2, n)), np.zeros(n)])
+    up[:, 2] = np.sqrt(1.0 - (up**2).sum(axis=1))
+    readings = dict(zip(old.channels, old.predict(up, np.full(n, 12.0)).T, strict=True))
+    frame = {"time": seconds(days), "temperature": temperature} | readings
+    found = library.apply(frame)
+    for row, day in enumerate(days):
+        at = library.at(first.sensor.serial, START + timedelta(days=day))
+        alone = at.apply({column: values[row : row + 1] for column, values in frame.items()})
+        for column in (column for column in alone if column.startswith("g_")):
+            assert found[column][row] == pytest.approx(alone[column][0], abs=1e-6)
+        assert (found["flag"][row], found["reason"][row]) == (alone["flag"][0], alone["reason"][0])
 
 
 def test_a_row_has_the_same_result_wherever_its_block_begins(tmp_path: Path) -> None:
