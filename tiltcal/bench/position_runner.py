@@ -17,7 +17,14 @@ import numpy as np
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import OperatorAnswer, PositionOperator
 from tiltcal.bench.position_result import PositionResult, temperature_of
-from tiltcal.bench.sample_checks import far_off, require_agreement, require_few, require_not_stuck, require_off_rails
+from tiltcal.bench.sample_checks import (
+    far_off,
+    require_agreement,
+    require_few,
+    require_not_stuck,
+    require_off_rails,
+    unchanging,
+)
 from tiltcal.bench.sensor_set import ConnectedSensor, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_still
@@ -73,6 +80,8 @@ class PositionRunner:
         self._fixture = fixture
         self._steps = {sensor.serial: ReadingStep() for sensor in sensors.sensors}
         """What the readings have shown of the steps that no model states."""
+        self._asked_to_tilt = False
+        """Whether the operator was asked to see that a reading follows a tilt."""
         self._soaked: tuple[float, int] | None = None
         """The temperature that the sensors have, and the interruptions before they took it; None on the way."""
 
@@ -247,7 +256,6 @@ class PositionRunner:
         Unsettled
             With the reason.
         """
-        last = len(accepted) == len(self._procedure.positions) - 1
         require_agreement(result, accepted, asked=result.asked)
         determines = self._procedure.determines
         if determines.level or determines.mounting:
@@ -257,8 +265,17 @@ class PositionRunner:
                 if why:
                     raise Unsettled(why)
         for sensor in self._sensors.sensors:
-            require_not_stuck(sensor, result, accepted, last=last)
+            require_not_stuck(sensor, result, accepted)
         self._require_plausible(result, self._expectations(accepted), accepted)
+        if len(accepted) == len(self._procedure.positions) - 1:
+            self._refuse_unchanging_once(result, accepted)
+
+    def _refuse_unchanging_once(self, result: PositionResult, accepted: Sequence[PositionResult]) -> None:
+        """Refuse the last position where a channel has never changed; measured again it counts."""
+        why = [unchanging(sensor, result, accepted) for sensor in self._sensors.sensors]
+        if any(why) and not self._asked_to_tilt:
+            self._asked_to_tilt = True
+            raise Unsettled(next(filter(None, why)))
 
     def _expectations(self, accepted: Sequence[PositionResult]) -> dict[str, ExpectedReadings]:
         """Return what predicts each sensor's readings: its model and the positions accepted so far."""

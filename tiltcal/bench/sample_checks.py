@@ -10,6 +10,7 @@ import numpy as np
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.settle import Timed, Unsettled
+from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.detection import (
     LEFT_OUT,
     TEMPERATURE_JUMP,
@@ -117,21 +118,16 @@ def require_agreement(result: PositionResult, accepted: Sequence[PositionResult]
                 raise Unsettled(f"{temperature:g} °C {source}, and {other:g} °C {whose}: one of them is wrong")
 
 
-def require_not_stuck(
-    sensor: ConnectedSensor, result: PositionResult, accepted: Sequence[PositionResult], *, last: bool
-) -> None:
+def require_not_stuck(sensor: ConnectedSensor, result: PositionResult, accepted: Sequence[PositionResult]) -> None:
     """Refuse a channel that reads one value, never another, where something else has changed.
 
     A reading that stands still within a position is coarse, unless its noise in the positions before is more than its
-    step hides. One that stands still over positions of other tilt is stuck, and so is one that has never changed when
-    the session ends: other headings or temperatures change it.
+    step hides. One that stands still over positions of other tilt is stuck.
 
     Parameters
     ----------
     accepted : sequence of PositionResult
         The positions before.
-    last : bool
-        Whether this is the last position of the procedure.
 
     Raises
     ------
@@ -148,21 +144,49 @@ def require_not_stuck(
                 f"{sensor.model.unit}, and those of the positions before scatter by {noise:.3g}; see that the sensor "
                 "converts (if it was shaken in the positions before, go back and repeat them)"
             )
-        same = [
-            measurement
-            for measurement in before
-            if summary.std == measurement.summaries[channel].std == 0.0
-            and summary.mean == measurement.summaries[channel].mean
-        ]
-        turned = any(
-            abs(measurement.gravity[_axis(channel)] - now.gravity[_axis(channel)]) > TILTED for measurement in same
-        )
-        if same and (turned or (last and len(same) == len(before))):
-            count = summary.n + sum(measurement.summaries[channel].n for measurement in same)
+        same = _alike(channel, now, before)
+        if any(abs(measurement.gravity[_axis(channel)] - now.gravity[_axis(channel)]) > TILTED for measurement in same):
             raise Unsettled(
-                f"{channel} of {sensor.serial} is stuck: all {count} samples of {len(same) + 1} positions read "
-                f"{summary.mean:.6g} {sensor.model.unit}; see that the sensor converts, and that its axis is wired"
+                f"{channel} of {sensor.serial} is stuck: {_reads(channel, [*same, now], sensor)}; see that the sensor "
+                "converts, and that its axis is wired"
             )
+
+
+def unchanging(sensor: ConnectedSensor, result: PositionResult, accepted: Sequence[PositionResult]) -> str:
+    """Return which channel has read one value in all positions up to the last, and how to see whether it is stuck.
+
+    Other temperatures and headings change a reading, but not always by its step: the operator has to move the sensor.
+
+    Returns
+    -------
+    str
+        Empty where every channel has changed, or there is one position alone.
+    """
+    now = result.measurements[sensor.serial]
+    before = [result.measurements[sensor.serial] for result in accepted]
+    for channel in now.summaries:
+        same = _alike(channel, now, before)
+        if same and len(same) == len(before):
+            return (
+                f"{channel} of {sensor.serial} may be stuck: {_reads(channel, [*same, now], sensor)}; tilt the sensor, "
+                "see that the reading follows, and put it back: measured again it counts"
+            )
+    return ""
+
+
+def _alike(channel: str, now: Measurement, before: Sequence[Measurement]) -> list[Measurement]:
+    """Return the positions before in which every sample of a channel was the one value that it reads now."""
+    summary = now.summaries[channel]
+    others = [measurement for measurement in before if measurement.summaries[channel].std == summary.std == 0.0]
+    return [measurement for measurement in others if measurement.summaries[channel].mean == summary.mean]
+
+
+def _reads(channel: str, alike: Sequence[Measurement], sensor: ConnectedSensor) -> str:
+    summaries = [measurement.summaries[channel] for measurement in alike]
+    return (
+        f"all {sum(summary.n for summary in summaries)} samples of {len(alike)} positions read "
+        f"{summaries[0].mean:.6g} {sensor.model.unit}"
+    )
 
 
 def _axis(channel: str) -> int:

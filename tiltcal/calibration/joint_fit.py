@@ -88,6 +88,13 @@ def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: 
     correlated = correlated_noise(_summaries(measurements, design.channels))
     if correlated is not None and correlated.certain:
         notes.append(correlated.note)
+    for channel in design.channels:
+        own = _summaries(measurements, (channel,))
+        if len({(summary.mean, summary.std) for summary in own}) == 1 < len(own) and own[0].std == 0.0:
+            notes.append(
+                f"{channel} reads {own[0].mean:.6g} in every sample of every position: what differs between them "
+                "changes it by less than its step, or the channel is stuck"
+            )
     if design.thermal and not design.thermometer:
         shown = found.estimated_thermometer
         notes.append(
