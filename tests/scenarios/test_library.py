@@ -97,6 +97,14 @@ def test_free_positions_are_found_in_a_frame() -> None:
     assert found.derived.gravity_m_s2 == 9.81744
 
 
+def test_segments_by_time_are_refused_by_key(columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:
+    timed = [segment | {"start": pd.Timestamp("2026-05-01")} for segment in segments]
+    with pytest.raises(
+        tiltcal.InputError, match=r"the segments: \[0\].start: a number or a text is needed, not a Timestamp"
+    ):
+        tiltcal.fit("six-face", columns, segments=timed, columns=NAMED, **SENSOR)
+
+
 def test_a_frame_of_positions_is_a_table(folder: Path) -> None:
     means = np.array([OFFSET + SENSITIVITY @ up for up in FACES.values()])
     table = {
@@ -135,7 +143,8 @@ def test_apply_and_apply_log_agree(folder: Path, columns: dict[str, Any], segmen
     assert isinstance(found, tiltcal.Calibration)
     frame = pl.read_csv(folder / "log.csv")
     tilted = found.apply(frame, columns=NAMED, uncertainty=True)
-    tiltcal.apply_log(found, folder / "log.csv", folder / "tilt.parquet", columns=NAMED, uncertainty=True)
+    summary = tiltcal.apply_log(found, folder / "log.csv", folder / "tilt.parquet", columns=NAMED, uncertainty=True)
+    assert repr(summary).startswith(f"{6 * ROWS} rows\n  flag 1 pass: ")
     assert tilted.equals(pl.read_parquet(folder / "tilt.parquet"))
     assert tilted["pitch"][0] == pytest.approx(90.0, abs=0.5)
     with pytest.raises(tiltcal.InputError, match="in g"):

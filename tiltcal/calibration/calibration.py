@@ -57,6 +57,9 @@ class Calibration:
         for array in arrays:  # one that a caller wrote into would change later results
             array.setflags(write=False)
 
+    def __reduce__(self) -> tuple[type[Calibration], tuple[CalibrationRecord]]:
+        return Calibration, (self.record,)  # the arrays of a copy are read-only, too
+
     @property
     def sensor(self) -> SensorIdentity:
         """Model, serial number, unit of the readings, and channels."""

@@ -21,6 +21,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor
 from tiltcal.files.moments import moment, to_the_second
 from tiltcal.files.uncertainty import known_coefficients
+from tiltcal.printable import counted
 
 DAY = 86_400.0
 """Seconds."""
@@ -100,6 +101,10 @@ class SensorHistory:
                 remarks.append(f"the sessions of {before.name} and {calibration.name} overlap")
             kept.append(calibration)
         return cls(tuple(kept), tuple(remarks))
+
+    def __repr__(self) -> str:
+        dates = " to ".join(dict.fromkeys(f"{self.calibrations[end].date:%Y-%m-%d}" for end in (0, -1)))
+        return f"<SensorHistory of {self.sensor.serial}: {counted(len(self.calibrations), 'calibration')}, {dates}>"
 
     @property
     def sensor(self) -> SensorIdentity:

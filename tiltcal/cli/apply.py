@@ -216,7 +216,7 @@ def command(
     if as_json:
         (talk if output == "-" else click.echo)(options.json_text(summary.as_data()))
     else:
-        remark(summary.as_text())
+        remark(str(summary))
     return 0
 
 
@@ -231,7 +231,7 @@ def _each(tasks: Sequence[ApplyTask], jobs: int | None, force: bool, scheduler: 
             continue
         told[task.log] = {"output": task.output, **outcome.as_data()}
         if not as_json:
-            remark(f"{task.output}: {outcome.as_text()}")
+            remark(f"{task.output}: {outcome}")
     if as_json:
         options.print_judged(
             options.json_text({"logs": {task.log: told[task.log] for task in tasks if task.log in told}})

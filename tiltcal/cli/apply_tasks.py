@@ -80,7 +80,7 @@ class UpToDate:
         """Return the summary of the run that made the result."""
         return {**self.summary, "up_to_date": True}
 
-    def as_text(self) -> str:
+    def __str__(self) -> str:
         """Return what is said in place of a summary."""
         return "up to date, skipped (--force processes it again)"
 

@@ -283,7 +283,7 @@ def _node_of(data: Any, file: str | None, line: int | None, key: str | None, dep
     elif isinstance(data, int | float):
         content = Scalar(repr(data), plain=True)
     else:
-        raise InputError(f"a {type(data).__name__} cannot be in a document", file=file, line=line, key=key)
+        raise InputError(f"a number or a text is needed, not a {type(data).__name__}", file=file, line=line, key=key)
     return Node(content, file, line, key)
 
 

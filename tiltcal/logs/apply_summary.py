@@ -118,7 +118,7 @@ class ApplySummary:
             "reasons": {str(bit): self.reasons[bit] for bit in REASONS if self.reasons[bit]},
         }
 
-    def as_text(self) -> str:
+    def __str__(self) -> str:
         """Return the counts in words, one line for each."""
         lines = [counted(self.rows, "row")]
         for serial, summary in (self.sensors or {"": self}).items():
@@ -138,6 +138,8 @@ class ApplySummary:
         if self.widths:
             lines.append(f"  median (largest) {', '.join(_told(name, width) for name, width in self.widths.items())}")
         return "\n".join(lines)
+
+    __repr__ = __str__
 
 
 def _told(name: str, widths: ColumnWidths) -> str:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Callable
+from copy import copy, deepcopy
 from math import radians
 from pathlib import Path
 
@@ -59,6 +62,15 @@ def test_arrays_cannot_be_changed(name: str) -> None:
     for array in (coefficients.offset, coefficients.sensitivity, *terms, *shares):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
+
+
+@pytest.mark.parametrize("copied", [copy, deepcopy, lambda calibration: pickle.loads(pickle.dumps(calibration))])
+def test_a_copy_is_equal_and_cannot_be_changed(copied: Callable[[Calibration], Calibration]) -> None:
+    original = read(FIXTURES / "mavs.yaml")
+    found = copied(original)
+    assert found == original
+    assert hash(found) == hash(original)
+    assert not found.coefficients.offset.flags.writeable
 
 
 def test_limits_have_the_rails_of_the_model_where_the_file_names_none(calibration: Calibration) -> None:

@@ -75,6 +75,11 @@ def test_a_reading_at_the_rail_of_the_model_stays_there(tmp_path: Path) -> None:
     assert (found["flag"].tolist(), found["reason"][0] & 4) == ([4], 4)
 
 
+def test_a_history_is_named_in_a_line_at_a_prompt(tmp_path: Path) -> None:
+    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
+    assert repr(library.history("S-1")) == "<SensorHistory of S-1: 2 calibrations, 2026-01-01 to 2026-04-11>"
+
+
 def changed(record: CalibrationRecord, days: float, **coefficients: Any) -> CalibrationRecord:
     ended = replace(record.provenance, started=stamp(days - 0.01), ended=stamp(days))
     return replace(record, coefficients=replace(record.coefficients, **coefficients), provenance=ended)
