@@ -71,7 +71,7 @@ def _draw(figure: Figure, drawing: PairDrawing) -> None:
 
 def draw_spectra(panel: Axes, drawing: PairDrawing) -> None:
     """Draw amplitude densities over frequency, with a line at the spin frequency."""
-    panel.axvline(drawing.spin, color="black", linewidth=0.8, linestyle=":", label="turning of the stage")
+    panel.axvline(drawing.spin, color="black", linewidth=0.8, linestyle=":", label="spin frequency")
     for (name, density), colour in zip(drawing.densities.items(), COLOURS, strict=False):
         panel.loglog(drawing.frequency[1:], density[1:] ** 0.5, color=colour, linewidth=0.9, label=name)
     panel.set_xlabel(f"frequency [{drawing.unit}]")

@@ -30,7 +30,7 @@ def test_the_unit_of_readings_does_not_matter(scale: float, phase: str | None) -
 @pytest.mark.parametrize("online", [False, True])
 def test_readings_whose_squares_vanish_are_no_signal(scale: float, online: bool) -> None:
     """They divided by zero."""
-    with pytest.raises(EstimateError, match=r"a1 has no clear signal at the turning of the stage \(1e-"):
+    with pytest.raises(EstimateError, match=r"a1 has no clear signal at the spin frequency \(1e-"):
         match(disk(scale), PAIRS, phase="theta", online=online)
     with pytest.raises(EstimateError, match="no spectral line is above the noise"):
         match(disk(scale), PAIRS, online=online)

@@ -28,7 +28,7 @@ _CLEAREST = 5.0
 
 @dataclass(frozen=True)
 class Component:
-    """The component of one channel at the turning of the stage, in its unit, with standard uncertainties."""
+    """The component of one channel at the spin frequency, in its unit, with standard uncertainties."""
 
     sin: float
     cos: float
@@ -176,12 +176,12 @@ def _require_signal(demodulation: Demodulation, pair: Pair, vectors: list[Array]
     noise = sqrt(float(np.trace(demodulation.covariance(mix))))
     if amplitudes[0] < max(_CLEAREST * noise, _SMALLEST):
         raise EstimateError(
-            f"{pair.first} has no clear signal at the turning of the stage ({amplitudes[0]:.3g}, uncertain by "
+            f"{pair.first} has no clear signal at the spin frequency ({amplitudes[0]:.3g}, uncertain by "
             f"{noise:.2g}): incline the spin axis, and check that the accelerometer is connected"
         )
     if amplitudes[2] < _WEAKEST * amplitudes[0]:
         raise EstimateError(
-            f"{pair.orthogonal} has {amplitudes[2]:.3g} at the turning of the stage where {pair.first} has "
+            f"{pair.orthogonal} has {amplitudes[2]:.3g} at the spin frequency where {pair.first} has "
             f"{amplitudes[0]:.3g}: it cannot correct a misalignment; is it connected?"
         )
     sine = float(vectors[0][0] * vectors[2][1] - vectors[0][1] * vectors[2][0]) / (amplitudes[0] * amplitudes[2])

@@ -132,7 +132,7 @@ class TrimmingLoops:
         solved = self._demodulated(end)
         total, first, orthogonal = (complex(sin, cos) for sin, cos in solved[:2, [0, 1, 3]].T)
         if abs(first) < 1e-300:
-            raise EstimateError(f"{self._pair.first} has no signal at the turning of the stage")
+            raise EstimateError(f"{self._pair.first} has no signal at the spin frequency")
         quadrature = (orthogonal / first).imag
         if abs(quadrature) < _LEAST_QUADRATURE:
             raise EstimateError(f"{self._pair.orthogonal} has no signal in quadrature to {self._pair.first}")
