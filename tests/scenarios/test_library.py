@@ -212,6 +212,16 @@ def test_pairs_are_matched_from_frame_and_file_alike(tmp_path: Path) -> None:
     (found,) = tiltcal.match(frame, [("a1", "a2", "a4")], phase="theta").matchings
     assert (found.p, found.q) == (of_file.matchings[0].p, of_file.matchings[0].q)
     assert found.p == pytest.approx(1.0 - 1.01, abs=1e-4)
+    assert (
+        command(
+            *("match", "disk.csv", "--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "-o", "loops.yaml"),
+            *("--online", "--loops"),
+            cwd=tmp_path,
+        ).returncode
+        == 0
+    )
+    loops = tiltcal.match(tmp_path / "disk.csv", [("a1", "a2", "a4")], phase="theta", online=True, loops=True)
+    assert loops == tiltcal.read(tmp_path / "loops.yaml") != of_file
     with pytest.raises(tiltcal.UsageError, match="three different columns"):
         tiltcal.match(frame, [("a1", "a1", "a4")], phase="theta")
 

@@ -228,10 +228,9 @@ def _require_not_stuck(intervals: Sequence[StaticInterval], step: float, file: s
 def _require_not_stuck_everywhere(measurements: Sequence[Measurement], file: str) -> None:
     """Refuse a channel that reads the same however far its axis is tilted."""
     for axis, channel in enumerate(AXES):
-        reach = {measurement.gravity[axis] for measurement in measurements if channel in measurement.summaries}
-        means = {
-            measurement.summaries[channel].mean for measurement in measurements if channel in measurement.summaries
-        }
+        read = [measurement for measurement in measurements if channel in measurement.summaries]
+        reach = [measurement.gravity[axis] for measurement in read]
+        means = {measurement.summaries[channel].mean for measurement in read}
         if len(means) == 1 and max(reach) - min(reach) > TILTED:
             raise InputError(
                 f"{channel} reads {means.pop():g} in every position: it is stuck; is it connected?", file=file

@@ -17,8 +17,10 @@ from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.apply import apply_log
 from tiltcal.logs.averaging import averaging
+from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
 from tiltcal.logs.formats.csv_types import ColumnTypes
+from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
 
 CAL = """\
 tiltcal: 1
@@ -178,15 +180,21 @@ def test_the_uncertainty_of_a_mean_holds(cal: Calibration, count: int) -> None:
     with_noise = reading + noise / np.sqrt(count)
     # A mean of `count` rows is told apart from a single one by its count alone.
     log = {"x": np.repeat(with_noise, 1), "y": 2.5 + 2.0 * g_y}
-    from tiltcal.logs.compensation_kernel import RoleValues
-    from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
-
     kernel = prepare(cal, ApplyOptions(uncertainty=True, average=count)).kernel
     table = kernel(RoleValues(np.column_stack([log["x"], log["y"]]), count=np.full(trials, count)))
     error = np.abs(table["tilt_x"] - np.degrees(np.arcsin(g_x)))
     assert 0.94 < np.mean(error <= table["U95_tilt_x"]) < 0.96
     shares = np.hypot(table["u_random_tilt_x"], table["u_common_tilt_x"])
     np.testing.assert_allclose(shares, table["u_tilt_x"], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("options", "told"), [({"uncertainty": True}, 1), ({}, 0)])
+def test_that_the_noise_counts_as_white_is_told_where_there_is_an_uncertainty(
+    cal: Calibration, options: dict[str, bool], told: int
+) -> None:
+    said: list[str] = []
+    prepare(cal, ApplyOptions(average=2, **options), say=said.append)
+    assert sum("the noise of readings counts as white" in line for line in said) == told
 
 
 def test_shares_are_those_worked_out_by_hand(cal: Calibration) -> None:

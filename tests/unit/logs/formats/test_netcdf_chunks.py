@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tiltcal.logs.formats.netcdf import _write_chunks
 
@@ -36,3 +38,17 @@ def test_the_library_unpacks_what_was_packed(tmp_path: Path, rows: int, shuffle:
     with h5py.File(tmp_path / "log.nc") as file:
         for name, column in columns.items():
             np.testing.assert_array_equal(file[name][:], column)
+
+
+def test_chunks_do_not_wait_in_memory_for_the_end_of_a_log(tmp_path: Path) -> None:
+    """What is packed and not yet written is four chunks, however long the log is."""
+    with h5py.File(tmp_path / "log.nc", "w") as file:
+        dataset = file.create_dataset("tilt_x", 4000, float, chunks=(100,), compression=1, shuffle=True)
+
+        def tables() -> Iterator[dict[str, NDArray[np.float64]]]:
+            for number in range(40):
+                assert dataset.id.get_num_chunks() >= number - 4
+                yield {"tilt_x": np.full(100, float(number))}
+
+        _write_chunks({"tilt_x": SimpleNamespace(_h5ds=dataset)}, tables(), 100, lambda: None)
+        assert dataset.id.get_num_chunks() == 40
