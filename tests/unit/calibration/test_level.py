@@ -137,6 +137,16 @@ def test_the_lean_of_the_table_adds_to_the_jigs_by_squares() -> None:
     assert found.uncertainty["offset.x"] == pytest.approx(whole.uncertainty["offset.x"], rel=1e-3)
 
 
+def test_a_lean_of_the_table_turns_with_the_headings_of_the_sensor() -> None:
+    """Turned by 90° from above, a lean (a, b) is (b, -a) for the sensor: the mean of both is (a + b, b - a)/2."""
+    base = replace(COMPLETE, uncertainty=replace(COMPLETE.uncertainty, standard={}, covariance=None))
+    summaries = {c: SampleSummary(1020.0, 0.0, 1, 1e-3) for c in "xy"}
+    seen = [Measurement(f"{h}", (0.0, 0.0, 1.0), None, 24.0, summaries, heading=h) for h in (0.0, 90.0)]
+    found = level(base, seen, find_procedure("level"), BenchUncertainty(0.0, 0.0, 0.5))
+    by = COMPLETE.coefficients.sensitivity[:, :2] @ np.array([[0.5, 0.5], [-0.5, 0.5]]) * radians(0.5)
+    np.testing.assert_allclose(covariance_of(found, "offset.x", "offset.y"), by @ by.T, rtol=1e-2, atol=1e-3)
+
+
 def test_an_inverted_sensor_has_its_own_offset() -> None:
     """Upside down by a roll of 180° gravity is -z in the sensor's frame."""
     hanging = Calibration(COMPLETE).with_mounting("roll=180").record
