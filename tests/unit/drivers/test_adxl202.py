@@ -140,6 +140,15 @@ def test_garbage_and_half_lines_are_counted_and_never_a_reading() -> None:
     assert driver.link_statistics() == {"sentences": 5, "damaged": 7, "lost": 0, "restarts": 0}
 
 
+@pytest.mark.parametrize(
+    ("times", "duty"),
+    [("10,20,10,20", (1.0, 1.0)), ("11,20,10,20", None), ("10,21,10,20", None), ("0,0,0,20", None), ("0,0,10,0", None)],
+)
+def test_a_pulse_is_as_long_as_its_period_at_most(times: str, duty: tuple[float, float] | None) -> None:
+    found = parse_sentence(framed(f"PTCDC,1,{times}")[:-2])
+    assert (found and found.duty) == duty
+
+
 def test_gaps_in_the_sequence_are_lost_sentences() -> None:
     driver = sentences(*(sentence(number) for number in (254, 255, 0, 1, 4, 4, 5, 1000, 3, 4)))
 
