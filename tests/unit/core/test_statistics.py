@@ -74,6 +74,14 @@ def test_a_reading_that_never_changes_is_uncertain_by_its_step() -> None:
     assert summarise([1024.0] * 100, resolution=1.0).u == pytest.approx(1 / sqrt(12))
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.1, 3.0])
+def test_a_step_that_is_known_later_counts_as_if_it_had_been_known(noise: float) -> None:
+    samples = np.rint(np.random.default_rng(5).normal(7.0, noise, 100)).tolist()
+    later, known = summarise(samples).with_resolution(1.0), summarise(samples, 1.0)
+    assert (later.u, later.quantisation) == pytest.approx((known.u, known.quantisation), rel=1e-12)
+    assert later.resolution == known.resolution == 1.0
+
+
 def test_dithered_quantisation_averages_out() -> None:
     """Noise of 0.6 step: means of rounded samples scatter about the truth as the stated uncertainty says."""
     rng = np.random.default_rng(3)

@@ -366,6 +366,11 @@ def test_plain_data_may_be_as_deep_as_a_file_and_no_deeper(around: Callable[[Any
         document_of(around(deep))
 
 
+def test_plain_data_has_no_key_that_moves_the_cursor() -> None:
+    with pytest.raises(InputError, match="control"):
+        document_of([{"a\x1b[2J": 1}])
+
+
 @given(st.binary(max_size=200) | st.text("ab:-[]{}?&*!|>'\"%@#, \n\t0.~", max_size=60).map(str.encode))
 def test_bytes_of_any_kind_are_read_or_refused_and_nothing_else(
     tmp_path_factory: pytest.TempPathFactory, raw: bytes

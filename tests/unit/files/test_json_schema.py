@@ -189,6 +189,18 @@ def test_a_bad_bench_passes_neither(old: str, new: str, tmp_path: Path) -> None:
         read_bench(path)
 
 
+@pytest.mark.parametrize(
+    ("file", "old"), [("procedures/zero-45.yaml", "axes: [x, y]"), ("fixtures/zero-45.yaml", "channels: [x, y]")]
+)
+def test_an_axis_that_is_named_twice_passes_neither(file: str, old: str, tmp_path: Path) -> None:
+    text = (ROOT / file).read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "twice.yaml").write_text(text.replace(old, old.replace("y", "x")), encoding="utf-8")
+    content = read_document(tmp_path / "twice.yaml").plain()
+    assert not accepted(content["kind"], content)
+    assert complaint(content["kind"], tmp_path / "twice.yaml")
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_command_prints_it_alone(kind: str) -> None:
     result = tiltcal("check", "--schema", kind, "--json")
