@@ -84,8 +84,12 @@ def test_the_samples_of_a_rotation_match_as_a_log(tmp_path: Path) -> None:
 
 def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
     changed = tmp_path / "plane.yaml"
-    changed.write_text(golden(JOURNALS[0]).read_text(encoding="utf-8").replace("SIM-42", "SIM-43"), encoding="utf-8")
-    assert tiltcal("replay", JOURNALS[0], "--golden", changed).returncode == 1
+    kept = golden(JOURNALS[0]).read_text(encoding="utf-8")
+    changed.write_text(kept.replace("SIM-42", "SIM-43"), encoding="utf-8")
+    line = next(number for number, text in enumerate(kept.splitlines(), start=1) if "SIM-42" in text)
+    judged = tiltcal("replay", JOURNALS[0], "--golden", changed)
+    assert judged.returncode == 1
+    assert f"does not give {changed}: line {line} differs" in judged.stderr
     assert tiltcal("replay", JOURNALS[0], "--golden", golden(JOURNALS[0])).returncode == 0
 
 

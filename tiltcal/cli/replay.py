@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import nullcontext
+from itertools import zip_longest
 from pathlib import Path
 
 import click
@@ -54,8 +55,11 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
         texts = session.replay(stream).texts
     if golden is not None:
         for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
-            if not os.path.isfile(path) or text.encode() != path.read_bytes():
-                remark(f"{journal} does not give {path}")
+            expected = path.read_bytes() if os.path.isfile(path) else b""
+            if expected != text.encode():
+                lines = zip_longest(expected.splitlines(keepends=True), text.encode().splitlines(keepends=True))
+                number = next(number for number, (kept, made) in enumerate(lines, start=1) if kept != made)
+                remark(f"{journal} does not give {path}: line {number} differs")
                 return NEGATIVE_VERDICT
             remark(f"{journal} gives {path} to the byte")
     if output is not None:
