@@ -101,12 +101,20 @@ def test_a_program_that_does_not_act_on_refusals_is_asked_100_times(stubborn: Ev
     refused = led.events("refused")
     assert {event["position"] for event in refused} == {"x-tilt2"}
     assert len(refused) == 100
-    assert "x-tilt2 was refused 100 times in a row" in led.errors
+    assert "x-tilt2 was asked for 100 times in a row in vain" in led.errors
     assert why in led.errors
     assert "--resume S-1.journal.jsonl" in led.errors
     assert not (tmp_path / "S-1.yaml").exists()
     resumed = measure("--resume", "S-1.journal.jsonl", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
+
+
+def test_a_program_that_answers_redo_alone_is_asked_100_times(tmp_path: Path) -> None:
+    """It was asked 40,000 times a second, each with a line of the journal."""
+    led = table(tmp_path, "plane", lambda ask, n: {"answer": "redo"})
+    assert led.exit_code == 130
+    assert len(led.asks) == 100
+    assert "in vain, the last time because the program answered redo" in led.errors
 
 
 def test_refusals_of_other_positions_count_apart(tmp_path: Path) -> None:

@@ -55,8 +55,8 @@ WHILE_TURNING = ("stop", "quit")
 TILT_AXES = ("x", "y")
 KEYS = {"answer", "tilt", "gravity", "temperature"}
 
-REFUSALS = 100
-"""Refusals in a row of one position, or of the stage, after which the session stops."""
+REPEATS = 100
+"""How often one position, or the stage, is asked for in vain before the session stops."""
 
 
 class _Rig:
@@ -64,8 +64,8 @@ class _Rig:
 
     def __init__(self, rig: object) -> None:
         self._rig = rig
-        self._refused = ""
-        self._refusals = 0
+        self._repeated = ""
+        self._repeats = 0
 
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         return OperatorAnswer("yes")
@@ -98,22 +98,26 @@ class _Rig:
                 self._refuse(about, str(error))
 
     def _refuse(self, about: str, why: str) -> None:
-        """Refuse what the rig answered or set.
+        """Refuse what the rig answered or set; it is asked again."""
+        self._tell("refused", position=about, why=why)
+        self._repeat(about, why)
+
+    def _repeat(self, about: str, why: str) -> None:
+        """Count that a position, or the stage, has to be asked for again.
 
         Raises
         ------
         Stopped
-            It was refused too often in a row: the rig does not act on refusals.
+            Too often in a row: the rig does not act on what it is told.
         """
-        self._refusals = self._refusals + 1 if about == self._refused else 1
-        self._refused = about
-        self._tell("refused", position=about, why=why)
-        if self._refusals == REFUSALS:
-            raise Stopped(f"{about} was refused {REFUSALS} times in a row, the last time because {why}")
+        self._repeats = self._repeats + 1 if about == self._repeated else 1
+        self._repeated = about
+        if self._repeats == REPEATS:
+            raise Stopped(f"{about} was asked for {REPEATS} times in a row in vain, the last time because {why}")
 
     def _accept(self, event: str, **fields: Any) -> None:
-        """Report that the session goes on: refusals from here on count anew."""
-        self._refused = ""
+        """Report that the session goes on: what is asked for in vain from here on counts anew."""
+        self._repeated = ""
         self._tell(event, **fields)
 
 
@@ -144,7 +148,10 @@ class RigPositionOperator(_Rig):
             **({} if position.stage is None else {"stage": position.stage}),
             "prompt": position.prompt,
         }
-        return self._ask(ask, TO_POSITION, position.name)
+        answer = self._ask(ask, TO_POSITION, position.name)
+        if answer.word == "redo":
+            self._repeat(position.name, "the program answered redo")
+        return answer
 
     def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
         pass

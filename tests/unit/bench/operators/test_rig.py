@@ -28,7 +28,7 @@ def test_a_stage_that_never_turns_is_refused_100_times() -> None:
     operator = RigRotationOperator(table := Table())
     for _ in range(99):
         operator.refused("the stage does not turn")
-    with pytest.raises(Stopped, match="rotation was refused 100 times in a row"):
+    with pytest.raises(Stopped, match="rotation was asked for 100 times in a row in vain"):
         operator.refused("the stage does not turn")
     assert len(table.heard) == 100
 
