@@ -237,8 +237,8 @@ def test_pairs_without_a_signal_are_left_out_with_the_reason() -> None:
     found = turned(lines(dead), attendant, pairs=(A1_A2, A3_A4), turns=6)
     assert [matching.pair for matching in found.matchings] == [A1_A2]
     (why,) = found.unmatched
-    assert "a3 has no clear signal at the turning" in why
-    assert "a3 has no clear signal at the turning" in attendant.turns[-1].unknown["a3_a4"]
+    assert "a3 has no clear signal at the spin frequency" in why
+    assert "a3 has no clear signal at the spin frequency" in attendant.turns[-1].unknown["a3_a4"]
     assert list(attendant.turns[-1].pairs) == ["a1_a2"]
     assert attendant.told == [why]
 
