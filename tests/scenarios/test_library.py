@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
@@ -95,6 +96,14 @@ def test_free_positions_are_found_in_a_frame() -> None:
     found = tiltcal.fit("free", {axis: read[:, k] for k, axis in enumerate("xyz")}, gravity=9.81744, **SENSOR)
     assert list(found.offset.values()) == pytest.approx(OFFSET.tolist(), abs=0.01)
     assert found.derived.gravity_m_s2 == 9.81744
+
+
+def test_an_option_that_there_is_not_is_named(tmp_path: Path) -> None:
+    shutil.copy(FIXTURES / "mavs.yaml", tmp_path)
+    pair = tiltcal.read(FIXTURES / "rotation.yaml")
+    for calibration in (pair, tiltcal.open_calibrations(tmp_path)):
+        with pytest.raises(TypeError, match=r"apply\(\) has no option 'uncertanty'"):
+            calibration.apply({}, uncertanty=True)
 
 
 def test_segments_by_time_are_refused_by_key(columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import date, timedelta
 from itertools import chain
 from pathlib import Path
@@ -201,6 +201,8 @@ def apply_frame(
     from tiltcal.logs.frames import FrameReader
 
     require_text("--unit", unit)
+    for name in options.keys() - {option.name for option in fields(ApplyOptions)}:
+        raise TypeError(f"apply() has no option {name!r}")
     reader = FrameReader(frame)
     prepared = prepare_any(calibration, ApplyOptions(**options), say)(reader, columns)
     log = CompensatedLog.of(reader, prepared, columns, say)

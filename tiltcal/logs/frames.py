@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import describe, seconds_since_1970
+from tiltcal.logs.columns import TIME
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
 from tiltcal.stated_numbers import of_python
 
@@ -170,21 +171,27 @@ def _eager(frame: Any, name: str) -> Any:
 
 
 class _Table:
-    """A polars, pandas or pyarrow frame, by way of narwhals; the index of pandas is a column where it has a name."""
+    """A polars, pandas or pyarrow frame, by way of narwhals.
+
+    The index of pandas is a column where it has a name; one of moments or durations without a name is ``time``.
+    """
 
     def __init__(self, frame: Any) -> None:
         import narwhals.stable.v2 as nw
 
-        index = getattr(nw.maybe_get_index(frame), "name", None)
-        self._index = index if isinstance(index, str) and index not in frame.columns else None
+        index = nw.maybe_get_index(frame)
+        self._index_name = name = getattr(index, "name", None)
+        if name is None and getattr(getattr(index, "dtype", None), "kind", "") in ("m", "M"):
+            name = TIME
+        self._index = name if isinstance(name, str) and name not in frame.columns else None
         self._given = frame
-        self._frame = frame if self._index is None else nw.from_native(frame.to_native().reset_index())
+        self._frame = frame if self._index is None else nw.from_native(frame.to_native().reset_index(names=name))
         self._named = {str(name): name for name in self._frame.columns}  # a pandas frame may have numbers for names
         self.names = tuple(self._named)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the rows, by the names of the columns."""
-        return list(self._frame.rows(named=True))
+        """Return the rows, by the names of the columns; an index without a name is none of them."""
+        return list((self._given if self._index_name is None else self._frame).rows(named=True))
 
     def unit(self, name: str) -> str | None:
         return None
@@ -253,7 +260,10 @@ class _Table:
             if backend.is_polars()
             else nw.from_dict(rows.to_dict(as_series=False), backend=backend)
         )
-        made = made if self._index is None else nw.maybe_set_index(made, self._index)
+        if self._index is not None:
+            made = nw.maybe_set_index(made, self._index)
+            native: Any = made.to_native()
+            native.index.name = self._index_name
         return _Table(nw.from_native(_with_notes(made.to_native(), self._given.to_native())))
 
     def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any:

@@ -248,6 +248,19 @@ class TestIndexOfPandas:
         assert found.index.equals(self.TIMES)
         assert list(found.columns[:3]) == ["x", "y", "g_x"]
 
+    @pytest.mark.parametrize("how", [{"average": 2}, {"every": "10s"}])
+    def test_moments_without_a_name_are_the_time(self, how: dict[str, Any], calibration: Calibration) -> None:
+        """As ``pandas.date_range`` makes them; means had the numbers of their rows for an index."""
+        frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]}, index=self.TIMES.rename(None))
+        found = apply_frame(calibration, frame, **how)
+        assert found.index.equals(pd.DatetimeIndex([pd.Timestamp("2026-05-01T12:00:02.5Z")]))
+        assert found.index.name is None
+        assert "time" not in found
+
+    def test_of_a_table_without_a_name_it_is_nothing(self) -> None:
+        table = pd.DataFrame({"position": ["level"], "x": [1.0]}, index=self.TIMES[:1].rename(None))
+        assert rows_of(table, "the table") == [{"position": "level", "x": 1}]
+
     def test_a_column_of_its_name_is_meant(self, calibration: Calibration) -> None:
         frame = pd.DataFrame(READINGS | {"time": [0.0, 5.0]}, index=self.TIMES)
         assert apply_frame(calibration, frame, every="10s")["time"].tolist() == [2.5]
