@@ -70,9 +70,16 @@ def resolution(channels: Iterable[Array]) -> float:
 
 
 class DifferentValues:
-    """Collects the different values of a channel block by block, until there are so many that a step is among them."""
+    """Collects the different values of a channel block by block, until there are so many that a step is among them.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    enough : int
+        Different values at which it stops.
+    """
+
+    def __init__(self, enough: int = _ENOUGH_VALUES) -> None:
+        self._enough = enough
         self._values = np.empty(0)
         self._new: list[Array] = []
         self._table, self._start, self._per_step = np.full(1, np.nan), 0.0, 0.0
@@ -80,7 +87,7 @@ class DifferentValues:
     def add(self, samples: Array) -> None:
         """Take the next samples, shape (n,)."""
         for start in range(0, len(samples), _TOGETHER):
-            if len(self._values) >= _ENOUGH_VALUES:
+            if len(self._values) >= self._enough:
                 return
             some = samples[start : start + _TOGETHER]
             known = self._table.take(self._places(some), mode="clip") == some
@@ -98,11 +105,17 @@ class DifferentValues:
         else:
             self._tabulate()
 
+    @property
+    def values(self) -> Array:
+        """Those so far, rising."""
+        if self._new:
+            self._values = np.unique(np.concatenate([self._values, *self._new]))
+            self._new.clear()
+        return self._values
+
     def step(self) -> float:
         """Return the :func:`resolution` of the channel."""
-        self._values = np.unique(np.concatenate([self._values, *self._new]))
-        self._new.clear()
-        return resolution([self._values])
+        return resolution([self.values])
 
     def _tabulate(self) -> None:
         """Put each value at its whole number of steps, where it is found at once."""
@@ -165,26 +178,22 @@ def common_step(readings: Array) -> float:
 
 
 class StepFinder:
-    """Finds the step of one channel from its different values, sample by sample.
-
-    Attributes
-    ----------
-    values : ndarray or None
-        Those seen so far, rising; None where there are too many.
-    """
+    """Finds the step of one channel from its different values, sample by sample."""
 
     def __init__(self) -> None:
-        self.values: Array | None = np.empty(0)
+        self._different = DifferentValues(MOST_VALUES + 1)
         self._samples = 0
 
     def add(self, samples: Array) -> None:
         """Take more samples, none of them missing, shape (n,)."""
         self._samples += len(samples)
-        if self.values is None:
-            return
-        self.values = np.union1d(self.values, samples)
-        if len(self.values) > MOST_VALUES:
-            self.values = None
+        self._different.add(samples)
+
+    @property
+    def values(self) -> Array | None:
+        """Those seen so far, rising; None where there are too many."""
+        found = self._different.values
+        return found if len(found) <= MOST_VALUES else None
 
     def result(self) -> float:
         """Return the step; 0 where the reading is continuous, as far as the readings show."""
