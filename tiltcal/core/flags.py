@@ -70,10 +70,9 @@ def mark_columns(table: Mapping[str, NDArray[Any]], rows: Mask | np.bool_, flag:
 
 def count_flags(flags: Counter[int], reasons: Counter[int], flag: Bytes, reason: Bytes) -> None:
     """Add some rows to the rows by flag, and to those by bit of the reason, of which a row may have several."""
-    for value, count in enumerate(np.bincount(flag).tolist()):
-        if count:
-            flags[value] += count
-    for mask, count in enumerate(np.bincount(reason).tolist()):
-        for bit in REASONS:
-            if count and mask & bit:
-                reasons[bit] += count
+    for code in FLAGS:
+        if count := int(np.count_nonzero(flag == code)):
+            flags[code] += count
+    for bit in REASONS:
+        if count := int(np.count_nonzero(reason & bit)):
+            reasons[bit] += count
