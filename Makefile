@@ -53,6 +53,7 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	@$(RUN) benchmarks/apply.py --keep
+	@$(RUN) benchmarks/long_logs.py --rows 2000000
 	@$(RUN) benchmarks/match.py
 	@$(RUN) benchmarks/capture.py --seconds 20
 

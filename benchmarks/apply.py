@@ -34,7 +34,6 @@ MOST_MEMORY = 0.35
 HERE = Path(__file__).parent
 NAIVE = HERE / "naive"
 CALIBRATION = NAIVE / "sensor.yaml"
-BEGIN, END = "<!-- benchmarks/apply.py --keep writes from here -->\n", "<!-- to here -->\n"
 
 
 class Cost(NamedTuple):
@@ -78,7 +77,7 @@ def measure(command: Sequence[str], out: Path) -> Cost:
     if hasattr(os, "sync"):
         os.sync()
     begun = time.perf_counter()
-    nowhere = [(os.POSIX_SPAWN_OPEN, 2, os.devnull, os.O_WRONLY, 0)]
+    nowhere = [(os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_WRONLY, 0) for stream in (1, 2)]
     # Python may keep its byte code, as it does where nothing is measured.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     process = os.posix_spawnp(command[0], command, environment, file_actions=nowhere)
@@ -165,11 +164,11 @@ def table(found: dict[str, dict[str, Cost]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def keep(text: str) -> None:
-    """Put the table into README.md."""
-    readme = HERE / "README.md"
-    before, _, rest = readme.read_text().partition(BEGIN)
-    readme.write_text(before + BEGIN + "\n" + text + "\n" + END + rest.partition(END)[2])
+def keep(text: str, script: str) -> None:
+    """Put what a script has found into README.md, between its marks."""
+    readme, end = HERE / "README.md", "<!-- to here -->\n"
+    before, begin, rest = readme.read_text().partition(f"<!-- benchmarks/{script} --keep writes from here -->\n")
+    readme.write_text(f"{before}{begin}\n{text}\n{end}{rest.partition(end)[2]}")
 
 
 def main() -> int:
@@ -203,7 +202,7 @@ def main() -> int:
     )
     print(json.dumps(found) if options.json else text)
     if options.keep:
-        keep(text)
+        keep(text, "apply.py")
     times = [found[log]["tiltcal"].processor / found[log]["with_polars"].processor for log in ("csv", "parquet")]
     memory = max(found[log]["tiltcal"].gigabytes for log in ("csv", "parquet"))
     if (max(times) > MOST_TIMES and options.rows >= LONG) or memory > MOST_MEMORY:
