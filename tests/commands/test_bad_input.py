@@ -132,6 +132,10 @@ class TestFit:
             folder, "position,start,end\nx-up,0,99\n"
         )
 
+    def test_a_segment_of_one_row(self, folder: Path) -> None:
+        told = self.fit(folder, "position,start,end\nx-up,3,4\n")
+        assert "seg.csv:2: segment x-up: has 1 row; at least 2 are needed" in told
+
     def test_stuck_is_not_still(self, folder: Path) -> None:
         """A value that stays while the sensor is turned is stuck; within one position a coarse converter does that."""
         segments = "position,start,end,gx,gy,gz\nup,0,20,0,0,1\nside,20,40,1,0,0\n"

@@ -17,6 +17,7 @@ from tiltcal.calibration.combine import combine
 from tiltcal.calibration.combined_session import CombinedSession
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.calibration.mounting import mount
 from tiltcal.calibration.verdict import judge
 from tiltcal.core.combination import Statement, combine_statements
 from tiltcal.core.model import Array, Coefficients, Mounting, Thermal, vector_of
@@ -383,6 +384,29 @@ def test_one_calibration_needs_no_sequence(tmp_path: Path) -> None:
         assert combine(given, mounting="roll=180").coefficients.mounting == expected.coefficients.mounting
         with pytest.raises(UsageError, match="name two calibrations or more, or a --mounting"):
             combine(given)
+
+
+def test_the_turn_of_a_mounting_is_correlated_with_the_coefficients_of_its_own_session_alone() -> None:
+    """Of two sessions that weigh alike, half of each covariance with the turn is left, and all of the turn's own."""
+    up = ((0.0, 0.0, 1.0), (0.5, 0.0, sqrt(0.75)), (0.0, 0.5, sqrt(0.75)))
+    seen = []
+    for number, gravity in enumerate(up):
+        reading = TRUTH.predict(np.array([gravity]), np.array([24.0]))[0]
+        summaries = {c: SampleSummary(float(u), 0.5, 100, NOISE) for c, u in zip("xy", reading, strict=True)}
+        seen.append(Measurement(f"m{number}", gravity, None, 24.0, summaries))
+    mounted = Calibration(mount(SCALE.record, seen, jig=JIG))
+    found = combine([mounted, calibrated(ZERO_45, measured(ZERO_45, 4, at=24.0))])
+
+    def shared(one: Calibration) -> Array:
+        stated = one.uncertainty.covariance
+        turns = [stated.parameters.index(f"mounting.turn.{axis}") for axis in "xyz"]
+        own = [stated.parameters.index(f"{what}.{channel}") for what in ("offset", "sensitivity.x") for channel in "xy"]
+        return np.array(stated.matrix)[np.ix_([*own, *turns], turns)]
+
+    alone, both = shared(mounted), shared(found)
+    assert np.abs(alone[:4]).max() > 1e-4
+    np.testing.assert_allclose(both[:4], alone[:4] / 2.0, rtol=0.02, atol=1e-6)
+    np.testing.assert_allclose(both[4:], alone[4:], rtol=1e-3)
 
 
 @pytest.mark.parametrize("what", ["drift", "gain"])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.verification import Verification, VerifiedPosition, verify_positions
-from tiltcal.core.model import Coefficients
+from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure_file import find_procedure
@@ -66,6 +68,17 @@ def test_noise_counts_by_the_slope_of_the_angle() -> None:
     (found,) = verify_positions(PERFECT, [one])
     assert found.expanded == pytest.approx(1.96 * 0.0808, rel=1e-3)
     assert found.error == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("temperature", "error"), [(34.0, 0.0), (24.0, 2.8)])
+def test_a_position_is_judged_at_its_temperature(temperature: float, error: float) -> None:
+    """4 count/°C over 10 °C are 40 counts, which without them are asin(40 / 819) = 2.80°."""
+    thermal = Thermal(24.0, None, np.array([[4.0], [0.0]]), np.zeros((2, 0)))
+    drifting = replace(PERFECT, coefficients=replace(PERFECT.coefficients, thermal=thermal))
+    summaries = {"x": SampleSummary(1064.0, 0.1, 100, 0.01), "y": SampleSummary(1024.0, 0.1, 100, 0.01)}
+    one = Measurement("level", (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, temperature, summaries)
+    (found,) = verify_positions(drifting, [one])
+    assert found.error == pytest.approx(error, abs=1e-2)
 
 
 def test_error_and_uncertainty_have_the_same_decimals() -> None:

@@ -67,6 +67,7 @@ def test_a_column_that_is_skipped_is_no_reading() -> None:
     assert at(columns)[0].channels == ("x", "y")
     sensor = scripted(columns, r0300010001="03 02 0007", r0300040001="03 02 0009")
     assert sensor.read().values == (7.0, 9.0)
+    assert not at(columns)[0].thermometer
     assert find_model("modbus-columns").at(parse_address(f"sim:{columns}")).channels == ("x", "y")
 
 

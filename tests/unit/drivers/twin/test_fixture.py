@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.drivers.twin.fixture import Fixture, _rotated
 
 LEVEL = (0.0, 0.0, 1.0)
 
@@ -34,6 +35,12 @@ def test_what_follows_the_chamber_obeys_its_differential_equation(pace, constant
     assert element == pytest.approx(found, abs=0.05)
     if pace:
         assert chamber[20] == pytest.approx(20.0 + 2.0 * 300.0 / 60.0)
+
+
+def test_angles_are_turned_about_x_then_y_then_z():
+    """As scipy has it, whose lower-case letters are rotations about axes that stay."""
+    angles, up = [0.3, -0.2, 0.7], (0.48, -0.6, 0.64)
+    assert _rotated(up, angles) == pytest.approx(Rotation.from_euler("xyz", angles).apply(up))
 
 
 def test_without_a_lag_it_has_the_temperature_of_the_chamber():
