@@ -8,9 +8,15 @@ from tiltcal.errors import UsageError
 
 
 def require_text(option: str, value: object) -> None:
-    """Refuse a value that is no text, with a UsageError; None is not stated."""
-    if value is not None and not isinstance(value, str):
+    """Refuse a value that is no text, with a UsageError."""
+    if not isinstance(value, str):
         raise UsageError(f"{option} takes a text, not {value!r}")
+
+
+def require_text_or_none(option: str, value: object) -> None:
+    """Refuse a value that is no text, with a UsageError; None is not stated."""
+    if value is not None:
+        require_text(option, value)
 
 
 def require_path(what: str, value: object) -> None:

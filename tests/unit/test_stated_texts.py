@@ -27,6 +27,11 @@ def match(pairs: Any = (("a1", "a2", "a4"),), **options: Any) -> object:
     return tiltcal.match({"a1": [1.0]}, pairs, **options)
 
 
+def measure(**options: Any) -> object:
+    sensor = {"sensor": "sca100t-d02", "address": "sim:", "serial": "S", "output": "S.yaml"}
+    return tiltcal.measure("plane", **(sensor | options))
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -57,6 +62,19 @@ def match(pairs: Any = (("a1", "a2", "a4"),), **options: Any) -> object:
         (lambda: tiltcal.open_calibrations(5), f"the folder {NO_FILE}"),  # type: ignore[arg-type]
         (lambda: tiltcal.open_calibrations(FIXTURES).at(5, "2026-05-01"), "--serial takes a text, not 5"),  # type: ignore[arg-type]
         (lambda: tiltcal.open_calibrations(FIXTURES).apply(ROW, serial=5), "--serial takes a text, not 5"),  # type: ignore[arg-type]
+        (lambda: tiltcal.open_calibrations(FIXTURES).at(None, "2026-05-01"), "--serial takes a text, not None"),  # type: ignore[arg-type]
+        (lambda: tiltcal.open_sensor("sca100t-d02", None).__enter__(), "--address takes a text, not None"),  # type: ignore[arg-type]
+        (lambda: fit(serial=["S"]), r"the serial number is \['S'\]: write a text"),
+        (
+            lambda: tiltcal.noise(ROW, rate=1.0, calibration=5),
+            "--calibration takes a tilt calibration or its file, not 5",
+        ),  # type: ignore[arg-type]
+        (lambda: measure(base=5.5), "--base is named by a text or a Path, not 5.5"),
+        (lambda: measure(journal=5), f"--journal {NO_FILE}"),
+        (lambda: measure(output=5), f"-o {NO_FILE}"),
+        (lambda: measure(resume=5), f"--resume {NO_FILE}"),
+        (lambda: measure(heading="a"), "--heading-uncertainty takes a number from 0, not 'a'"),
+        (lambda: tiltcal.combine([]), "name two calibrations or more"),
         (lambda: tiltcal.combine(5), "combine takes tilt calibrations or their files, not 5"),  # type: ignore[arg-type]
     ],
 )

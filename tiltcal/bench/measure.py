@@ -35,7 +35,8 @@ from tiltcal.files.document import read_document
 from tiltcal.files.node import require_name
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.stated_numbers import of_python, require_above_zero, require_whole
+from tiltcal.stated_numbers import of_python, require_above_zero, require_from_zero, require_whole
+from tiltcal.stated_texts import require_path
 
 
 def unheard(remark: str) -> None:
@@ -138,6 +139,10 @@ def measure(
     settle, jig, table_lean, heading, tilt, alignment = map(
         of_python, (settle, jig, table_lean, heading, tilt, alignment)
     )
+    for option, file in (("--base", base), ("--journal", journal), ("--resume", resume), ("-o", output)):
+        if file is not None:
+            require_path(option, file)
+    require_from_zero("--heading-uncertainty", heading)
     if resume is not None and os.path.exists(resume):
         session = _resumed(Path(resume), None if output is None else Path(output), remark)
         operator = operator or session.plan.operator
@@ -196,7 +201,7 @@ def measure(
             samples=samples,
             settle=settle,
             bases=bases,
-            typical=typical_temperature,
+            typical=bool(typical_temperature),
         )
         session = Session(plan, path)
         _predict(plan, remark)

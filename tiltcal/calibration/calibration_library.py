@@ -81,8 +81,8 @@ class CalibrationLibrary:
         InputError
             A file is wrong, or two contradict each other.
         """
+        require_text("--serial", serial)
         if serial not in self._histories:
-            require_text("--serial", serial)
             if serial not in self._files:
                 raise UsageError(self._unknown(serial))
             self._histories[serial] = SensorHistory.of([self._dated(file) for file in self._files[serial]])

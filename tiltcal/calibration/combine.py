@@ -67,10 +67,11 @@ def combine(
         calibrations = [calibrations]
     if not isinstance(calibrations, Iterable):
         raise UsageError(f"combine takes tilt calibrations or their files, not {calibrations!r}")
-    sessions = _named([CombinedSession.of(calibration) for calibration in calibrations])
+    found = [CombinedSession.of(calibration) for calibration in calibrations]
     known = stated_mounting(mounting) if mounting else None
-    if len(sessions) < 2 and known is None:
+    if not found or (len(found) < 2 and known is None):
         raise UsageError("name two calibrations or more, or a --mounting")
+    sessions = _named(found)
     _require_one_sensor(sessions)
     _require_independent(sessions)
     if known is not None:

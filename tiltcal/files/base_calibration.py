@@ -14,6 +14,7 @@ from tiltcal.files.document import checked_kind, parse_document, read_text
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.provenance_record import FileRecord
 from tiltcal.frozen import frozen
+from tiltcal.stated_texts import require_path
 
 
 @frozen
@@ -55,6 +56,8 @@ def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[st
     InputError
         Anything in it is wrong.
     """
+    if path is not None:
+        require_path("--base", path)
     determines = procedure.determines
     if path is None:
         if determines.completes:

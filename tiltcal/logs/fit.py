@@ -437,6 +437,7 @@ def _times(samples: Sequence[IntervalSamples]) -> list[tuple[float, float]]:
 def _serial(serial: str | None, base: str | Path | None) -> str:
     """The serial number that is named, or that of the base."""
     if serial is not None:
+        require_name(serial, "the serial number")
         return serial
     if base is None or os.path.isdir(base):
         raise UsageError("state the sensor's --serial number")

@@ -23,7 +23,7 @@ from tiltcal.logs.noise_log import characterise_log
 from tiltcal.logs.noise_summary import NoiseTarget, SensorNoise
 from tiltcal.logs.uniform_sampling import UniformLog
 from tiltcal.stated_numbers import require_above_zero, require_whole
-from tiltcal.stated_texts import require_text
+from tiltcal.stated_texts import require_text_or_none
 
 
 def noise(
@@ -81,7 +81,7 @@ def noise(
     --------
     >>> print(tiltcal.noise(readings, rate=102.4, unit="m/s2"))
     """
-    require_text("--unit", unit)
+    require_text_or_none("--unit", unit)
     facts = NoiseFacts.of(sensor, None, calibration, unit)
     wanted = NoiseTarget(target, target_range)
     facts.require_scale(wanted)
@@ -134,6 +134,8 @@ class NoiseFacts:
         if model is not None and address is not None:
             model = model.at(parse_address(address))
         known = Calibration(read_calibration(calibration)) if isinstance(calibration, str | Path) else calibration
+        if known is not None and not isinstance(known, Calibration):
+            raise UsageError(f"--calibration takes a tilt calibration or its file, not {calibration!r}")
         _refuse_contradiction(model, known, unit)
         own_unit = unit or (known.sensor.unit if known else None) or (model.unit if model else None)
         channels = tuple(model.channels) if model else known.sensor.channels if known else ()

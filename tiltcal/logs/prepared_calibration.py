@@ -17,7 +17,7 @@ from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME, SensorColumns
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
 from tiltcal.stated_numbers import is_number, require_from_zero, shown
-from tiltcal.stated_texts import require_text
+from tiltcal.stated_texts import require_text_or_none
 
 if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration
@@ -49,7 +49,7 @@ class ApplyOptions:
     every: str | float | timedelta | None = None
 
     def __post_init__(self) -> None:
-        require_text("--serial", self.serial)
+        require_text_or_none("--serial", self.serial)
         for option in ("reading_noise", "stability", "magnetometer_noise"):
             require_from_zero(f"--{option.replace('_', '-')}", getattr(self, option))
         for option, value in (("--stability", self.stability), ("--reading-noise", self.reading_noise)):
