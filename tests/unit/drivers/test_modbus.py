@@ -334,6 +334,17 @@ def test_a_register_that_the_slave_lacks_and_a_unit_that_is_not_there() -> None:
             link.close()
 
 
+def test_a_server_that_has_ended_is_named() -> None:
+    with slave(1, BLOCKS, rtu=False) as place:
+        model, written = at("unit=1&timeout=0.1&columns=x@0", place)
+        link = open_link(parse_address(written), model)
+        sensor = model.driver(link, VirtualClock())
+        sensor.read()
+        link.close()
+    with pytest.raises(BusError, match="no Modbus server answers at tcp://"):
+        sensor.read()
+
+
 def test_nobody_at_the_other_end() -> None:
     model, written = at("columns=x@0&timeout=0.1", "tcp://127.0.0.1:1")
     with pytest.raises(BusError, match=r"no Modbus server answers at tcp://127.0.0.1:1"):

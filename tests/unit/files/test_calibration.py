@@ -116,6 +116,11 @@ def test_calibration_of_an_earlier_version_is_read() -> None:
     assert read(text).uncertainty.single_reading == {"x": 0.2}
 
 
+def test_a_coefficient_of_a_covariance_may_be_exact() -> None:
+    text = EXAMPLE.replace("{x: 0.1, y: 0.1}", "{x: 0.1, y: 0}").replace("1e-8], [1e-8, 0.01]", "0], [0, 0]")
+    assert read(text).uncertainty.covariance.matrix == ((0.01, 0.0), (0.0, 0.0))
+
+
 def test_two_channels_may_have_a_z_column() -> None:
     text = EXAMPLE.replace("y: 9.1}", "z: 3.0, y: 9.1}").replace("y: 820.7}", "y: 820.7, z: 1.0}")
     coefficients = read(text).coefficients
