@@ -203,21 +203,20 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
 
 def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """Estimate the jig from the residuals, and solve the equations with it as if it were stated."""
-    known = replace(system, jig=0.0)
-    z = minimum_from(known, _start(system.unweighted()))
-    near = with_attitudes(known, z)
-    dof = known.degrees_of_freedom(near.unobservable_leans)
+    z = minimum_from(system, _start(system.unweighted()))
+    near = with_attitudes(system, z)
+    dof = system.degrees_of_freedom(near.unobservable_leans)
     if dof <= 0:
         return _estimates(sensors, system, _Found(z, stated_budgets(near), 0, None, True, notes=(NO_FREEDOM,)))
     table = _known_table(near)
-    components = variance_components(residuals_near(replace(known, table=table), z, dof))
+    components = variance_components(residuals_near(replace(system, table=table), z, dof))
     if components.angle > LARGEST_JIG:
         raise EstimateError(
             "the residuals are larger than any error of the set angles explains: are the positions named right, and "
             "the readings plausible?"
         )
     if system.noise_unknown:
-        known, z, noise = find_noise(known, z, dof, table, None)
+        known, z, noise = find_noise(system, z, dof, table, None)
         return _estimates(sensors, known, _of_residuals(system, known, z, dof, noise))
     known, z, components = find_jig(system, z, components, dof, table)
     near = with_attitudes(known, z)

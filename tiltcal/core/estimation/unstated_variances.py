@@ -89,8 +89,10 @@ def find_jig(
 
     Parameters
     ----------
+    system : System
+        With a perfect jig.
     z : ndarray
-        The minimum for a perfect jig.
+        Its minimum.
     components : VarianceComponents
         What its residuals show.
     dof : int
@@ -98,7 +100,7 @@ def find_jig(
     table : float
         Standard uncertainty of the lean of the table, radians; infinite where nothing is known of it.
     """
-    known = replace(system, jig=0.0)
+    known = system
     for _ in range(ROUNDS):
         before, last = known.jig, known
         known = with_noise(replace(system, jig=components.angle), components.noise)
