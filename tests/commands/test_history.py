@@ -106,6 +106,15 @@ def test_a_change_is_told_with_its_uncertainty_and_the_folder_of_its_file(folder
     assert "<td>offset.x by +12.0 ± 1.0 count</td>" in page.read_text(encoding="utf-8")
 
 
+def test_a_coefficient_that_some_sensors_lack_is_compared_among_those_that_have_it(tmp_path: Path) -> None:
+    level = (FIXTURES / "zero-45.yaml").read_text(encoding="utf-8")
+    for unit, text in enumerate([MAVS, MAVS, MAVS, level]):
+        (tmp_path / f"U-{unit}.yaml").write_text(text.replace("SIM-42", f"U-{unit}"))
+    (fleet,) = json.loads(tiltcal("history", tmp_path, "--json").stdout)["fleets"]
+    found = {one["name"]: one["n"] for one in fleet["coefficients"]}
+    assert (found["offset.x"], found["temperature.offset.x.1"]) == (4, 3)
+
+
 def test_a_folder_without_calibrations_and_a_wrong_interval_are_refused(folder: Path, tmp_path: Path) -> None:
     assert "has no calibration files" in tiltcal("history", tmp_path).stderr
     assert "'a year' is no number of days" in tiltcal("history", folder, "--interval", "a year").stderr

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -39,7 +41,7 @@ def cone(count: int, half_angle: float, rng: np.random.Generator) -> Directions:
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
 
 
-def calibrated(up: Directions, noise: float, rng: np.random.Generator) -> CalibrationRecord:
+def measured(up: Directions, noise: float, rng: np.random.Generator, channels: str = "xyz") -> MeasuredSensor:
     mean = OFFSET + up @ SENSITIVITY.T + rng.normal(0.0, noise, up.shape)
     measurements = [
         Measurement(
@@ -47,11 +49,15 @@ def calibrated(up: Directions, noise: float, rng: np.random.Generator) -> Calibr
             (0.0, 0.0, 1.0),
             None,
             None,
-            {axis: SampleSummary(float(row[k]), 10 * noise, 100, noise, 0.0, 9.0) for k, axis in enumerate("xyz")},
+            {axis: SampleSummary(float(row[k]), 10 * noise, 100, noise, 0.0, 9.0) for k, axis in enumerate(channels)},
         )
         for number, row in enumerate(mean)
     ]
-    return calibrate([MeasuredSensor(SENSOR, measurements)], FREE, BenchUncertainty())[0]
+    return MeasuredSensor(replace(SENSOR, serial=channels, channels=tuple(channels)), measurements)
+
+
+def calibrated(up: Directions, noise: float, rng: np.random.Generator) -> CalibrationRecord:
+    return calibrate([measured(up, noise, rng)], FREE, BenchUncertainty())[0]
 
 
 def off_by(calibration: CalibrationRecord) -> float:
@@ -65,6 +71,16 @@ def test_attitudes_that_point_every_way_need_no_warning() -> None:
     found = calibrated(sphere(18), 1e-3, np.random.default_rng(1))
     assert found.fit.warning is None
     assert off_by(found) < 5.0
+
+
+def test_a_sensor_of_three_channels_shows_the_directions_for_one_of_two() -> None:
+    rng, up = np.random.default_rng(1), sphere(18)
+    two, three = measured(up, 1e-4, rng, "xy"), measured(up, 1e-4, rng)
+    found, _ = calibrate([two, three], FREE, BenchUncertainty())
+    assert found.coefficients.offset == pytest.approx(OFFSET[:2], abs=1e-3)
+    np.testing.assert_allclose(found.coefficients.sensitivity, SENSITIVITY[:2], atol=1e-3)
+    with pytest.raises(EstimateError, match="free positions need a sensor of three channels"):
+        calibrate([two], FREE, BenchUncertainty())
 
 
 def test_a_sensor_that_hardly_turns_is_refused_with_the_directions_to_add() -> None:
