@@ -13,7 +13,7 @@ Sources: Tedaldi, Pretto and Menegatti (2014) for the static detector; QARTOD's 
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from math import erf, inf, log, sqrt
 from typing import Protocol
 
@@ -78,7 +78,9 @@ _MANY, _SAMPLE = 1 << 13, 1 << 11  # values of which a sample is taken first, an
 
 def run_bounds(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the first rows of the runs of True, and the rows behind their last."""
-    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
+    framed = np.zeros(len(mask) + 2, dtype=bool)
+    framed[1:-1] = mask
+    edges = np.flatnonzero(framed[1:] != framed[:-1])
     return edges[::2], edges[1::2]
 
 
@@ -88,19 +90,33 @@ def runs(mask: Mask) -> list[Span]:
     return list(zip(starts.tolist(), ends.tolist(), strict=True))
 
 
-def long_runs(masks: Iterable[Mask], shortest: int) -> list[Span]:
-    """Return the runs of True of at least so many rows in masks that follow each other."""
-    bounds, first = [np.empty((2, 0), np.intp)], 0
-    for mask in masks:
+class LongRuns:
+    """Collects the runs of True of at least so many rows in masks that follow each other.
+
+    Parameters
+    ----------
+    shortest : int
+        Rows.
+    """
+
+    def __init__(self, shortest: int) -> None:
+        self._shortest, self._rows = shortest, 0
+        self._bounds = [np.empty((2, 0), np.intp)]
+
+    def add(self, mask: Mask) -> None:
+        """Take the next rows, shape (n,)."""
         starts, ends = run_bounds(mask)
-        kept = (ends - starts >= shortest) | (starts == 0) | (ends == len(mask))
-        bounds.append(first + np.stack([starts[kept], ends[kept]]))
-        first += len(mask)
-    starts, ends = np.concatenate(bounds, axis=1)
-    apart = starts[1:] != ends[:-1]
-    starts, ends = starts[np.append(True, apart)[: len(starts)]], ends[np.append(apart, True)[: len(ends)]]
-    long = ends - starts >= shortest
-    return list(zip(starts[long].tolist(), ends[long].tolist(), strict=True))
+        kept = (ends - starts >= self._shortest) | (starts == 0) | (ends == len(mask))
+        self._bounds.append(self._rows + np.stack([starts[kept], ends[kept]]))
+        self._rows += len(mask)
+
+    def result(self) -> list[Span]:
+        """Return the runs in the rows so far."""
+        starts, ends = np.concatenate(self._bounds, axis=1)
+        apart = starts[1:] != ends[:-1]
+        starts, ends = starts[np.append(True, apart)[: len(starts)]], ends[np.append(apart, True)[: len(ends)]]
+        long = ends - starts >= self._shortest
+        return list(zip(starts[long].tolist(), ends[long].tolist(), strict=True))
 
 
 # ---------------------------------------------------------------------------------------------------------------- stuck
@@ -132,8 +148,10 @@ def stuck_runs(samples: Rows, shortest: int) -> list[Span]:
     shortest : int
         Rows, at least 2.
     """
-    masks = (np.all(repeated(piece, before), axis=1) for before, piece in _pieces(samples))
-    return [(start - 1, end) for start, end in long_runs(masks, shortest - 1)]
+    found = LongRuns(shortest - 1)
+    for before, piece in _pieces(samples):
+        found.add(np.all(repeated(piece, before), axis=1))
+    return [(start - 1, end) for start, end in found.result()]
 
 
 def stuck_spans(samples: Rows, shortest: int) -> list[Span]:

@@ -17,7 +17,7 @@ from math import cos, inf, radians, sqrt
 
 import numpy as np
 
-from tiltcal.core.detection import Rows, Span, Stillest, long_runs, lost_rows, stuck_spans, window_scatter
+from tiltcal.core.detection import LongRuns, Rows, Span, Stillest, lost_rows, stuck_spans, window_scatter
 from tiltcal.core.estimation.ellipsoid import UNKNOWNS, Ellipsoid, fit_ellipsoid
 from tiltcal.core.model import Array
 from tiltcal.core.statistics import BLOCKS
@@ -142,8 +142,10 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
     return "\n".join(lines)
 
 
-def still_intervals(readings: RowSums, scatter: StoredRows, window: int, threshold: float) -> list[list[Span]]:
-    """Return the still intervals of a log, those of one attitude together.
+def still_intervals(
+    readings: RowSums, scatter: StoredRows, window: int, thresholds: Sequence[float]
+) -> Iterator[list[list[Span]]]:
+    """Yield the still intervals of a log by each threshold, those of one attitude together.
 
     Parameters
     ----------
@@ -151,19 +153,23 @@ def still_intervals(readings: RowSums, scatter: StoredRows, window: int, thresho
         In every window; see :func:`tiltcal.core.detection.window_scatter`.
     window : int
         Rows.
-    threshold : float
-        Standard deviation, all channels together, unit.
+    thresholds : sequence of float
+        Standard deviations, all channels together, unit.
 
-    Returns
-    -------
+    Yields
+    ------
     list of list of (start, end)
         Rows, ends exclusive, in order.
     """
     middle = window // 2
     # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
-    still = long_runs((piece[0] <= threshold for piece in scatter.blocks()), max(middle, 2))
-    spans = [(start + middle, end + middle) for start, end in still]
-    return _merged(readings, [span for span in spans if readings.change(span)])
+    still = [LongRuns(max(middle, 2)) for _ in thresholds]
+    for (piece,) in scatter.blocks():
+        for found, threshold in zip(still, thresholds, strict=True):
+            found.add(piece <= threshold)
+    for found in still:
+        spans = [(start + middle, end + middle) for start, end in found.result()]
+        yield _merged(readings, [span for span in spans if readings.change(span)])
 
 
 class RowSums:
@@ -238,8 +244,8 @@ def _choices(readings: Rows, stuck: Sequence[Span], windows: Sequence[int]) -> I
             noise = stillest.result()
             if noise is None:
                 continue
-            for multiple in MULTIPLES:
-                intervals = still_intervals(sums, scatter, window, multiple * noise)
+            found = still_intervals(sums, scatter, window, [multiple * noise for multiple in MULTIPLES])
+            for multiple, intervals in zip(MULTIPLES, found, strict=True):
                 yield StaticDetection(
                     window, multiple, noise, tuple(map(tuple, intervals)), _ellipsoid(sums, intervals)
                 )

@@ -9,13 +9,13 @@ import pytest
 import scipy
 
 from tiltcal.core.detection import (
+    LongRuns,
     Stillest,
     bursts,
     distances,
     identical_by_chance,
     is_still,
     jumps,
-    long_runs,
     outliers,
     repeated,
     runs,
@@ -130,5 +130,8 @@ def test_the_stillest_part_is_the_quantile_of_numpy(n: int) -> None:
 def test_long_runs_go_on_from_one_mask_to_the_next() -> None:
     mask = np.array([*"..###.##....######.#"]) == "#"
     for cuts in ([], [3], [4, 8, 14], [0, 5, 15, 19]):
-        assert long_runs(np.split(mask, cuts), 3) == [(2, 5), (12, 18)]
-    assert long_runs([], 3) == []
+        found = LongRuns(3)
+        for piece in np.split(mask, cuts):
+            found.add(piece)
+        assert found.result() == [(2, 5), (12, 18)]
+    assert LongRuns(3).result() == []

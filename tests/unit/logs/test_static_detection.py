@@ -166,7 +166,7 @@ class TestHolds:
     def test_identical_samples_are_no_hold(self) -> None:
         with StoredRows(1) as scatter:
             scatter.append(np.zeros((1, 351)))
-            assert still_intervals(RowSums(np.ones((400, 3))), scatter, 50, 1.0) == []
+            assert [*still_intervals(RowSums(np.ones((400, 3))), scatter, 50, [1.0])] == [[]]
 
 
 class TestRowSums:
