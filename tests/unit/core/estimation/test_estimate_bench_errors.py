@@ -256,6 +256,31 @@ def test_a_loop_is_in_offset_and_drift() -> None:
     assert [added["offset.x"], added["temperature.offset.x.1"]] == pytest.approx(expected, rel=1e-6)
 
 
+def test_a_loop_moves_the_positions_of_its_own_setting_alone() -> None:
+    """Five temperatures at level as above; then 30° to either side, each set anew: by numpy's pseudo-inverse."""
+    level = zip((0.0, 20.0, 40.0, 20.5, 0.5), (0.0, 0.0, 0.0, 0.4, 0.4), strict=True)
+    rows = [(0.0, t, loop, k > 0) for k, (t, loop) in enumerate(level)] + [(a, 20.0, 0.0, False) for a in (0.5, -0.5)]
+    observations = [
+        Observation(
+            f"p{k}",
+            np.array([x, 0.0, sqrt(1.0 - x * x)]),
+            np.array([x + 0.01 * t + loop]),
+            np.array([0.03]),
+            t,
+            held=held,
+        )
+        for k, (x, t, loop, held) in enumerate(rows)
+    ]
+    design = Design(("x",), ("x",), drift=1, jig=0.0)
+    found = with_hysteresis(estimate(observations, design), SensorObservations(design, observations))
+    by = dict(zip(found.names, np.linalg.pinv([[1.0, x, t] for x, t, _, _ in rows]), strict=True))
+    (loop,) = largest_loops(found, observations, 0.0).values()
+    added = dict(zip(found.names, found.budget.variance["hysteresis"], strict=True))
+    for name, row in by.items():
+        expected = loop.difference**2 / 12.0 * (np.sum(row[:5]) ** 2 + row[2] ** 2)
+        assert added[name] == pytest.approx(expected, rel=1e-6, abs=1e-12), name
+
+
 class TestGimbalLock:
     """Pitch of 89.9°, and angles that are known to 0.2°: roll and yaw cannot be told apart."""
 
