@@ -132,7 +132,7 @@ def repeated(samples: Array, before: ArrayLike = np.nan) -> Mask:
     before : array_like, shape (channels,)
         The row before the first.
     """
-    same = np.empty(samples.shape, dtype=bool)
+    same = np.empty_like(samples, dtype=bool)
     same[:1] = samples[:1] == before
     np.equal(samples[1:], samples[:-1], out=same[1:])
     return same
