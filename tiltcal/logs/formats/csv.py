@@ -27,7 +27,7 @@ from tiltcal.logs.text_to_numbers import unread_time
 if TYPE_CHECKING:
     import polars as pl
 
-_BLOCK = 4 << 20
+_BLOCK = 6 << 20
 _TAIL = 1 << 12
 _LONGEST_ROW = 16 << 20
 _UTF8_BOM = b"\xef\xbb\xbf"
