@@ -244,6 +244,8 @@ def test_noise_of_a_frame_is_that_of_its_log(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     found = tiltcal.noise(frame, rate=100.0, unit="m/s2")
     assert result.stdout == f"{found}\n"
+    renamed = frame.rename({"x": "a", "y": "b"})
+    assert str(tiltcal.noise(renamed, rate=100.0, unit="m/s2", columns={"x": "a", "y": "b"})) == str(found)
     density = found.as_data()["channels"]["x"]["noise_density"]["value"]
     assert density == pytest.approx(0.02 * np.sqrt(2 / 100), rel=0.05)
     with pytest.raises(tiltcal.UsageError, match="nothing says how much a degree is"):
