@@ -5,13 +5,16 @@ Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2 and 5
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor, degrees_of_freedom, welch_satterthwaite
 from tiltcal.core.model import Array
 from tiltcal.frozen import frozen
+
+_FOLLOWS = 1e-12
+"""The share of a variance that rounding leaves where an error follows from others."""
 
 
 @frozen
@@ -132,9 +135,12 @@ def propagated(
 
     Notes
     -----
-    The function is evaluated one standard deviation to either side along each principal axis of the covariance. That is
-    the GUM's law of propagation (5.1) where the function is linear, and stays finite where it has a corner, such as the
-    angle between two directions that are nearly parallel.
+    The function is evaluated one standard deviation to either side along each column of the covariance's Cholesky
+    factor, as the unscented transform does. That is the GUM's law of propagation (5.1) where the function is linear,
+    and stays finite where it has a corner, such as the angle between two directions that are nearly parallel. Principal
+    axes turn with the last digit of a covariance where two of them are equally long, and such a result with them.
+
+    Source: S. Julier and J. Uhlmann, *Unscented filtering and nonlinear estimation*, Proc. IEEE 92 (2004) 401.
     """
     wider = factors / NORMAL_FACTOR
     u = _standard_uncertainty(function, parameters, covariance)
@@ -161,18 +167,22 @@ def central_differences(function: Callable[[Array], Array], at: Array, steps: Ar
 
 
 def _standard_uncertainty(function: Callable[[Array], Array], parameters: Array, covariance: Array) -> Array:
-    # An exact parameter takes no part: the axes of another's error would move it by their rounding, on some processors.
-    uncertain = np.flatnonzero(np.diag(covariance) > 0.0)
-    covariance = covariance[np.ix_(uncertain, uncertain)]
-    # A variance of 1e-12 is lost in the rounding of the axes beside one of 1e5: units of 1e-4, 1, 1e4 bring them close.
-    unit = 1e4 ** np.round(np.log10(np.sqrt(np.diag(covariance))) / 4.0)
-    values, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
     middle = function(parameters)
     variance = np.zeros_like(middle)
-    for value, axis in zip(values, axes.T, strict=True):
-        if value <= 0.0:
-            continue
-        step = np.zeros_like(parameters)
-        step[uncertain] = np.sqrt(value) * axis * unit
+    for step in _independent_steps(covariance):
         variance += ((function(parameters + step) - middle) ** 2 + (function(parameters - step) - middle) ** 2) / 2.0
     return np.asarray(np.sqrt(variance))
+
+
+def _independent_steps(covariance: Array) -> Iterator[Array]:
+    """Yield the columns of the Cholesky factor, shape (k,): independent errors that make up the covariance.
+
+    An error that follows from those before it has none, nor has an exact parameter.
+    """
+    left = covariance.copy()
+    for k, own in enumerate(np.diag(covariance)):
+        if left[k, k] > _FOLLOWS * own:
+            column = left[:, k] / np.sqrt(left[k, k])
+            column[:k] = 0.0
+            left -= np.outer(column, column)
+            yield column
