@@ -164,6 +164,13 @@ def table(found: dict[str, dict[str, Cost]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def conditions(rows: int, repeat: int) -> str:
+    """Return the date, the size of the log, and what the machine had to do."""
+    load = f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "load unknown"
+    runs = f"medians of {repeat} runs in turn"
+    return f"{datetime.now(UTC):%d %B %Y}, {rows} rows, {runs}, {os.cpu_count()} cores, {load}."
+
+
 def keep(text: str, script: str) -> None:
     """Put what a script has found into README.md, between its marks."""
     readme, end = HERE / "README.md", "<!-- to here -->\n"
@@ -194,12 +201,8 @@ def main() -> int:
             runs = {name: partial(measure, command, out) for name, command in whole.items()}
             found[suffix[1:]] = in_turn(runs, options.repeat, ["with_pandas"] if suffix == ".csv" else ())
     found["arrays"] = in_turn(on_arrays(options.rows), options.repeat)
-    load = f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "load unknown"
     note = "" if "imucal" in found["arrays"] else " imucal is not installed."
-    text = (
-        f"{datetime.now(UTC):%d %B %Y}, {options.rows} rows, medians of {options.repeat} runs in turn, "
-        f"{os.cpu_count()} cores, {load}.{note}\n\n{table(found)}"
-    )
+    text = f"{conditions(options.rows, options.repeat)}{note}\n\n{table(found)}"
     print(json.dumps(found) if options.json else text)
     if options.keep:
         keep(text, "apply.py")

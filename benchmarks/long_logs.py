@@ -13,17 +13,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from apply import CALIBRATION, Cost, in_turn, keep, measure
+from apply import CALIBRATION, Cost, conditions, in_turn, keep, measure
 from apply import write_logs as write_tilt_log
 from match import write_log as write_disk_log
 
@@ -142,11 +140,7 @@ def main() -> int:
                 }
                 runs_of = {who: partial(measure, run, folder / "out") for who, run in runs.items()}
                 found[f"{command}, {suffix}"] = in_turn(runs_of, options.repeat)
-    load = f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "load unknown"
-    text = (
-        f"{datetime.now(UTC):%d %B %Y}, {options.rows} rows, medians of {options.repeat} runs in turn, "
-        f"{os.cpu_count()} cores, {load}.\n\n{table(found)}"
-    )
+    text = f"{conditions(options.rows, options.repeat)}\n\n{table(found)}"
     print(json.dumps(found) if options.json else text)
     if options.keep:
         keep(text, "long_logs.py")
