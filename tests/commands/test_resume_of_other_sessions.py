@@ -33,6 +33,10 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def unplugged(*_: object) -> NoReturn:
+    raise BusError("no device")
+
+
 def replayed_verdict(folder: Path, journal: str) -> dict:
     done = tiltcal("verify", "S-1.yaml", "--resume", journal, "--operator", "sim", "--json", cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -55,6 +59,25 @@ def test_an_interrupted_verification_is_named(sessions: Path, command: str) -> N
     done = tiltcal(command, "v-stopped.jsonl", cwd=sessions)
     assert "continue it with: tiltcal verify CAL --resume v-stopped.jsonl" in done.stdout + done.stderr
     assert done.returncode == (1 if command == "check" else 2)
+
+
+@pytest.mark.parametrize(
+    ("command", "journal"), [("measure", "m-stopped.jsonl"), ("verify S-1.yaml", "v-stopped.jsonl")]
+)
+def test_a_sensor_that_is_still_unplugged(
+    sessions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, journal: str
+) -> None:
+    """It is told before the first prompt, and how to go on as in the first session; the journal stays as it was."""
+    for name in ("S-1.yaml", journal):
+        shutil.copy(sessions / name, tmp_path)
+    before = (tmp_path / journal).read_bytes()
+    monkeypatch.setattr("tiltcal.bench.session.open_device", unplugged)
+    go_on = (*command.split(), "--resume", journal)
+    done = tiltcal(*go_on, "--operator", "json", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (3, "")
+    kept = f"everything measured is kept; continue with: tiltcal {' '.join(go_on)}"
+    assert done.stderr.splitlines()[-1] == f"tiltcal: no device; {kept}"
+    assert (tmp_path / journal).read_bytes() == before
 
 
 @pytest.mark.parametrize(
@@ -84,10 +107,6 @@ def test_a_journal_with_its_end_needs_no_sensor(
     sessions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The file is made again at a desk: no device is asked, and the journal may be write-protected."""
-
-    def unplugged(*_: object) -> NoReturn:
-        raise BusError("no device")
-
     shutil.copy(sessions / "S-1.journal.jsonl", tmp_path)
     monkeypatch.setattr("tiltcal.bench.session.open_device", unplugged)
     done = tiltcal("measure", "--resume", "S-1.journal.jsonl", "--operator", "sim", cwd=tmp_path)

@@ -110,7 +110,7 @@ def ramp_session(twin: str) -> Session:
         operator="sim",
     )
     session = Session(plan, journal)
-    session.preflight()
+    session.probe()
     return session
 
 

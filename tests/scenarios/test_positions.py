@@ -57,7 +57,7 @@ def run(
 ) -> tuple[CalibrationRecord, list[str]]:
     said: list[str] = []
     live = session(procedure, **options)
-    live.preflight()
+    live.probe()
     live.run(operator or SimOperator(said.append)).write()
     return read_calibration("S-1.yaml"), said
 
@@ -125,7 +125,7 @@ def test_a_stuck_reading_is_refused_as_a_wrong_position(bench: Path) -> None:
 def test_a_fault_that_stays_ends_the_session(bench: Path) -> None:
     twin_with("faults: [{kind: unplugged, start: 5.0, end: 1.0e+9}]")
     live = session()
-    live.preflight()
+    live.probe()
     with pytest.raises(HardwareError, match="unplugged"):
         live.run(SimOperator())
     assert not Path("S-1.yaml").exists()
@@ -135,7 +135,7 @@ def test_a_fault_that_stays_ends_the_session(bench: Path) -> None:
 def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone(bench: Path) -> None:
     twin_with("faults: [{kind: unplugged, start: 5.0, end: 11.0}]")
     live = session()
-    live.preflight()
+    live.probe()
     with pytest.raises(HardwareError, match="unplugged"):
         live.run(SimOperator())
     journal = Path("S-1.journal.jsonl")

@@ -205,16 +205,15 @@ def measure(
         )
         session = Session(plan, path)
         _predict(plan, remark)
-    session.preflight()
+    session.require_writable()
     turning = session.plan.procedure.rotation is not None
-    with (
-        session.resumable("measure", remark),
-        open_operator(operator, turns=turning, virtual=session.plan.virtual, say=remark, plain=plain) as opened,
-    ):
-        result = session.run(opened)
-        result.write()
-        opened.done(list(result.calibrations), session.path)
-        result.require_all()
+    with session.resumable("measure", remark):
+        session.probe()
+        with open_operator(operator, turns=turning, virtual=session.plan.virtual, say=remark, plain=plain) as opened:
+            result = session.run(opened)
+            result.write()
+            opened.done(list(result.calibrations), session.path)
+            result.require_all()
     return _results(session, result, remark)
 
 

@@ -129,7 +129,7 @@ class Session:
 
     @contextmanager
     def resumable(self, command: str, remark: Callable[[str], None]) -> Iterator[None]:
-        """Say how to go on, where an error ends the block between the journal's begin and the session's end.
+        """Say how to go on, where an error ends the block and the journal has a begin and no end.
 
         Parameters
         ----------
@@ -164,35 +164,44 @@ class Session:
         return [self._output(device) for device in self.plan.sensors if device.output]
 
     @property
+    def _ended(self) -> bool:
+        """Whether the journal that is gone on with has its end."""
+        return self.journal is not None and self.journal.end is not None
+
+    @property
     def _outside(self) -> list[Path]:
         """The calibration files that lie outside the journal's folder."""
         folder = os.path.realpath(self.path.parent)
         return [path for path in self.outputs if os.path.commonpath((folder, os.path.realpath(path))) != folder]
 
-    def preflight(self) -> None:
-        """Check before the operator starts that the files can be written, and that every device answers.
-
-        A journal that has its end needs no device, and is not written.
+    def require_writable(self) -> None:
+        """Check before the operator starts that the files can be written; a journal that has its end is not.
 
         Raises
         ------
         UsageError
             A path that cannot be written, or that a journal names outside its own folder.
-        HardwareError
-            A device that does not answer.
         """
         if self.journal is not None and self._named is None and self._outside:
             # The journal may be somebody else's.
             raise UsageError(
                 f"the journal names {self._outside[0]}, outside its own folder: say with -o where the calibration goes"
             )
-        ended = self.journal is not None and self.journal.end is not None
         for path in self.outputs:
             check_writable(path, self.path)
-        if not ended:
+        if not self._ended:
             check_writable(self.path)
+
+    def probe(self) -> None:
+        """Check before the operator starts that every device answers; a journal that has its end needs none.
+
+        Raises
+        ------
+        HardwareError
+            A device that does not answer.
+        """
         lines: dict[str, ModbusLine] = {}
-        for device in () if ended else self.plan.devices:
+        for device in () if self._ended else self.plan.devices:
             with closing(open_device(device, self._virtual, lines)) as link:
                 device.model.driver(link, self._clock).probe()
         self._clock.seek(0)
@@ -293,7 +302,7 @@ class Session:
     @contextmanager
     def _writer(self, live: bool) -> Iterator[JournalWriter | None]:
         """Open the journal for live events; None in a replay, and for a journal that has its end."""
-        if not live or (self.journal is not None and self.journal.end is not None):
+        if not live or self._ended:
             yield None
             return
         if self.journal is None:

@@ -103,13 +103,12 @@ def command(
     again = f"verify {quote(str(calibration))}"
     again += "" if options.left_at_default("limit") else f" --limit {limit}"
     again += " --json" if as_json else ""
-    session.preflight()
-    with (
-        session.resumable(again, remark),
-        open_operator(operator, turns=False, virtual=session.plan.virtual, say=remark, plain=plain) as leader,
-    ):
-        found = session.verify(cast("PositionOperator", leader), judged, limit)
-        leader.done([], session.path)
+    session.require_writable()
+    with session.resumable(again, remark):
+        session.probe()
+        with open_operator(operator, turns=False, virtual=session.plan.virtual, say=remark, plain=plain) as leader:
+            found = session.verify(cast("PositionOperator", leader), judged, limit)
+            leader.done([], session.path)
     if found.jig is None:
         remark("no --jig is stated: the positions count as exact")
     # What a program reads is JSON to the last line.
