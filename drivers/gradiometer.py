@@ -41,7 +41,7 @@ def _tailored(address: Address) -> Model:
         channels=columns.channels,
         unit=address.text("unit", "mA" if address.simulated else UNSTATED),
         driver=partial(ColumnsSensor, columns),
-        twin=from_twin("stage", "stage_twin", columns),
+        twin=from_twin("gradiometer", "gradiometer_twin", columns),
     )
 
 
@@ -60,7 +60,7 @@ GRADIOMETER = replace(
     scaled=False,
     thermometer=False,
     driver=partial(ColumnsSensor, _PRINTED),
-    twin=from_twin("stage", "stage_twin", _PRINTED),
+    twin=from_twin("gradiometer", "gradiometer_twin", _PRINTED),
     not_modelled=(
         "a stage that starts, stops or changes its speed: it turns steadily from the beginning of the session",
         "the stage's bearing, vibration and angular acceleration",
@@ -69,7 +69,7 @@ GRADIOMETER = replace(
         "temperature",
         "loss and damage on the line",
     ),
-    default_truth=from_twin("stage", "draw_truth"),
+    default_truth=from_twin("gradiometer", "draw_truth"),
     options=("columns", "separator", "unit"),
     configure=_tailored,
 )

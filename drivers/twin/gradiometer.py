@@ -1,4 +1,4 @@
-"""The twin of four accelerometers on an inclined rotary stage, sample by sample.
+"""The virtual gradiometer: four accelerometers on an inclined rotary stage, sample by sample and line by line.
 
 Each accelerometer measures, along its tangent at θ + φ,
 
@@ -12,14 +12,29 @@ start anywhere. Source: Misalignment Angle Compensation during Scale Factor Matc
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import cos, log, pi, radians, sin, sqrt
+from typing import TYPE_CHECKING
 
 from tiltcal.drivers.twin.noise import normal
+from tiltcal.drivers.twin.streaming import StreamingTwin
+from tiltcal.drivers.twin.tolerances import part_errors
+from tiltcal.drivers.twin.truth import Truth
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.columns import ColumnLayout
+    from tiltcal.drivers.twin.fixture import HeldPose
 
 PHASES = (0.0, 180.0, 90.0, 270.0)
 """Where a1, a2, a3 and a4 sit, degrees."""
 CHANNELS = ("a1", "a2", "a3", "a4")
+TIME, THETA = "time", "theta"
+
+BAUDRATE = 921_600
+
+FASTEST = 400.0
+"""Largest number of lines per second at the baud rate."""
 
 _OCTAVES = 20
 _WANDER_PERIODS = (617.0, 1471.0)
@@ -138,20 +153,14 @@ class Gradiometer:
         for number in range(start, start + count):
             yield self.sample(number)
 
-    def lines(self, count: int) -> Iterator[str]:
-        """Return a log in CSV, line by line: ``time,theta,a1,a2,a3,a4``."""
-        yield f"time,theta,{','.join(CHANNELS)}\n"
-        for sample in self.samples(count):
-            yield ",".join(map(repr, (sample.time, sample.theta, *sample.readings))) + "\n"
-
     def _reading(self, index: int, turned: float, time: float, common: float, number: int) -> float:
         part = self._disk.accelerometers[index]
         angle = turned + radians(PHASES[index]) + part.phase_error
         differential, cross = self._disk.gradient
-        felt = common * (sin(angle) + part.misalignment * cos(angle))
-        felt += 0.5 * differential * sin(2.0 * angle) + cross * cos(2.0 * angle)
-        felt += self._noise(CHANNELS[index], number)
-        return part.offset + part.drift * time + part.scale * (felt + part.second_order * felt**2)
+        signal = common * (sin(angle) + part.misalignment * cos(angle))
+        signal += 0.5 * differential * sin(2.0 * angle) + cross * cos(2.0 * angle)
+        signal += self._noise(CHANNELS[index], number)
+        return part.offset + part.drift * time + part.scale * (signal + part.second_order * signal**2)
 
     def _noise(self, channel: str, number: int) -> float:
         noise = self._white * normal(self._seed, channel, number) if self._white else 0.0
@@ -167,6 +176,54 @@ class Gradiometer:
             octaves[octave] = normal(self._seed, f"{channel}/{octave}", number >> octave)
         self._numbers[channel] = number
         return octaves
+
+
+@dataclass(frozen=True)
+class StageTruth(Truth):
+    """The true state of a virtual stage: a disk in place of the coefficients of a tilt sensor."""
+
+    disk: Disk = field(default_factory=Disk)
+
+    @classmethod
+    def of(cls, disk: Disk, seed: int) -> StageTruth:
+        """Return the truth of a disk, with all channels that it can print."""
+        return cls((TIME, THETA, *CHANNELS), {}, {}, seed=seed, disk=disk)
+
+
+def gradiometer_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTwin:
+    """Return a stage that prints the columns of an address; a skipped or unknown column is 0.
+
+    Parameters
+    ----------
+    truth : StageTruth
+        During its fault ``stuck``, it repeats the first line of the fault.
+    """
+    disk = truth.disk if isinstance(truth, StageTruth) else Disk()
+    gradiometer = Gradiometer(disk, truth.seed)
+
+    def line(number: int) -> bytes:
+        fault = truth.fault(number / disk.rate)
+        sample = gradiometer.sample(round(fault.start * disk.rate) if fault.kind == "stuck" else number)
+        readings = dict(zip(CHANNELS, sample.readings, strict=True))
+        return columns.line({TIME: number / disk.rate, THETA: sample.theta, **readings})
+
+    return StreamingTwin(truth, clock, line, period=1.0 / disk.rate, baudrate=BAUDRATE)
+
+
+def draw_truth(seed: int) -> StageTruth:
+    """Return accelerometers near those of the source; the tolerances are ours."""
+    within = part_errors(seed)
+
+    parts = tuple(
+        Accelerometer(
+            scale=3.4 * (1.0 + within(0.01, f"scale {name}")),
+            misalignment=within(0.02, f"misalignment {name}"),
+            phase_error=radians(within(0.1, f"place {name}")),
+            offset=within(0.002, f"offset {name}"),
+        )
+        for name in CHANNELS
+    )
+    return StageTruth.of(replace(Disk(), accelerometers=parts, encoder_noise=0.002), seed)
 
 
 def _wander(time: float) -> float:

@@ -51,8 +51,7 @@ from typing import Any
 
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.model import AXES
-from tiltcal.drivers.twin.gradiometer import CHANNELS, Accelerometer, Disk
-from tiltcal.drivers.twin.stage import FASTEST, StageTruth
+from tiltcal.drivers.twin.gradiometer import CHANNELS, FASTEST, Accelerometer, Disk, StageTruth
 from tiltcal.drivers.twin.truth import Fault, Polynomial, Truth
 from tiltcal.files.coefficients import ROWS, MountingSection, polynomials
 from tiltcal.files.declaration import (

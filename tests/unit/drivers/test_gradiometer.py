@@ -12,8 +12,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.device import Model, Sensor
-from tiltcal.drivers.twin.gradiometer import Disk, Gradiometer
-from tiltcal.drivers.twin.stage import StageTruth
+from tiltcal.drivers.twin.gradiometer import Disk, Gradiometer, StageTruth
 from tiltcal.drivers.twin.truth import Fault, Truth
 from tiltcal.errors import BusError, InputError, UsageError
 from tiltcal.files.twin import read_twin

@@ -65,9 +65,3 @@ def test_a_stream_begun_anywhere_is_the_same() -> None:
     whole = list(Gradiometer(noisy, 7).samples(300))
     assert list(Gradiometer(noisy, 7).samples(50, start=250)) == whole[250:]
     assert whole != list(Gradiometer(noisy, 8).samples(300))
-
-
-def test_a_log_has_a_header_and_a_line_for_each_sample() -> None:
-    lines = list(Gradiometer(Disk()).lines(3))
-    assert lines[0] == "time,theta,a1,a2,a3,a4\n"
-    assert [float(cell) for cell in lines[3].split(",")][:2] == [0.04, pytest.approx(1.8)]
