@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tiltcal.files.document import read_tiltcal_file
+from tiltcal.files.document import read_document
 from tiltcal.files.pair import PAIR, PairRecord
 
 
 def read_pair(path: str | Path) -> PairRecord:
     """Read and check a pair file."""
-    return PAIR.read(read_tiltcal_file(path, "pair"))
+    return PAIR.read(read_document(path))

@@ -11,7 +11,6 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.bench import BENCH, BenchFile, BenchSensor, BenchThermometer
-from tiltcal.files.document import checked_kind
 from tiltcal.files.journal_header import DeviceHeader
 from tiltcal.files.node import Node, require_printable
 
@@ -61,7 +60,7 @@ def known_bench(document: Node) -> BenchFile:
     InputError
         Anything in it is wrong; the message names file, line and key.
     """
-    bench, entries = BENCH.read(checked_kind(document, "bench")), document.entries()
+    bench, entries = BENCH.read(document), document.entries()
     devices: list[tuple[BenchSensor | BenchThermometer, Node]] = [
         *zip(bench.sensors, entries["sensors"].items(), strict=True)
     ]

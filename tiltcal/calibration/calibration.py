@@ -23,7 +23,7 @@ from tiltcal.files.calibration import (
     dump_calibration,
 )
 from tiltcal.files.derived_record import DerivedRecord
-from tiltcal.files.document import checked_kind, read_document
+from tiltcal.files.document import read_document
 from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.node import Node
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
@@ -309,8 +309,8 @@ def calibration_in(document: Node) -> Calibration | tiltcal.PairCalibration:
     if kind is not None and kind.names("pair"):
         from tiltcal.files.pair import PAIR
 
-        return tiltcal.PairCalibration(PAIR.read(checked_kind(document, "pair")))
-    calibration = Calibration(TILT.read(checked_kind(document, "tilt")))
+        return tiltcal.PairCalibration(PAIR.read(document))
+    calibration = Calibration(TILT.read(document))
     try:
         calibration.compensation()
     except EstimateError as failure:

@@ -10,7 +10,8 @@ import click
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, InputError, TiltcalError, UsageError
-from tiltcal.files.document import KINDS, checked_kind, read_document
+from tiltcal.files.declaration import KINDS
+from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.node import Node
 from tiltcal.files.provenance_record import FileRecord
@@ -74,7 +75,7 @@ def _checked(path: Path) -> tuple[str, list[str]]:
         return kind, []
     from tiltcal.files.json_schema import FORMATS
 
-    FORMATS[kind].read(checked_kind(document, kind))
+    FORMATS[kind].read(document)
     return kind, []
 
 

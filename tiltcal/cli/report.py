@@ -84,7 +84,7 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
 
 def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows: bool) -> str:
     from tiltcal.files.calibration import TILT, require_same_sensor
-    from tiltcal.files.document import checked_kind, read_document
+    from tiltcal.files.document import read_document
     from tiltcal.files.pair import PAIR
 
     documents = [read_document(name) for name in names]
@@ -96,9 +96,9 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
             raise UsageError("--columns is for tilt calibrations; the columns of pairs are named in their file")
         from tiltcal.report.pair_page import pair_page
 
-        pairs = PAIR.read(checked_kind(documents[0], "pair"))
+        pairs = PAIR.read(documents[0])
         return pair_page(pairs, _source(names[0]), [_spectra(log, pairs, skip_bad_rows) for log in logs])
-    calibrations = [TILT.read(checked_kind(document, "tilt")) for document in documents]
+    calibrations = [TILT.read(document) for document in documents]
     for earlier in calibrations[:-1]:
         require_same_sensor(earlier, calibrations[-1])
     return _tilt_page(calibrations, names, logs, columns, skip_bad_rows)

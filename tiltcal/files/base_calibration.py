@@ -10,7 +10,7 @@ from pathlib import Path
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import TILT, CalibrationRecord, SensorIdentity
 from tiltcal.files.declaration import Section, Text, entry
-from tiltcal.files.document import checked_kind, parse_document, read_text
+from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.provenance_record import FileRecord
 from tiltcal.frozen import frozen
@@ -27,7 +27,7 @@ class BaseFile:
     @cached_property
     def calibration(self) -> CalibrationRecord:
         """The calibration in it; an InputError names file, line and key of what is wrong."""
-        return TILT.read(checked_kind(parse_document(self.text, self.name or "the base calibration"), "tilt"))
+        return TILT.read(parse_document(self.text, self.name or "the base calibration"))
 
     @property
     def origin(self) -> FileRecord | None:

@@ -34,7 +34,7 @@ from tiltcal.files.declaration import (
     entry,
 )
 from tiltcal.files.derived_record import DerivedRecord
-from tiltcal.files.document import read_tiltcal_file
+from tiltcal.files.document import read_document
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.node import Node
@@ -163,7 +163,7 @@ TILT = Section(CalibrationRecord, follow=_names, kind="tilt")
 
 def read_calibration(path: str | Path) -> CalibrationRecord:
     """Read and check a calibration file; an InputError names file, line and key."""
-    return TILT.read(read_tiltcal_file(path, "tilt"))
+    return TILT.read(read_document(path))
 
 
 def dump_calibration(calibration: CalibrationRecord) -> str:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import TILT, CalibrationRecord
-from tiltcal.files.document import checked_kind, read_document
+from tiltcal.files.document import read_document
 from tiltcal.files.moments import moment
 from tiltcal.frozen import frozen
 
@@ -162,6 +162,6 @@ def _read(path: str) -> CalibrationFile | None:
     kind = document.entries().get("kind") if isinstance(document.content, dict) else None
     if kind is None or not kind.names("tilt"):
         return None
-    record = TILT.read(checked_kind(document, "tilt"))
+    record = TILT.read(document)
     started, ended = date_of(record, path)
     return CalibrationFile(record.sensor.serial, ended, started, record.sensor.model, path)

@@ -30,6 +30,15 @@ D = TypeVar("D")
 
 FORMAT_VERSION = 1
 
+KINDS = {
+    "tilt": "a tilt calibration",
+    "pair": "a pair calibration, as 'tiltcal match' writes it",
+    "procedure": "a procedure, as 'tiltcal measure' runs it",
+    "bench": "a bench, for 'tiltcal measure --bench'",
+    "twin": "a virtual sensor, for an address such as sim:?twin=FILE",
+}
+"""What messages call the files of each ``kind``."""
+
 _ENTRY = "entry"
 
 
@@ -446,7 +455,8 @@ class Section(Format[T]):
         Called after each entry, there or absent, with its key and all that was read so far; returns the context of the
         next one.
     kind : str
-        ``kind`` of a whole file, whose keys ``tiltcal`` and ``kind`` come first; empty for a part of a file.
+        ``kind`` of a whole file, one of :data:`KINDS`, whose keys ``tiltcal`` and ``kind`` come first and are checked
+        first; empty for a part of a file.
     """
 
     record: type[T]
@@ -454,6 +464,8 @@ class Section(Format[T]):
     kind: str = ""
 
     def read(self, node: Node, context: Context = ANY) -> T:
+        if self.kind:
+            _require_kind(node, self.kind)
         declared = {declaration.key: (name, declaration) for name, declaration in entries_of(self.record).items()}
         values = node.mapping(
             required=[*self._fixed(), *(key for key, (_, declaration) in declared.items() if declaration.required)],
@@ -497,3 +509,17 @@ class Section(Format[T]):
     def _fixed(self) -> dict[str, Any]:
         """Return the keys that identify the file."""
         return {"tiltcal": FORMAT_VERSION, "kind": self.kind} if self.kind else {}
+
+
+def _require_kind(document: Node, kind: str) -> None:
+    """Refuse a document of another version or of another kind."""
+    entries = document.entries()
+    for name in ("tiltcal", "kind"):
+        if name not in entries:
+            raise document.error(f"the key {name!r} is missing; {KINDS[kind]} has 'tiltcal: 1' and 'kind: {kind}'")
+    version = entries["tiltcal"].integer()
+    if version != FORMAT_VERSION:
+        raise entries["tiltcal"].error(f"format version {version} is not known; this program reads {FORMAT_VERSION}")
+    found = entries["kind"].choice(list(KINDS))
+    if found != kind:
+        raise entries["kind"].error(f"this file is {KINDS[found]}; {KINDS[kind]} is needed here (kind: {kind})")

@@ -19,20 +19,12 @@ from pathlib import Path
 import yaml
 
 from tiltcal.errors import InputError
-from tiltcal.files.declaration import FORMAT_VERSION
 from tiltcal.files.node import DEPTH_LIMIT, Node, Scalar, item_key, member_key, require_printable
 from tiltcal.stated_texts import require_path
 
 SIZE_LIMIT = 4_000_000
 """Bytes; the largest calibration file seen is a hundredth of it."""
 NODE_LIMIT = 200_000
-KINDS = {
-    "tilt": "a tilt calibration",
-    "pair": "a pair calibration, as 'tiltcal match' writes it",
-    "procedure": "a procedure, as 'tiltcal measure' runs it",
-    "bench": "a bench, for 'tiltcal measure --bench'",
-    "twin": "a virtual sensor, for an address such as sim:?twin=FILE",
-}
 
 
 def read_document(path: str | Path) -> Node:
@@ -44,29 +36,6 @@ def read_document(path: str | Path) -> Node:
         The file is not there, is too large, is not UTF-8, is not YAML, or uses what is refused here.
     """
     return parse_document(read_text(path), file=str(path))
-
-
-def read_tiltcal_file(path: str | Path, kind: str) -> Node:
-    """Read one of our own files, and check its version and that its kind is the one of ``KINDS`` that is needed.
-
-    The other keys are still to be checked.
-    """
-    return checked_kind(read_document(path), kind)
-
-
-def checked_kind(document: Node, kind: str) -> Node:
-    """Return a document after a check of its ``tiltcal`` version and its ``kind``."""
-    entries = document.entries()
-    for name in ("tiltcal", "kind"):
-        if name not in entries:
-            raise document.error(f"the key {name!r} is missing; {KINDS[kind]} has 'tiltcal: 1' and 'kind: {kind}'")
-    version = entries["tiltcal"].integer()
-    if version != FORMAT_VERSION:
-        raise entries["tiltcal"].error(f"format version {version} is not known; this program reads {FORMAT_VERSION}")
-    found = entries["kind"].choice(list(KINDS))
-    if found != kind:
-        raise entries["kind"].error(f"this file is {KINDS[found]}; {KINDS[kind]} is needed here (kind: {kind})")
-    return document
 
 
 def read_text(path: str | Path) -> str:

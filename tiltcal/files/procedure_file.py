@@ -21,7 +21,7 @@ from tiltcal.files.declaration import (
     Text,
     entry,
 )
-from tiltcal.files.document import checked_kind, read_tiltcal_file
+from tiltcal.files.document import read_document
 from tiltcal.files.node import Node, document_of
 from tiltcal.files.procedure import (
     IDENTIFIER,
@@ -75,7 +75,7 @@ def find_procedure(name_or_path: str | Path, angle: float | None = None) -> Proc
 
 def read_procedure(path: str | Path, angle: float | None = None) -> Procedure:
     """Read and check a procedure file; ``angle`` is as in :func:`find_procedure`, and so are the errors."""
-    return PROCEDURE.read(read_tiltcal_file(path, "procedure"), Context(given=angle))
+    return PROCEDURE.read(read_document(path), Context(given=angle))
 
 
 def procedure_from_record(
@@ -85,7 +85,7 @@ def procedure_from_record(
 
     Errors name ``file`` and ``line``, where the record stands.
     """
-    return PROCEDURE.read(checked_kind(document_of(record, file, line), "procedure"), Context(given=angle))
+    return PROCEDURE.read(document_of(record, file, line), Context(given=angle))
 
 
 def _of_positions(found: Procedure, node: Node, context: Context) -> Procedure:

@@ -69,7 +69,7 @@ from tiltcal.files.declaration import (
     Text,
     entry,
 )
-from tiltcal.files.document import read_tiltcal_file
+from tiltcal.files.document import read_document
 from tiltcal.files.node import Node
 from tiltcal.frozen import frozen
 
@@ -309,5 +309,5 @@ def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Tr
 
     Return the sensor model that it is for, None where it fits any, and the truth; ``seed`` replaces the file's.
     """
-    found = TWIN.read(read_tiltcal_file(path, "twin"))
+    found = TWIN.read(read_document(path))
     return found.model, replace(found.truth, seed=found.seed if seed is None else seed)

@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 
 from tiltcal.errors import InputError
 from tiltcal.files import document as document_module
-from tiltcal.files.document import NODE_LIMIT, SIZE_LIMIT, parse_document, read_document, read_tiltcal_file
+from tiltcal.files.calibration import TILT
+from tiltcal.files.document import NODE_LIMIT, SIZE_LIMIT, parse_document, read_document
 from tiltcal.files.emitter import WIDTH, yaml_text
 from tiltcal.files.node import CONTROL, document_of
 
@@ -253,7 +254,7 @@ def test_version_and_kind_are_checked_first(tmp_path: Path, text: str, line: int
     path = tmp_path / "f.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=about) as caught:
-        read_tiltcal_file(path, "tilt")
+        TILT.read(read_document(path))
     assert caught.value.line in (line, 1)
 
 

@@ -19,14 +19,14 @@ from tiltcal.errors import InputError
 from tiltcal.files.bench import BENCH as BENCH_FORMAT
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.document import read_document, read_tiltcal_file
+from tiltcal.files.document import read_document
 from tiltcal.files.json_schema import json_schema
 from tiltcal.files.procedure_file import read_procedure
 from tiltcal.files.twin import read_twin
 
 
 def read_bench(path: Path) -> BenchFile:
-    return BENCH_FORMAT.read(read_tiltcal_file(path, "bench"))
+    return BENCH_FORMAT.read(read_document(path))
 
 
 READERS = {
