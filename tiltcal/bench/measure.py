@@ -35,6 +35,7 @@ from tiltcal.files.document import read_document
 from tiltcal.files.node import require_name
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.stated_booleans import require_boolean
 from tiltcal.stated_numbers import of_python, require_above_zero, require_from_zero, require_whole
 from tiltcal.stated_texts import require_path
 
@@ -135,6 +136,9 @@ def measure(
     Stopped
         The operator stopped; the message says how to go on.
     """
+    for option, stated in (("--typical-temperature", typical_temperature), ("--closing", closing), ("--plain", plain)):
+        require_boolean(option, stated)
+    typical_temperature, closing, plain = map(of_python, (typical_temperature, closing, plain))
     samples, turns = of_python(samples), of_python(turns)
     settle, jig, table_lean, heading, tilt, alignment = map(
         of_python, (settle, jig, table_lean, heading, tilt, alignment)
@@ -201,7 +205,7 @@ def measure(
             samples=samples,
             settle=settle,
             bases=bases,
-            typical=bool(typical_temperature),
+            typical=typical_temperature,
         )
         session = Session(plan, path)
         _predict(plan, remark)

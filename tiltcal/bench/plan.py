@@ -23,6 +23,7 @@ from tiltcal.errors import UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.stated_booleans import require_boolean
 from tiltcal.stated_numbers import require_from_zero, require_whole
 
 _NOT_PREDICTED = (
@@ -119,6 +120,7 @@ def plan(
     --------
     >>> print(tiltcal.plan("zero-45", sensor="sca100t-d02", jig=0.1))
     """
+    require_boolean("--closing", closing)
     own = None if base is None else read_calibration(base)
     if sensor is None and own is None:
         raise UsageError("name the --sensor model, or its calibration with --base")

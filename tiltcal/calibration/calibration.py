@@ -29,6 +29,7 @@ from tiltcal.files.node import Node
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.stated_booleans import require_boolean
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +145,7 @@ class Calibration:
         EstimateError
             The sensitivity matrix cannot be inverted.
         """
+        require_boolean("--first-order", first_order)
         return Compensation(self.coefficients, self.limits, first_order=first_order)
 
     def apply(

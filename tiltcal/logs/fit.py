@@ -52,6 +52,7 @@ from tiltcal.logs.static_intervals import (
     require_positions,
 )
 from tiltcal.logs.streams import sha256_of
+from tiltcal.stated_booleans import require_boolean
 from tiltcal.stated_numbers import is_number, require_whole, shown
 
 SHORTEST = 4
@@ -152,6 +153,7 @@ def fit(
     steps = find_procedure(procedure, tilt).with_alignment(alignment)
     steps.require_positions()
     table = _is_table(data, segments) if table is None else table
+    require_boolean("--table", table)
     source = FitSource(data, segments, table, columns, window, progress)
     source.require_sound(steps)
     require_no_jig(steps, jig)

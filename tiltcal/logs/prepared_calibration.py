@@ -16,6 +16,7 @@ from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME, SensorColumns
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
+from tiltcal.stated_booleans import require_boolean
 from tiltcal.stated_numbers import is_number, require_from_zero, shown
 from tiltcal.stated_texts import require_text_or_none
 
@@ -49,6 +50,8 @@ class ApplyOptions:
     every: str | float | timedelta | None = None
 
     def __post_init__(self) -> None:
+        require_boolean("--first-order", self.first_order)
+        require_boolean("--uncertainty", self.uncertainty)
         require_text_or_none("--serial", self.serial)
         for option in ("reading_noise", "stability", "magnetometer_noise"):
             require_from_zero(f"--{option.replace('_', '-')}", getattr(self, option))

@@ -15,6 +15,7 @@ from tiltcal.errors import UsageError
 from tiltcal.frozen import frozen
 from tiltcal.logs.log import LogReader, LogSource, LogWriter, Progress
 from tiltcal.logs.streams import STANDARD, log_source
+from tiltcal.stated_booleans import require_boolean
 
 
 @frozen
@@ -106,6 +107,7 @@ def open_log(
     A damaged Parquet or NetCDF file can end the process in its library, or keep it there. The command line reads them
     in a child process (:mod:`tiltcal.cli.child_process`); here nothing guards the caller.
     """
+    require_boolean("--skip-bad-rows", skip_bad_rows)
     if not isinstance(log, str | Path):
         from tiltcal.logs.frames import FrameReader
 
