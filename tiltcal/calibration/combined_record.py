@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import degrees
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ from tiltcal.core.combination import ASSUMED, Combination
 from tiltcal.core.estimation.estimate import NO_FREEDOM
 from tiltcal.core.model import Limits
 from tiltcal.core.rounding import significant
-from tiltcal.core.uncertainty_inputs import is_turn, with_turns_scaled
+from tiltcal.core.uncertainty_inputs import is_turn
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
 from tiltcal.files.fit_record import NOISE_ALONE, FitRecord
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
@@ -150,7 +149,7 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Combination) -> Unc
             standard={**both.standard, **mounted},
             coverage_factor=dict(both.coverage_factor)
             | {name: k for name, k in stated.coverage_factor.items() if name.startswith("mounting.")},
-            covariance=rounded_covariance(every, with_turns_scaled(every, joint, degrees(1.0))),
+            covariance=rounded_covariance(every, joint),
         )
     return both
 

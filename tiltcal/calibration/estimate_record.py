@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import degrees
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from tiltcal.core.model import AXES, Array, Coefficients, with_vector
 from tiltcal.core.named_coefficients import DeterminedCoefficients, values
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import Budget
-from tiltcal.core.uncertainty_inputs import UncertaintyInputs
+from tiltcal.core.uncertainty_inputs import UncertaintyInputs, with_turns_scaled
 from tiltcal.files.derived_record import (
     DerivedCoverage,
     DerivedRecord,
@@ -66,7 +67,11 @@ def uncertainty_of(found: DeterminedCoefficients, reading: Mapping[str, float]) 
 
 
 def rounded_covariance(names: Sequence[str], covariance: Array) -> Covariance:
-    """Return the covariance of the uncertain coefficients, without the rounding errors that stand for zero."""
+    """Return the covariance of the uncertain coefficients, without the rounding errors that stand for zero.
+
+    Turns of the mounting are in radians here, and in degrees in the record.
+    """
+    covariance = with_turns_scaled(names, covariance, degrees(1.0))
     u = np.sqrt(np.diag(covariance))
     some = np.flatnonzero(u > 0.0).tolist()
     return Covariance(

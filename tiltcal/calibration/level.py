@@ -31,7 +31,7 @@ from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import CoefficientChange
 from tiltcal.core.rounding import plus_minus, round_to, significant
 from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
-from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
+from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.fit_record import NOISE_ALONE, LevelFit
@@ -233,7 +233,7 @@ class _Renewal:
                 **{name: round(k, 3) for name, k in factors.items() if u[name] > 0.0},
                 **{name: k for name, k in before.coverage_factor.items() if name not in factors},
             },
-            covariance=rounded_covariance(order, with_turns_scaled(order, joint.covariance, degrees(1.0))),
+            covariance=rounded_covariance(order, joint.covariance),
             alignment=max(significant(alignment / sqrt(3.0), DIGITS), before.alignment),
         )
 

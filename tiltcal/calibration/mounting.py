@@ -25,7 +25,7 @@ from tiltcal.core.mounting_rotation import (
 )
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import central_differences
-from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, with_turns_scaled
+from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
@@ -164,7 +164,7 @@ def _uncertainty(
     before: Uncertainty, joint: UncertaintyInputs, mounting: Mounting, u: Mapping[str, float], *, locked: bool
 ) -> Uncertainty:
     """Return the base's uncertainty with the mounting's in it, degrees."""
-    own = {name: value for name, value in before.items() if not name.startswith("mounting.")}
+    own = before.without_mounting().standard
     turn, by = joint.covariance[-3:, -3:], angle_derivatives(mounting_matrix(mounting))
     wide = by @ (turn * np.outer(joint.factors[-3:], joint.factors[-3:])) @ by.T
     variances = np.diag(by @ turn @ by.T)
@@ -177,7 +177,7 @@ def _uncertainty(
         standard={**own, **{f"mounting.{angle}": value for angle, value in u.items()}},
         coverage_factor={n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)}
         | {f"mounting.{angle}": round(factors[angle], 3) for angle in u},
-        covariance=rounded_covariance(joint.names, with_turns_scaled(joint.names, joint.covariance, degrees(1.0))),
+        covariance=rounded_covariance(joint.names, joint.covariance),
     )
 
 

@@ -6,14 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from math import radians
 
-import numpy as np
-
 from tiltcal.core.model import Mounting
-from tiltcal.core.uncertainty_inputs import is_turn
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES, LARGEST_ANGLES, in_degrees
-from tiltcal.files.uncertainty import Covariance
 from tiltcal.stated_numbers import is_number, shown
 
 
@@ -39,16 +35,10 @@ def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
 
 def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> CalibrationRecord:
     """Return a calibration with a mounting that is known, and exact; one that it has is replaced."""
-    covariance = calibration.uncertainty.covariance
     return replace(
         calibration,
         coefficients=replace(calibration.coefficients, mounting=mounting),
-        uncertainty=replace(
-            calibration.uncertainty,
-            standard=_without_mounting(calibration.uncertainty),
-            coverage_factor=_without_mounting(calibration.uncertainty.coverage_factor),
-            covariance=None if covariance is None else without_turn(covariance),
-        ),
+        uncertainty=calibration.uncertainty.without_mounting(),
         derived=replace(calibration.derived, gimbal_lock=False),
         fit=replace(calibration.fit, mounting=None),
         procedure=replace(calibration.procedure, mounting=None),
@@ -59,19 +49,6 @@ def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> Calibra
 def mounting_in_words(mounting: Mounting) -> str:
     """Return the angles as ``--mounting`` takes them."""
     return ",".join(f"{name}={in_degrees(getattr(mounting, name)):g}" for name in ANGLES)
-
-
-def without_turn(covariance: Covariance) -> Covariance:
-    """Return the covariance of all but the mounting's turn."""
-    kept = np.flatnonzero(~is_turn(covariance.parameters)).tolist()
-    matrix = np.array(covariance.matrix).reshape(2 * (len(covariance.parameters),))[np.ix_(kept, kept)]
-    return Covariance(
-        parameters=tuple(covariance.parameters[k] for k in kept), matrix=tuple(map(tuple, matrix.tolist()))
-    )
-
-
-def _without_mounting(named: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in named.items() if not name.startswith("mounting.")}
 
 
 def _pairs(text: str) -> dict[str, float]:

@@ -8,7 +8,7 @@ dotted names; and what a ``single_reading`` of a log is uncertain by.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from math import isclose, radians, sqrt
 from typing import Any
 
@@ -42,6 +42,7 @@ SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
 
 TEMPERATURE = "temperature"
 
+_MOUNTING = "mounting."
 _TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
 _SYMMETRY = 1e-9
 _POLYNOMIALS = polynomials(FROM_ZERO)
@@ -58,6 +59,16 @@ class Covariance:
         "application's x axis, degrees",
     )
     matrix: tuple[tuple[float, ...], ...] = entry(ListOf(ListOf(Number())), "their covariance matrix")
+
+    def as_array(self) -> Array:
+        """Return the matrix as an array, shape (k, k)."""
+        return np.array(self.matrix, dtype=float).reshape(2 * (len(self.parameters),))
+
+    def without_turn(self) -> Covariance:
+        """Return the covariance of all but the turn of the mounting."""
+        kept = np.flatnonzero(~is_turn(self.parameters)).tolist()
+        matrix = self.as_array()[np.ix_(kept, kept)]
+        return Covariance(parameters=tuple(self.parameters[k] for k in kept), matrix=tuple(map(tuple, matrix.tolist())))
 
 
 @frozen
@@ -94,6 +105,15 @@ class Uncertainty(Mapping[str, float]):
 
     def __len__(self) -> int:
         return len(self.standard)
+
+    def without_mounting(self) -> Uncertainty:
+        """Return the uncertainty of all but the mounting."""
+        standard, factors = (
+            {name: value for name, value in named.items() if not name.startswith(_MOUNTING)}
+            for named in (self.standard, self.coverage_factor)
+        )
+        covariance = None if self.covariance is None else self.covariance.without_turn()
+        return replace(self, standard=standard, coverage_factor=factors, covariance=covariance)
 
 
 @frozen
@@ -300,11 +320,11 @@ def _joint(uncertainty: Uncertainty) -> tuple[tuple[str, ...], Array]:
     """Return the uncertain coefficients and their covariance; without a stated one they are uncorrelated."""
     stated = uncertainty.covariance
     if stated is not None:
-        return stated.parameters, np.array(stated.matrix, dtype=float).reshape(2 * (len(stated.parameters),))
+        return stated.parameters, stated.as_array()
     own = {
         name: u
         for name, u in uncertainty.items()
-        if u > 0.0 and not name.startswith("mounting.") and name not in ("temperature.reference", "temperature.lag")
+        if u > 0.0 and not name.startswith(_MOUNTING) and name not in ("temperature.reference", "temperature.lag")
     }
     return tuple(own), np.diag(np.array(list(own.values())) ** 2)
 
@@ -342,7 +362,7 @@ def _symmetric(found: Covariance, node: Node, context: Context) -> Covariance:
             scale = max(abs(matrix[i][j]), abs(matrix[j][i]))
             if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * scale:
                 raise place.error(f"the matrix is not symmetric in {names[i]} and {names[j]}")
-    stated = np.array(matrix, dtype=float).reshape(size, size)
+    stated = found.as_array()
     deviations = np.sqrt(np.diag(stated))
     scales = np.where(deviations > 0.0, deviations, 1.0)
     if np.linalg.eigvalsh(stated / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
