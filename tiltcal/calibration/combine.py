@@ -127,8 +127,8 @@ def _combined(sessions: Sequence[CombinedSession]) -> CalibrationRecord:
         with suppress(EstimateError):  # no other session has measured its offset
             found, remarks = _estimate(sessions, target, unlevelled=False)
     _require_agreement(sessions, found)
-    if told := _contradictions(found, COVERAGE):
-        remarks = [*remarks, f"sessions that agree differ by so much once in 20 combinations: {told}"]
+    noted = _contradictions(found, COVERAGE)
+    remarks += [f"{told}; sessions that agree differ by so much once in 20 combinations" for told in noted]
     return combined_record(sessions, found, remarks)
 
 
@@ -260,15 +260,16 @@ def _require_agreement(sessions: Sequence[CombinedSession], found: Combination) 
         return
     alone = [session.label for session in sessions if session.record.fit.uncertainty_from == NOISE_ALONE]
     why = (
-        f"; the uncertainty of {' and '.join(alone)} leaves out how well positions were set: state the --jig there"
+        f"the uncertainty of {' and '.join(alone)} leaves out how well positions were set: state the --jig there"
         if alone
-        else "; one of the sessions is wrong, or the sensor has changed between them"
+        else "one of the sessions is wrong, or the sensor has changed between them"
     )
-    raise UsageError(f"the calibrations contradict by more than their uncertainty: {told}{why}")
+    lines = ["the calibrations contradict by more than their uncertainty:", *(f"  {each}" for each in told), why]
+    raise UsageError("\n".join(lines))
 
 
-def _contradictions(found: Combination, confidence: float) -> str:
-    """Return what differs at a level of confidence, with the expanded uncertainty (95 %) of each difference."""
+def _contradictions(found: Combination, confidence: float) -> list[str]:
+    """Return each difference at a level of confidence, with its expanded uncertainty (95 %)."""
     changes = [change for _, change in found.differences]
     expanded = judge(changes, among=found.compared).thresholds
     changed = judge(changes, among=found.compared, confidence=confidence).changed
@@ -280,4 +281,4 @@ def _contradictions(found: Combination, confidence: float) -> str:
                 f"{change.name} is {change.after:.6g} in {label} and {change.before:.6g} by the others, apart by "
                 f"{plus_minus(size, limit)} (E_n {size / limit:.1f})"
             )
-    return "; ".join(told)
+    return told

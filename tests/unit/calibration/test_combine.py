@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import sqrt
+from math import hypot, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -227,9 +227,29 @@ def test_what_differs_by_more_than_its_uncertainty_is_refused_with_the_figures()
     moved = replace(
         drift, coefficients=replace(drift.coefficients, offset=drift.coefficients.offset + np.array([5.0, 0.0]))
     )
-    with pytest.raises(UsageError, match=r"contradict .*offset.x is .* apart by .*E_n") as refused:
+    with pytest.raises(UsageError, match=r"contradict .*\n  offset.x is .* apart by .*E_n") as refused:
         combine([SCALE, Calibration(moved)])
     assert "offset.y" not in str(refused.value)
+
+
+def test_each_difference_has_a_line_of_its_own() -> None:
+    drift = calibrated(TWO, measured(TWO, 2), SCALE.record).record
+    ours, theirs = (np.array([values(one.coefficients)[f"offset.{axis}"] for axis in "xy"]) for one in (drift, SCALE))
+    u = np.array([hypot(*(one.uncertainty[f"offset.{axis}"] for one in (drift, SCALE))) for axis in "xy"])
+
+    def moved(ratio: float) -> Calibration:
+        offset = drift.coefficients.offset + theirs - ours + ratio * u
+        return Calibration(replace(drift, coefficients=replace(drift.coefficients, offset=offset)))
+
+    with pytest.raises(UsageError) as refused:
+        combine([SCALE, moved(5.0)])
+    first, *lines, last = str(refused.value).splitlines()
+    assert first == "the calibrations contradict by more than their uncertainty:"
+    assert [line.split(" is ")[0] for line in lines] == ["  offset.x", "  offset.y"]
+    assert last == "one of the sessions is wrong, or the sensor has changed between them"
+    noted = [note for note in combine([SCALE, moved(3.0)]).fit.notes if "once in 20 combinations" in note]
+    assert [note.split(" is ")[0] for note in noted] == ["offset.x", "offset.y"]
+    assert all("apart by" in note for note in noted)
 
 
 @pytest.mark.parametrize(("ratio", "told"), [(2.1, ""), (2.4, "noted"), (3.3, "noted"), (3.7, "refused")])
@@ -244,7 +264,7 @@ def test_sound_sessions_are_seldom_refused(ratio: float, told: str) -> None:
     assert warmer == 0.0
     moved = replace(drift, coefficients=replace(drift.coefficients, offset=drift.coefficients.offset + shift))
     if told == "refused":
-        with pytest.raises(UsageError, match=r"contradict .*offset\.x is .* \(E_n 1\.7\)"):
+        with pytest.raises(UsageError, match=r"contradict .*\n  offset\.x is .* \(E_n 1\.7\)"):
             combine([SCALE, Calibration(moved)])
         return
     noted = [note for note in combine([SCALE, Calibration(moved)]).fit.notes if "once in 20 combinations" in note]
