@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 
@@ -37,9 +38,21 @@ def no_permission(device: str, subsystem: str) -> str:
 
 def no_serial_port(place: str) -> str:
     """Return the message for a serial port that does not exist."""
-    present = ", ".join(sorted(str(path) for kind in ("ttyUSB*", "ttyACM*") for path in Path("/dev").glob(kind)))
-    advice = f"present: {present}" if present else "no USB serial port is present; is the cable plugged in?"
-    return f"{place} does not exist ({advice})"
+    return missing_node(place, ("ttyUSB*", "ttyACM*"), "no USB serial port is present; is the cable plugged in?")
+
+
+def missing_node(device: str, patterns: Sequence[str], otherwise: str) -> str:
+    """Return the message for a device node that does not exist, with those of its kind that do.
+
+    Parameters
+    ----------
+    patterns : sequence of str
+        The names of such nodes in ``/dev``, such as ``spidev*``.
+    otherwise : str
+        What the message says if there is no such node.
+    """
+    present = ", ".join(sorted(str(path) for pattern in patterns for path in Path("/dev").glob(pattern)))
+    return f"{device} does not exist ({f'present: {present}' if present else otherwise})"
 
 
 def node_error(device: str, cause: OSError, bus: str, *, subsystem: str, pattern: str, example: str) -> str | None:
@@ -62,10 +75,8 @@ def node_error(device: str, cause: OSError, bus: str, *, subsystem: str, pattern
     """
     name = bus.split()[1]
     if cause.errno == errno.ENOENT:
-        present = ", ".join(sorted(map(str, Path("/dev").glob(pattern))))
         kind = bus.partition(" ")[2]
-        advice = f"present: {present}" if present else f"no {kind} is present; switch {name} on in the board's settings"
-        return f"{device} does not exist ({advice})"
+        return missing_node(device, [pattern], f"no {kind} is present; switch {name} on in the board's settings")
     if cause.errno in (errno.EACCES, errno.EPERM):
         return no_permission(device, subsystem)
     if cause.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):

@@ -13,12 +13,11 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from struct import Struct
 from time import sleep
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
-from tiltcal.drivers.bus.device_node_errors import no_permission
+from tiltcal.drivers.bus.device_node_errors import missing_node, no_permission
 from tiltcal.drivers.bus.library import import_library
 from tiltcal.errors import BusError, HardwareError
 
@@ -200,8 +199,7 @@ def _why(chip: str, cause: Exception) -> str:
     """Return the message for an error of the operating system: the cause and what to try."""
     number = cause.errno if isinstance(cause, OSError) else None
     if number == errno.ENOENT:
-        present = ", ".join(sorted(map(str, Path("/dev").glob("gpiochip*"))))
-        return f"{chip} does not exist ({f'present: {present}' if present else 'no GPIO chip is present'})"
+        return missing_node(chip, ["gpiochip*"], "no GPIO chip is present")
     if number in (errno.EACCES, errno.EPERM):
         return no_permission(chip, "gpio")
     if number == errno.EBUSY:
