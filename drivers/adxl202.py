@@ -228,7 +228,7 @@ OFFSET_SPREAD = 0.5
 """Standard deviation of the offset between parts, g; our estimate, because the notes state only that it varies."""
 
 
-def _tailored(model: Model, address: Address) -> Model:
+def _configured(model: Model, address: Address) -> Model:
     """Return the model for an address; at a ``sim:`` address ``wiring=edges`` selects edges."""
     if address.scheme in CONVERTERS:
         from tiltcal.drivers import find_model
@@ -286,7 +286,7 @@ def _model(name: str, title: str, variant: Adxl202Variant) -> Model:
         default_truth=from_twin("adxl202", "draw_truth", variant),
         options=("wiring",),
     )
-    return replace(model, configure=partial(_tailored, model))
+    return replace(model, configure=partial(_configured, model))
 
 
 ADXL202 = _model("adxl202", "Analog Devices ADXL202 accelerometer, ±2 g, duty cycle", Adxl202Variant(0.125, 500e-6))

@@ -121,9 +121,9 @@ class Adxl355(PolledSensor):
 
     def _set_up(self) -> None:
         self._reset()
-        *stopped, (_, measure) = self._settings()
+        *stopped, start = self._settings()
         self._write(stopped)
-        self._write([(POWER, measure)])
+        self._write([start])
         # The turn-on time, and the group delay of the filter: four samples suffice at every rate.
         self._clock.sleep(TURN_ON_SECONDS + 4 * self._period)
 
@@ -167,7 +167,7 @@ def decode_temperature(pair: bytes) -> float:
     return CENTRE_CELSIUS + (raw - CENTRE) / SLOPE
 
 
-def _tailored(address: Address) -> Model:
+def _configured(address: Address) -> Model:
     """Return the model with the range and rate of the address."""
     rate = address.number("rate", FASTEST / 2**DEFAULT_STEP, low=FASTEST / 2**SLOWEST_STEP - 0.01, high=FASTEST)
     step = round(log2(FASTEST / rate))
@@ -211,7 +211,7 @@ def _model(settings: Adxl355Settings) -> Model:
             modes=(0,), fastest=10_000_000, speed=1_000_000, slowest=max(100_000, slowest_clock(16, settings.rate))
         ),
         options=("range", "rate"),
-        configure=_tailored,
+        configure=_configured,
     )
 
 

@@ -226,15 +226,15 @@ def require_name(address: Address, name: str) -> None:
         address.refuse(f"column {name!r}: did you mean {TEMPERATURE!r}?")
 
 
-def _tailored(address: Address) -> Model:
+def _configured(address: Address) -> Model:
     """Return the model with the options of the address."""
     columns = columns_of(address, "x,y,temperature" if address.simulated else None)
-    fitted = with_numbers(SERIAL_COLUMNS, address, columns.channels, TEMPERATURE in columns.names)
+    model = with_numbers(SERIAL_COLUMNS, address, columns.channels, TEMPERATURE in columns.names)
     return replace(
-        fitted,
+        model,
         driver=partial(ColumnsSensor, columns),
         twin=from_twin("columns", "columns_twin", columns),
-        default_truth=from_twin("columns", "draw_truth", columns.channels, fitted.offset, fitted.sensitivity),
+        default_truth=from_twin("columns", "draw_truth", columns.channels, model.offset, model.sensitivity),
     )
 
 
@@ -304,5 +304,5 @@ SERIAL_COLUMNS = Model(
     ),
     default_truth=from_twin("columns", "draw_truth", _ANY.channels, 0.0, 1.0),
     options=("columns", "separator", "unit", "offset", "sensitivity", "low", "high"),
-    configure=_tailored,
+    configure=_configured,
 )

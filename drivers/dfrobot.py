@@ -40,8 +40,6 @@ LENGTH = 8
 ATTEMPTS = 10
 """Requests for one sample before the driver raises an error."""
 
-FULL_SCALE = sca100t.FULL_SCALE
-
 
 def checksum(payload: bytes) -> int:
     """Return the complement of the XOR of the payload's bytes."""
@@ -65,7 +63,7 @@ def parse_answer(received: bytes) -> Reading | None:
     while 0 <= start <= len(received) - LENGTH:
         *payload, stated = received[start + len(HEADER) : start + LENGTH]
         x, y = payload[0] << 8 | payload[1], payload[2] << 8 | payload[3]
-        if stated == checksum(bytes(payload)) and max(x, y) <= FULL_SCALE:
+        if stated == checksum(bytes(payload)) and max(x, y) <= sca100t.FULL_SCALE:
             return Reading((float(x), float(y)), sca100t.decode_temperature(bytes([0, payload[4]])))
         start = received.find(HEADER, start + 1)
     return None
@@ -147,7 +145,7 @@ def _sane(reading: Reading) -> Reading:
     return reading
 
 
-def _with_baudrate(address: Address) -> Model:
+def _configured(address: Address) -> Model:
     """Return the model, and require a baud rate in the address."""
     if not address.simulated:
         address.text("baudrate")
@@ -167,5 +165,5 @@ DFROBOT_SCA100T = replace(
         "the microcontroller of the module: it answers at once and without damage",
     ),
     spi=None,
-    configure=_with_baudrate,
+    configure=_configured,
 )

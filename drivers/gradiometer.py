@@ -33,7 +33,7 @@ PRINTED = "time,theta,a1,a2,a3,a4"
 """Default columns: seconds, the stage angle in degrees, the four readings."""
 
 
-def _tailored(address: Address) -> Model:
+def _configured(address: Address) -> Model:
     """Return the model with the options of the address."""
     columns = columns_of(address, PRINTED)
     return replace(
@@ -71,5 +71,5 @@ GRADIOMETER = replace(
     ),
     default_truth=from_twin("gradiometer", "draw_truth"),
     options=("columns", "separator", "unit"),
-    configure=_tailored,
+    configure=_configured,
 )

@@ -131,7 +131,7 @@ def decode_temperature(pair: bytes) -> float:
     return 25.0 + decode_word(pair) / 256.0
 
 
-def _tailored(address: Address) -> Model:
+def _configured(address: Address) -> Model:
     """Return the model with the range and rate of the address."""
     rate = address.number("rate", 104.0)
     if rate not in RATES:
@@ -170,7 +170,7 @@ def _model(settings: Iis2iclxSettings) -> Model:
         default_truth=from_twin("iis2iclx", "draw_truth", settings),
         spi=SpiPort(modes=(0, 3), fastest=10_000_000, speed=1_000_000, slowest=slowest_clock(12, settings.rate)),
         options=("range", "rate"),
-        configure=_tailored,
+        configure=_configured,
     )
 
 

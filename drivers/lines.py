@@ -19,7 +19,7 @@ LONGEST = 1024
 """Longest line; a longer one means a wrong baud rate, or a device that sends no text."""
 
 PATIENCE = 10.0
-"""Seconds from its first byte in which a line must be complete; one that drips is not waited for."""
+"""Seconds from its first byte in which a line must be complete; a slower one is given up."""
 
 SILENCE = 0.1
 """Seconds without a byte after which a line begins; a line that is being sent has shorter pauses."""

@@ -263,16 +263,16 @@ def _column(address: Address, text: str) -> RegisterColumn:
     return column
 
 
-def _tailored(address: Address) -> Model:
+def _configured(address: Address) -> Model:
     """Return the model with the options of the address."""
     layout = layout_of(address, SIMULATED if address.simulated else None)
-    fitted = with_numbers(MODBUS_COLUMNS, address, layout.channels, layout.thermometer, UNIT)
+    model = with_numbers(MODBUS_COLUMNS, address, layout.channels, layout.thermometer, UNIT)
     return replace(
-        fitted,
+        model,
         interval=1.0 / address.number("rate", RATE, low=0.001, high=1000.0),
         driver=partial(ModbusColumns, layout),
         twin=from_twin("modbus", "ModbusTwin", layout),
-        default_truth=from_twin("columns", "draw_truth", layout.channels, fitted.offset, fitted.sensitivity),
+        default_truth=from_twin("columns", "draw_truth", layout.channels, model.offset, model.sensitivity),
     )
 
 
@@ -300,5 +300,5 @@ MODBUS_COLUMNS = replace(
         "the memory fault (parity) of other parts",
     ),
     options=("columns", "table", "order", "rate", UNIT, "offset", "sensitivity", "low", "high"),
-    configure=_tailored,
+    configure=_configured,
 )

@@ -77,7 +77,7 @@ class PolledSensor(ABC):
         self._ready = True
         return reading
 
-    def discard(self) -> None:  # noqa: B027 - a part that is polled has nothing to forget
+    def discard(self) -> None:  # noqa: B027 - a part that is polled has nothing to discard
         """Do nothing: every read takes the latest sample."""
 
     @abstractmethod

@@ -215,7 +215,7 @@ def _mode_in_words(mode: int) -> str:
     )
 
 
-def _tailored(part: Sca3000Part, address: Address) -> Model:
+def _configured(part: Sca3000Part, address: Address) -> Model:
     """Return the model with the options of the address."""
     required = part.any_range and not address.simulated
     return _model(
@@ -268,7 +268,7 @@ def _model(part: Sca3000Part) -> Model:
         if "spi" in part.schemes
         else None,
         options=("counts_per_g", "rate", "thermometer", *(("pointer",) if "i2c" in part.schemes else ())),
-        configure=partial(_tailored, part),
+        configure=partial(_configured, part),
     )
 
 

@@ -379,7 +379,7 @@ _SCA3300 = Scl3300Part(
 )
 
 
-def _tailored(name: str, part: Scl3300Part, address: Address) -> Model:
+def _configured(name: str, part: Scl3300Part, address: Address) -> Model:
     """Return the model in the mode of the address."""
     words = {**part.words, **{f"mode{number}": number for number in (1, 2, 3, 4)}}
     return _model(name, part, part.ranges[choose_range(address, words, 1) - 1])
@@ -417,7 +417,7 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
         default_truth=from_twin("scl3300", "draw_truth", part, measuring),
         spi=SpiPort(modes=(0,), fastest=8_000_000, speed=2_000_000, slowest=100_000),
         options=("range",),
-        configure=partial(_tailored, name, part),
+        configure=partial(_configured, name, part),
     )
 
 
