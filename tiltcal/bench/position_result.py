@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,8 +11,6 @@ import numpy as np
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.model import Array
 from tiltcal.core.quantisation import ReadingStep
-from tiltcal.core.statistics import summarise
-from tiltcal.drivers.device import Reading
 from tiltcal.files.procedure import Position
 
 
@@ -43,16 +41,6 @@ class PositionResult:
     expected: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     left_out: int = 0
     asked: float | None = None
-
-    def with_left_out(self, count: int) -> PositionResult:
-        """Return this position with the number of samples that were taken again, which its file states."""
-        if not count:
-            return self
-        measurements = {
-            serial: replace(measurement, when={**measurement.when, "left_out": count})
-            for serial, measurement in self.measurements.items()
-        }
-        return replace(self, measurements=measurements, left_out=count)
 
     def with_steps(self, steps: Mapping[str, ReadingStep]) -> PositionResult:
         """Return this position with the steps that a session's readings have shown, where the models state none."""
@@ -87,11 +75,3 @@ class PositionResult:
             "position": self.position.name,
             "sensors": {serial: self.values(serial) for serial in self.measurements},
         }
-
-
-def temperature_of(readings: Sequence[Reading], typed: float | None, asked: float | None) -> float | None:
-    """Return the temperature of a position, °C: as typed, else the thermometer's mean, else as asked for."""
-    if typed is not None:
-        return typed
-    own = [reading.temperature for reading in readings if reading.temperature is not None]
-    return summarise(own).mean if own else asked

@@ -11,18 +11,19 @@ from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import OperatorAnswer, PositionOperator
-from tiltcal.bench.position_result import PositionResult, temperature_of
+from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sample_checks import (
     far_off,
-    require_agreement,
     require_few,
     require_not_stuck,
     require_off_rails,
+    require_plausible_temperature,
     unchanging,
 )
 from tiltcal.bench.sensor_set import ConnectedSensor, Sample, SensorSet
@@ -136,9 +137,10 @@ class PositionRunner:
         self._settle(position, answer.temperature, look)
         held, left_out = self._sampled(look, thermometers=answer.temperature is None)
         self._sensors.succeeded()
-        result = self._result(actual, held, answer.temperature, accepted)
-        result = replace(result.with_left_out(left_out), asked=position.temperature)
-        self._check(result, accepted)
+        expectations = self._expectations(accepted)
+        result = self._result(actual, held, left_out, answer.temperature, expectations)
+        result = replace(result, asked=position.temperature)
+        self._check(result, accepted, expectations)
         verdict = log.ask("review", operator.review, result)
         if verdict.word != "accept":
             return verdict.word
@@ -218,9 +220,14 @@ class PositionRunner:
             held = [reading for number, reading in enumerate(held) if number not in wrong]
 
     def _result(
-        self, position: Position, held: Sequence[Timed], typed: float | None, accepted: Sequence[PositionResult]
+        self,
+        position: Position,
+        held: Sequence[Timed],
+        left_out: int,
+        typed: float | None,
+        expectations: Mapping[str, ExpectedReadings],
     ) -> PositionResult:
-        """Return what the samples give.
+        """Return what the samples of a position give.
 
         Raises
         ------
@@ -230,25 +237,27 @@ class PositionRunner:
         moved = movement(held, self._sensors.models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(held) > 2 else None
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
-        measurements, expected, expectations = {}, {}, self._expectations(accepted)
-        time = self._now()
+        measurements, expected = {}, {}
+        when = {"time": self._now(), **({"left_out": left_out} if left_out else {})}
         for index, sensor in enumerate(self._sensors.sensors):
             readings = [sample[index] for _, sample in held]
             require_off_rails(readings, sensor.model)
             if not sensor.model.resolution:
                 samples = np.array([reading.values for reading in readings]).T
                 self._steps[sensor.serial].add(samples, min(reading.step for reading in readings))
-            measurements[sensor.serial] = measurement_of(sensor, position, readings, typed, time)
+            measurements[sensor.serial] = measurement_of(sensor, position, readings, when, typed)
             gravity = measurements[sensor.serial].gravity
             predicted = sensor.model.scaled and not self._procedure.determines.free and not self._mounted
             expected[sensor.serial] = expectations[sensor.serial].expected(gravity) if predicted else {}
-        return PositionResult(position, measurements, typed is not None, expected).with_steps(self._steps)
+        return PositionResult(position, measurements, typed is not None, expected, left_out).with_steps(self._steps)
 
     def _now(self) -> str:
         """Return the time of the session as a stamp."""
         return stamp(self._plan.started + timedelta(microseconds=self._log.now_ns() / 1000))
 
-    def _check(self, result: PositionResult, accepted: Sequence[PositionResult]) -> None:
+    def _check(
+        self, result: PositionResult, accepted: Sequence[PositionResult], expectations: Mapping[str, ExpectedReadings]
+    ) -> None:
         """Refuse a position whose temperature is absurd, whose sensor is stuck, or that is another position.
 
         Raises
@@ -256,7 +265,7 @@ class PositionRunner:
         Unsettled
             With the reason.
         """
-        require_agreement(result, accepted, asked=result.asked)
+        require_plausible_temperature(result, accepted)
         determines = self._procedure.determines
         if determines.level or determines.mounting:
             objection = level.objection if determines.level else missing_temperature
@@ -266,16 +275,17 @@ class PositionRunner:
                     raise Unsettled(why)
         for sensor in self._sensors.sensors:
             require_not_stuck(sensor, result, accepted)
-        self._require_plausible(result, self._expectations(accepted), accepted)
+        self._require_plausible(result, expectations, accepted)
         if len(accepted) == len(self._procedure.positions) - 1:
             self._refuse_unchanging_once(result, accepted)
 
     def _refuse_unchanging_once(self, result: PositionResult, accepted: Sequence[PositionResult]) -> None:
         """Refuse the last position where a channel has never changed; measured again it counts."""
-        why = [unchanging(sensor, result, accepted) for sensor in self._sensors.sensors]
-        if any(why) and not self._asked_to_tilt:
+        found = (unchanging(sensor, result, accepted) for sensor in self._sensors.sensors)
+        why = next(filter(None, found), "")
+        if why and not self._asked_to_tilt:
             self._asked_to_tilt = True
-            raise Unsettled(next(filter(None, why)))
+            raise Unsettled(why)
 
     def _expectations(self, accepted: Sequence[PositionResult]) -> dict[str, ExpectedReadings]:
         """Return what predicts each sensor's readings: its model and the positions accepted so far."""
@@ -331,19 +341,30 @@ class PositionRunner:
 
 
 def measurement_of(
-    sensor: ConnectedSensor, position: Position, readings: Sequence[Reading], typed: float | None, time: str
+    sensor: ConnectedSensor,
+    position: Position,
+    readings: Sequence[Reading],
+    when: Mapping[str, Any],
+    typed: float | None = None,
 ) -> Measurement:
-    """Return one sensor's samples of a position as the estimator takes them, in the sensor's own frame."""
+    """Return one sensor's samples of a position as the estimator takes them, in the sensor's own frame.
+
+    The temperature is the one that was typed, else the mean of the thermometer, else the one that was asked for.
+    """
+    temperature = position.temperature if typed is None else typed
+    measured = [reading.temperature for reading in readings if reading.temperature is not None]
+    if typed is None and measured:
+        temperature = summarise(measured).mean
     return Measurement(
         position.name,
         sensor.orientation.seen(position.gravity),
         position.tilt if sensor.orientation.straight else None,
-        temperature_of(readings, typed, position.temperature),
+        temperature,
         {
             channel: summarise([reading.values[place] for reading in readings], sensor.model.resolution)
             for place, channel in enumerate(sensor.model.channels)
         },
-        {"time": time},
+        when,
         heading=position.heading,
         stage=position.stage,
     )

@@ -129,12 +129,12 @@ class RampRunner(PositionRunner):
             Too many readings are at a rail.
         """
         measurements = {}
-        time = self._now()
+        when = {"time": self._now()}
         for index, sensor in enumerate(self._sensors.sensors):
             readings = [sample[index] for sample in samples]
             railed = [why for reading in readings if (why := at_rail(reading, sensor.model))]
             if railed:
                 require_few(len(railed), len(readings), railed[-1])
                 readings = [reading for reading in readings if not at_rail(reading, sensor.model)]
-            measurements[sensor.serial] = measurement_of(sensor, position, readings, None, time)
+            measurements[sensor.serial] = measurement_of(sensor, position, readings, when)
         return PositionResult(position, measurements, asked=position.temperature)

@@ -92,7 +92,7 @@ def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
             raise Unsettled(why)
 
 
-def require_agreement(result: PositionResult, accepted: Sequence[PositionResult], *, asked: float | None) -> None:
+def require_plausible_temperature(result: PositionResult, accepted: Sequence[PositionResult]) -> None:
     """Refuse a thermometer that converts nothing, and a temperature that fits no other of its position.
 
     Raises
@@ -103,16 +103,13 @@ def require_agreement(result: PositionResult, accepted: Sequence[PositionResult]
     source = "was typed" if result.typed else "is what the thermometer reads"
     for serial, measurement in result.measurements.items():
         temperature = measurement.temperature
-        if temperature == POWER_ON and asked is None and not result.typed:
+        if temperature == POWER_ON and result.asked is None and not result.typed:
             raise Unsettled(
                 f"the thermometer reads {temperature:g} °C in every sample, as a DS18B20 does that converts nothing: "
                 "see to its supply, or take it out of the bench file"
             )
-        alike = [result.measurements[serial].temperature for result in accepted if result.asked == asked]
-        others = [
-            (asked, "was asked for"),
-            *((temperature, "was measured in a position before") for temperature in alike),
-        ]
+        alike = [before.measurements[serial].temperature for before in accepted if before.asked == result.asked]
+        others = [(result.asked, "was asked for"), *((other, "was measured in a position before") for other in alike)]
         for other, whose in others:
             if temperature is not None and other is not None and abs(temperature - other) > AGREEMENT:
                 raise Unsettled(f"{temperature:g} °C {source}, and {other:g} °C {whose}: one of them is wrong")

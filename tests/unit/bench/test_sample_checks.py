@@ -17,7 +17,7 @@ from tiltcal.bench import sensor_set, settle
 from tiltcal.bench.operators.rig import understood
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.position_runner import PositionRunner
-from tiltcal.bench.sample_checks import require_agreement
+from tiltcal.bench.sample_checks import require_plausible_temperature
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
 from tiltcal.calibration.calibrate import calibrate
@@ -280,10 +280,10 @@ def test_a_thermometer_at_its_power_on_value_is_refused_where_no_temperature_is_
         for celsius in (85.0, 84.94)
     }
     with pytest.raises(Unsettled, match=r"reads 85 °C in every sample, as a DS18B20 does that converts nothing"):
-        require_agreement(at[85.0], [], asked=None)
-    require_agreement(at[85.0], [], asked=85.0)
-    require_agreement(replace(at[85.0], typed=True), [], asked=None)
-    require_agreement(at[84.94], [], asked=None)
+        require_plausible_temperature(at[85.0], [])
+    require_plausible_temperature(replace(at[85.0], asked=85.0), [])
+    require_plausible_temperature(replace(at[85.0], typed=True), [])
+    require_plausible_temperature(at[84.94], [])
 
 
 def test_a_bench_thermometer_is_judged_as_the_sensors_own() -> None:
