@@ -34,9 +34,6 @@ from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertainty_input
 FARTHEST_TURN = 5.0
 """Degrees by which two mountings may differ to have others between them."""
 
-NAMED = "the two calibrations"
-"""What messages call two calibrations without a name."""
-
 LARGEST_CHANGE = 0.5
 """Share by which the sensitivity of a channel may differ between two calibrations."""
 
@@ -69,7 +66,7 @@ class Interval:
     before, after : CalibrationRecord
     days : float
         The time between them, d.
-    parts : tuple of _Part
+    ends : tuple of _End
         Their coefficients and covariances at the reference temperature of the second.
     named : str
         What messages call the two.
@@ -78,11 +75,11 @@ class Interval:
     before: CalibrationRecord
     after: CalibrationRecord
     days: float
-    parts: tuple[_Part, _Part]
-    named: str = NAMED
+    ends: tuple[_End, _End]
+    named: str
 
     @classmethod
-    def between(cls, before: CalibrationRecord, after: CalibrationRecord, days: float, named: str = NAMED) -> Interval:
+    def between(cls, before: CalibrationRecord, after: CalibrationRecord, days: float, named: str) -> Interval:
         """Return the interval of two calibrations.
 
         Raises
@@ -105,11 +102,11 @@ class Interval:
                 )
         _require_one_sensitivity(one, other, named)
         reference = None if other.thermal is None else other.thermal.reference
-        return cls(before, after, days, (_Part.of(before, reference), _Part.of(after, reference)), named)
+        return cls(before, after, days, (_End.of(before, reference), _End.of(after, reference)), named)
 
     def coefficients(self, share: float) -> Coefficients:
         """Return the coefficients at a time in the interval; the arguments and errors are those of :meth:`at`."""
-        return _blended([part.coefficients for part in self.parts], share, self.named)
+        return _blended([end.coefficients for end in self.ends], share, self.named)
 
     def at(self, share: float, stability: Stability | None = None) -> CalibrationRecord:
         """Return the calibration at a time in the interval.
@@ -137,7 +134,7 @@ class Interval:
             name: (1.0 - share) * first.get(name, u) + share * last.get(name, u)
             for name, u in {**first, **last}.items()
         }
-        weighted = [part.times(weight) for part, weight in zip(self.parts, (1.0 - share, share), strict=True)]
+        weighted = [end.times(weight) for end, weight in zip(self.ends, (1.0 - share, share), strict=True)]
         joined = _joined(weighted, bridge, single)
         alignment = (1.0 - share) * before.uncertainty.alignment + share * after.uncertainty.alignment
         return _at(after, coefficients, _limits(before.limits, after.limits), replace(joined, alignment=alignment))
@@ -154,17 +151,16 @@ def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | 
         Without it, the calibration alone is uncertain.
     """
     grown = {name: (walk.rate * days, walk.dof) for name, walk in (stability or Stability()).beyond.items()}
-    part = _Part.of(nearest, None)
     uncertainty = nearest.uncertainty
     if grown:
-        joined = _joined([part], grown, uncertainty.single_reading)
+        joined = _joined([_End.of(nearest, None)], grown, uncertainty.single_reading)
         uncertainty = replace(joined, alignment=uncertainty.alignment)
     return _at(nearest, nearest.coefficients, nearest.limits, uncertainty)
 
 
 @dataclass(frozen=True)
-class _Part:
-    """One of two calibrations: its coefficients at the common reference, and their covariance."""
+class _End:
+    """A calibration at an end of an interval: its coefficients at the common reference, and their covariance."""
 
     coefficients: Coefficients
     names: tuple[str, ...]
@@ -172,7 +168,7 @@ class _Part:
     dof: Array
 
     @classmethod
-    def of(cls, record: CalibrationRecord, reference: float | None) -> _Part:
+    def of(cls, record: CalibrationRecord, reference: float | None) -> _End:
         coefficients = record.coefficients
         moved = coefficients if reference is None else referred(coefficients, reference)
         stated = uncertainty_inputs(record.uncertainty, coefficients)
@@ -182,8 +178,8 @@ class _Part:
         known = Budget.of([Part("", by, stated.covariance, stated.factors)])
         return cls(moved, names, known.covariance, known.dof)
 
-    def times(self, weight: float) -> _Part:
-        """Return it with the covariance of its coefficients times a weight."""
+    def times(self, weight: float) -> _End:
+        """Return this end with the covariance that its coefficients have when they are multiplied by a weight."""
         return replace(self, covariance=self.covariance * weight**2)
 
 
@@ -208,19 +204,19 @@ def _referring(
 
 
 def _joined(
-    parts: Sequence[_Part], walked: Mapping[str, tuple[float, float]], single: Mapping[str, float]
+    ends: Sequence[_End], walked: Mapping[str, tuple[float, float]], single: Mapping[str, float]
 ) -> Uncertainty:
     """Return the sum of weighted covariances and of what each coefficient may have wandered (variance, dof)."""
-    names = tuple(dict.fromkeys([name for part in parts for name in part.names] + [*walked]))
-    if not any(part.names for part in parts):
+    names = tuple(dict.fromkeys([name for end in ends for name in end.names] + [*walked]))
+    if not any(end.names for end in ends):
         return Uncertainty({}, single)
     covariance, alone = np.zeros((len(names), len(names))), np.eye(len(names))
     sources: list[tuple[Array, float]] = []
-    for part in parts:
-        rows = [names.index(name) for name in part.names]
-        covariance[np.ix_(rows, rows)] += part.covariance
-        variances = np.diag(part.covariance)
-        sources += [(v * alone[k], float(dof)) for k, v, dof in zip(rows, variances, part.dof, strict=True)]
+    for end in ends:
+        rows = [names.index(name) for name in end.names]
+        covariance[np.ix_(rows, rows)] += end.covariance
+        variances = np.diag(end.covariance)
+        sources += [(v * alone[k], float(dof)) for k, v, dof in zip(rows, variances, end.dof, strict=True)]
     for name, (variance, dof) in walked.items():
         row = names.index(name)
         covariance[row, row] += variance
