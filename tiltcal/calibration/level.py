@@ -24,6 +24,7 @@ from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
 from tiltcal.calibration.verdict import judge
 from tiltcal.core.coverage_factor import COVERAGE, coverage_factor
+from tiltcal.core.estimation.attitude import heading_rotations
 from tiltcal.core.estimation.design import Observation
 from tiltcal.core.estimation.joint_equations import ADC, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
@@ -306,8 +307,7 @@ class _LevelReading:
 
     def by_lean(self, headings: Sequence[float]) -> Array:
         """Return the derivatives by a lean that is turned with the headings, shape (channels, 2)."""
-        h = np.radians(headings)
-        turned = np.stack([np.cos(h), np.sin(h), -np.sin(h), np.cos(h)], axis=1).reshape(-1, 2, 2)
+        turned = heading_rotations(np.radians(headings))
 
         def leaning(lean: Array) -> Array:
             return self((), np.zeros(0), self.up + np.pad(turned @ lean, ((0, 0), (0, 1))))

@@ -21,7 +21,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.coverage_factor import coverage_factor, welch_satterthwaite
+from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor, welch_satterthwaite
 from tiltcal.core.model import Array, Coefficients, polynomial_slope, vector_of, with_vector
 from tiltcal.core.named_coefficients import CoefficientChange, DeterminedCoefficients, referred
 from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
@@ -177,7 +177,7 @@ def _warmed(statement: Statement, start: Coefficients) -> Statement:
 
 def _weight(statement: Statement) -> Array:
     """Return the inverse of the covariance; what rests on few residuals weighs less, as its interval is wider."""
-    wider = np.maximum(statement.factors / coverage_factor(np.array([inf]))[0], 1.0)
+    wider = np.maximum(statement.factors / NORMAL_FACTOR, 1.0)
     scale = np.sqrt(np.diag(statement.covariance)) * wider
     values, vectors = np.linalg.eigh(statement.covariance * np.outer(wider, wider) / np.outer(scale, scale))
     return np.asarray((vectors / np.maximum(values, DIGITS)) @ vectors.T / np.outer(scale, scale))

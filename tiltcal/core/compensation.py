@@ -43,6 +43,7 @@ from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, inclination, pitch, roll, tilt
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
+from tiltcal.printable import counted
 
 CLIP_LIMIT = 1.02
 """An arcsine argument up to this is taken for ±90°, g."""
@@ -198,7 +199,7 @@ class Compensation:
             self.axes = coefficients.channels
         if len(self.axes) != channels:
             raise EstimateError(
-                f"{channels} channel{'s' * (channels > 1)} ({', '.join(coefficients.channels)}) cannot be turned into "
+                f"{counted(channels, 'channel')} ({', '.join(coefficients.channels)}) cannot be turned into "
                 f"{len(own)} axes ({', '.join(own)})"
             )
         if first_order and channels != 2:

@@ -10,6 +10,7 @@ from tiltcal.errors import InputError
 Vector = tuple[float, float, float]
 
 LEVEL: Vector = (0.0, 0.0, 1.0)
+"""Up in the frame of what is level."""
 
 
 def gravity_from_tilt(tilt: Mapping[str, float]) -> Vector:

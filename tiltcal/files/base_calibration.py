@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import TILT, CalibrationRecord, SensorIdentity
-from tiltcal.files.declaration import Section, Text, entry
+from tiltcal.files.declaration import Text, entry
 from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.provenance_record import FileRecord
@@ -33,10 +33,6 @@ class BaseFile:
     def origin(self) -> FileRecord | None:
         """Its name and SHA-256."""
         return None if self.name is None else FileRecord.of_text(self.name, self.text)
-
-
-BASE = Section(BaseFile)
-"""A calibration file in the header of a journal."""
 
 
 def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str]) -> dict[str, BaseFile]:

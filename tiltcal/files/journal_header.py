@@ -7,7 +7,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from tiltcal.files.base_calibration import BASE, BaseFile
+from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.declaration import FROM_ZERO, Anything, ByName, Flag, Integer, ListOf, Number, Section, Text, entry
 from tiltcal.frozen import frozen
 
@@ -60,7 +60,7 @@ class Header:
         Text(), "in older journals, the text of the calibration file that a mounting completes", default=None
     )
     bases: Mapping[str, BaseFile] = entry(
-        ByName(BASE),
+        ByName(Section(BaseFile)),
         "by serial number the calibration file that the sensor brings (`--base`): `name`, `text`",
         default={},
     )

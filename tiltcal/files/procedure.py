@@ -29,6 +29,7 @@ from tiltcal.files.declaration import (
 )
 from tiltcal.files.node import Node
 from tiltcal.frozen import frozen
+from tiltcal.printable import counted
 from tiltcal.stated_numbers import is_number, require_whole, shown
 
 if TYPE_CHECKING:
@@ -313,8 +314,7 @@ class Procedure:
         """How long it is, in its own terms, such as ``4 positions``."""
         if self.rotation is not None:
             return f"up to {self.rotation.turns} turns"
-        part = "position" if self.ramp is None else "leg"
-        return f"{len(self.positions)} {part}{'' if len(self.positions) == 1 else 's'}"
+        return counted(len(self.positions), "position" if self.ramp is None else "leg")
 
     def require_positions(self) -> None:
         """Refuse a procedure of a stage that turns, with a UsageError that names the commands that are meant for it."""

@@ -10,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tiltcal.core.gravity_direction import LEVEL
 from tiltcal.errors import UsageError
 from tiltcal.files.declaration import (
     Context,
@@ -34,9 +35,6 @@ from tiltcal.stated_texts import require_path
 
 if TYPE_CHECKING:
     from tiltcal.files.rotation import Rotation
-
-LEVEL = (0.0, 0.0, 1.0)
-"""Up in the application's frame where it is level."""
 
 
 def shipped_procedures() -> dict[str, Path]:

@@ -80,8 +80,8 @@ def _places(sensors: Sequence[SensorObservations]) -> tuple[dict[str, int], Arra
             if number == len(gravity):
                 gravity.append(direction)
                 headings.append(heading)
-                held = observation.held and before is not None
-                settings.append(settings[before] if held and before is not None else max(settings, default=-1) + 1)
+                another = max(settings, default=-1) + 1
+                settings.append(settings[before] if observation.held and before is not None else another)
             elif np.max(np.abs(direction - gravity[number])) > SAME_DIRECTION or heading != headings[number]:
                 raise EstimateError(
                     f"position {observation.position}: two sensors of the fixture name different directions for it; "
