@@ -229,23 +229,6 @@ class ModelReading:
 
 
 @frozen
-class ModelDerivatives:
-    """The derivatives of the reading that the model expects of a channel in n positions; see :class:`ModelReading`.
-
-    Attributes
-    ----------
-    by_coefficient : ndarray, shape (..., coefficients, n)
-    by_signal : ndarray, shape (..., n)
-    signal : ndarray, shape (..., n)
-        S g with its nonlinearity, unit.
-    """
-
-    by_coefficient: Array
-    by_signal: Array
-    signal: Array
-
-
-@frozen
 class ChannelModel:
     """The coefficients of one channel, and its reading with the derivatives that the estimator needs.
 
@@ -296,24 +279,35 @@ class ChannelModel:
         """
         sensitivity, drift, gain, _ = self.split(theta)
         columns = [AXES.index(axis) for axis in self.axes]
-        found = self.derivatives(theta, np.swapaxes(gravity, -1, -2)[..., columns, :], dt)
+        signal, by_signal, by_coefficient = self._derivatives(theta, np.swapaxes(gravity, -1, -2)[..., columns, :], dt)
         if theta.ndim > 1:
             dt = dt[..., None, :]
-        value = theta[..., :1] + (1.0 + polynomial(gain, dt)) * found.signal
+        value = theta[..., :1] + (1.0 + polynomial(gain, dt)) * signal
         if self.drift or self.gain:
             value += polynomial(drift, dt)
         to_axes = np.zeros((*theta.shape[:-1], 3))
         to_axes[..., columns] = sensitivity
         return ModelReading(
             value=value,
-            by_coefficient=np.swapaxes(found.by_coefficient, -1, -2),
-            by_signal=np.broadcast_to(found.by_signal, found.signal.shape),
-            by_temperature=self.by_temperature(theta, found.signal, dt),
+            by_coefficient=np.swapaxes(by_coefficient, -1, -2),
+            by_signal=np.broadcast_to(by_signal, signal.shape),
+            by_temperature=self.by_temperature(theta, signal, dt),
             sensitivity=to_axes,
         )
 
-    def derivatives(self, theta: Array, along: Array, dt: Array) -> ModelDerivatives:
-        """Compute the derivatives alone; ``along`` is gravity along :attr:`axes`, shape (..., axes, n), g."""
+    def by_temperature(self, theta: Array, signal: Array, dt: Array) -> Array:
+        """Compute the derivative by the temperature, unit/°C; ``signal`` is S g with its nonlinearity, unit."""
+        if not (self.drift or self.gain):
+            return np.zeros_like(signal)
+        _, drift, gain, _ = self.split(theta)
+        return polynomial_slope(drift, dt) + polynomial_slope(gain, dt) * signal
+
+    def _derivatives(self, theta: Array, along: Array, dt: Array) -> tuple[Array, Array, Array]:
+        """Return S g with its nonlinearity, and the derivatives of the reading by S g and by the coefficients.
+
+        The shapes are (..., n), (..., n) and (..., coefficients, n); ``along`` is gravity along :attr:`axes`, shape
+        (..., axes, n), g.
+        """
         sensitivity, _, gain, shares = self.split(theta)
         signal = sensitivity @ along
         if theta.ndim > 1:
@@ -343,14 +337,7 @@ class ChannelModel:
             table[..., second : second + self.gain, :] = signal[..., None, :]
             _multiply_by_powers(table[..., first:second, :], dt)
             _multiply_by_powers(table[..., second : second + self.gain, :], dt)
-        return ModelDerivatives(table, by_signal, signal)
-
-    def by_temperature(self, theta: Array, signal: Array, dt: Array) -> Array:
-        """Compute the derivative by the temperature, unit/°C; ``signal`` is that of :meth:`derivatives`."""
-        if not (self.drift or self.gain):
-            return np.zeros_like(signal)
-        _, drift, gain, _ = self.split(theta)
-        return polynomial_slope(drift, dt) + polynomial_slope(gain, dt) * signal
+        return signal, by_signal, table
 
 
 def _multiply_by_powers(table: Array, variable: Array, power: Array | float = 1.0) -> None:
