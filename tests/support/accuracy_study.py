@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
-from math import sqrt
+from math import inf, sqrt
 from zlib import crc32
 
 import numpy as np
@@ -341,7 +341,7 @@ def _bound(session: SimulatedSession) -> Array:
     """The Cramér-Rao bound's variances, with everything stated and the noise known, shape (sensors, coefficients)."""
     noise = NOISE if session.plan is None else session.plan.noise
     known = [
-        [replace(one, u=np.full_like(one.u, noise), dof=None, adc=None) for one in sensor]
+        [replace(one, u=np.full_like(one.u, noise), dof=inf, adc=0.0) for one in sensor]
         for sensor in session.observations
     ]
     system = system_of(fixture(known, session.design))

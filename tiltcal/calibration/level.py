@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import asin, cos, degrees, hypot, inf, radians, sin, sqrt
+from math import asin, cos, degrees, hypot, radians, sin, sqrt
 
 import numpy as np
 
@@ -318,10 +318,10 @@ class _LevelReading:
 def _errors_of_bench(at_level: _LevelReading, seen: Sequence[Observation], bench: BenchUncertainty) -> Iterator[Part]:
     """Yield what noise, jig, table and thermometer add to the mean reading."""
     count, channels = len(seen), len(at_level.coefficients.channels)
-    adc = np.array([np.zeros(channels) if measurement.adc is None else measurement.adc for measurement in seen])
+    adc = np.array([np.broadcast_to(measurement.adc, channels) for measurement in seen])
     noise = np.array([measurement.u for measurement in seen]) ** 2 - adc**2
     for measurement, variance in zip(seen, noise, strict=True):
-        dof = np.full(channels, inf) if measurement.dof is None else measurement.dof
+        dof = np.broadcast_to(measurement.dof, channels)
         yield Part(NOISE, np.eye(channels) / count, np.diag(variance), coverage_factor(dof))
     # Rounding is alike in every position: it does not average out.
     yield Part.known(ADC, np.eye(channels), np.diag(np.max(adc, axis=0) ** 2))

@@ -30,10 +30,10 @@ class Observation:
         How far the fixture is turned about the vertical, degrees.
     held : bool
         The fixture was not set again after the position before: it has the same attitude error.
-    dof : ndarray, shape (channels,), or None
-        Degrees of freedom of the noise's part of ``u``; None where it is known.
-    adc : ndarray, shape (channels,), or None
-        The part of ``u`` that quantisation gives; None for nothing.
+    dof : ndarray, shape (channels,), or float
+        Degrees of freedom of the noise's part of ``u``; infinite where it is known.
+    adc : ndarray, shape (channels,), or float
+        The part of ``u`` that quantisation gives.
     noise_unknown : bool
         Nothing else is in ``u``, because nothing is known of the noise: one number for all readings.
     """
@@ -45,8 +45,8 @@ class Observation:
     temperature: float | None = None
     heading: float | None = None
     held: bool = False
-    dof: Array | None = None
-    adc: Array | None = None
+    dof: Array | float = inf
+    adc: Array | float = 0.0
     noise_unknown: bool = False
 
 

@@ -154,14 +154,7 @@ def _blocks(
         )
         mean = _table(group, lambda observation: observation.mean)
         u = _table(group, lambda observation: observation.u)
-        adc = _table(
-            group, lambda observation: np.zeros(len(observation.mean)) if observation.adc is None else observation.adc
-        )
         unknown = all(observation.noise_unknown for sensor in group for observation in sensor.observations)
-        dof = _table(
-            group,
-            lambda observation: np.full(len(observation.mean), inf) if observation.dof is None else observation.dof,
-        )
         yield EquationBlock(
             models=models,
             sensors=numbers,
@@ -172,8 +165,8 @@ def _blocks(
             ),
             mean=mean,
             u=_alike(_floored(u, mean)) if unknown else _floored(u, mean),
-            adc=adc,
-            dof=dof,
+            adc=_table(group, lambda observation: observation.adc),
+            dof=_table(group, lambda observation: observation.dof),
             dt=read_there - reference if thermal else np.zeros((len(group), n)),
             temperatures=np.array(temperatures[first:last]),
             own_thermometer=alone,
@@ -181,10 +174,13 @@ def _blocks(
         first = last
 
 
-def _table(group: Sequence[SensorObservations], value: Callable[[Observation], Array]) -> Array:
+def _table(group: Sequence[SensorObservations], value: Callable[[Observation], Array | float]) -> Array:
     """Return a value of each reading, shape (sensors, channels, positions)."""
-    rows = np.array([[value(observation) for observation in sensor.observations] for sensor in group], dtype=float)
-    return np.asarray(rows.swapaxes(1, 2))
+    rows = [
+        [np.broadcast_to(value(observation), observation.mean.shape) for observation in sensor.observations]
+        for sensor in group
+    ]
+    return np.array(rows, dtype=float).swapaxes(1, 2)
 
 
 def _alike(u: Array) -> Array:

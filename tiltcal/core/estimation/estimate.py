@@ -293,11 +293,7 @@ def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estima
 
 def _noise_dof(sensors: Sequence[SensorObservations]) -> float:
     """Return the degrees of freedom of the noise, over all readings."""
-    return sum(
-        inf if observation.dof is None else float(np.sum(observation.dof))
-        for sensor in sensors
-        for observation in sensor.observations
-    )
+    return sum(float(np.sum(observation.dof)) for sensor in sensors for observation in sensor.observations)
 
 
 @frozen

@@ -172,7 +172,7 @@ def _system(
             position.temperature,
             position.heading,
             position.held,
-            adc=np.full(len(design.channels), adc),
+            adc=adc,
         )
         for position in positions
     ]
