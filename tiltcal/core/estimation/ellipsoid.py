@@ -7,7 +7,8 @@ how much the length of gravity is missed::
 
 ``S`` is upper triangular: a turn of all attitudes together changes no length. This is the estimator's unit-gravity fit
 with the attitudes eliminated: nine unknowns instead of nine and two a position. It is quick enough to judge many
-choices of positions; the estimator has the last word.
+choices of positions, and gives the estimator its start; its own comes from an algebraic fit, linear in nine numbers, of
+``(u - offset)ᵀ (S Sᵀ)⁻¹ (u - offset) = 1``.
 
 Source: D. Tedaldi, A. Pretto, E. Menegatti, *A robust and easy to implement method for IMU calibration without external
 equipments* (2014), which minimises the same misfits.
@@ -21,7 +22,6 @@ from math import cos, inf, radians, sqrt
 import numpy as np
 
 from tiltcal.core.coverage_factor import coverage_factor
-from tiltcal.core.estimation.unit_gravity import directions_from_readings
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
@@ -158,8 +158,48 @@ def fit_ellipsoid(mean: Array, u: Array) -> Ellipsoid:
     )
 
 
+def directions_from_readings(mean: Array) -> Array:
+    """Return a first guess at the directions of gravity, by an algebraic fit of the ellipsoid.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (n, 3)
+        Mean readings of three channels in n free positions, any unit; at least nine, spread over the sphere.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Unit vectors, in the frame in which the sensitivity matrix is upper triangular with positive diagonal: a
+        channel that is mounted against its axis shows up in the other two.
+
+    Raises
+    ------
+    EstimateError
+        The readings do not lie on an ellipsoid.
+    """
+    centre, scale = mean.mean(axis=0), float(np.max(np.ptp(mean, axis=0)))
+    if len(mean) < 9 or scale == 0.0:
+        raise EstimateError(f"{len(mean)} free positions; an ellipsoid takes at least nine, well spread")
+    x, y, z = ((mean - centre) / scale).T
+    terms = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z], axis=1)
+    a, b, c, d, e, f, *half = np.linalg.lstsq(terms, np.ones(len(mean)), rcond=None)[0]
+    shape = np.array([[a, d, e], [d, b, f], [e, f, c]])
+    try:
+        offset = -np.linalg.solve(shape, half)
+        # sᵀ shape s = 1 + offsetᵀ shape offset; S Sᵀ is the inverse of the normalised shape.
+        factor = np.linalg.cholesky(shape / (1.0 + offset @ shape @ offset))
+    except np.linalg.LinAlgError:
+        raise EstimateError(
+            "the readings do not lie on an ellipsoid: lay the sensor on more sides, each axis up and down among them"
+        ) from None
+    # shape = L Lᵀ and S⁻¹ upper triangular with S⁻ᵀ S⁻¹ = shape: S⁻¹ = Lᵀ.
+    gravity = (np.stack([x, y, z], axis=1) - offset) @ factor
+    unit: Array = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
+    return unit
+
+
 def _start(mean: Array) -> tuple[Array, Array]:
-    """Return offset and sensitivity by linear least squares against the algebraic fit's directions."""
+    """Return offset and sensitivity by linear least squares against the first guess at the directions."""
     directions = directions_from_readings(mean)
     table = np.linalg.lstsq(np.hstack([np.ones((len(mean), 1)), directions]), mean, rcond=None)[0]
     return table[0], np.triu(table[1:].T)

@@ -1,8 +1,7 @@
-"""Calibration without a jig: the sensor is laid down anyhow, and gravity is a unit vector.
+"""The estimator's equations where no jig sets the positions: the directions of gravity are unknown unit vectors.
 
-The readings then lie on an ellipsoid, ``(u - offset)ᵀ (S Sᵀ)⁻¹ (u - offset) = 1``. Its algebraic fit gives the start;
-the estimator takes it from there, with every direction an unknown of its own. A turn of all directions together, undone
-in S, changes no reading: the gauge makes S upper triangular.
+A turn of all directions together, undone in S, changes no reading: the gauge makes S upper triangular. The ellipsoid of
+the readings (:mod:`tiltcal.core.estimation.ellipsoid`) gives the directions to start from.
 """
 
 from __future__ import annotations
@@ -17,46 +16,6 @@ from tiltcal.core.estimation.joint_equations import Indices, System
 from tiltcal.core.intrinsic_parameters import separated
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
-
-
-def directions_from_readings(mean: Array) -> Array:
-    """Return a first guess at the directions of gravity, from the readings alone.
-
-    Parameters
-    ----------
-    mean : ndarray, shape (n, 3)
-        Mean readings of three channels in n free positions, any unit; at least nine, spread over the sphere.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Unit vectors, in the frame in which the sensitivity matrix is upper triangular with positive diagonal: a
-        channel that is mounted against its axis shows up in the other two.
-
-    Raises
-    ------
-    EstimateError
-        The readings do not lie on an ellipsoid.
-    """
-    centre, scale = mean.mean(axis=0), float(np.max(np.ptp(mean, axis=0)))
-    if len(mean) < 9 or scale == 0.0:
-        raise EstimateError(f"{len(mean)} free positions; an ellipsoid takes at least nine, well spread")
-    x, y, z = ((mean - centre) / scale).T
-    terms = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z], axis=1)
-    a, b, c, d, e, f, *half = np.linalg.lstsq(terms, np.ones(len(mean)), rcond=None)[0]
-    shape = np.array([[a, d, e], [d, b, f], [e, f, c]])
-    try:
-        offset = -np.linalg.solve(shape, half)
-        # sᵀ shape s = 1 + offsetᵀ shape offset; S Sᵀ is the inverse of the normalised shape.
-        factor = np.linalg.cholesky(shape / (1.0 + offset @ shape @ offset))
-    except np.linalg.LinAlgError:
-        raise EstimateError(
-            "the readings do not lie on an ellipsoid: lay the sensor on more sides, each axis up and down among them"
-        ) from None
-    # shape = L Lᵀ and S⁻¹ upper triangular with S⁻ᵀ S⁻¹ = shape: S⁻¹ = Lᵀ.
-    gravity = (np.stack([x, y, z], axis=1) - offset) @ factor
-    unit: Array = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
-    return unit
 
 
 def triangular_gauge(system: System, z: Array) -> tuple[System, Array]:
@@ -80,27 +39,20 @@ def triangular_gauge(system: System, z: Array) -> tuple[System, Array]:
     """
     number, columns = _three_axes(system)
     seen = system.orientations[number]
-    matrix = z[columns]
     try:
-        upper, turn = separated(matrix)
+        upper, turn = separated(z[columns])
     except EstimateError as error:
         raise EstimateError(f"the first guess at the directions does not do: {error}") from None
     gravity = system.gravity @ (seen.T @ turn @ seen).T
     held = system.prior_u.copy()
-    start = np.zeros(system.unknowns)
-    start[: system.coefficients] = z[: system.coefficients]
+    start = system.as_set(z)
     start[columns] = np.triu(upper)
     held[columns[np.tril_indices(3, -1)]] = 0.0
     return replace(system, gravity=gravity, prior_u=held), start
 
 
 def require_enough(system: System) -> None:
-    """Refuse fewer readings than unknowns.
-
-    Raises
-    ------
-    EstimateError
-    """
+    """Refuse fewer readings than unknowns, with an EstimateError."""
     moving = system.unknowns - int(system.fixed.sum())
     if system.readings + system.priors < moving:
         raise EstimateError(
@@ -110,13 +62,7 @@ def require_enough(system: System) -> None:
 
 
 def require_spread(near: LinearSolution) -> None:
-    """Refuse free positions that leave coefficients undetermined.
-
-    Raises
-    ------
-    EstimateError
-        They are named.
-    """
+    """Refuse free positions that leave coefficients undetermined, with an EstimateError that names them."""
     system = near.system
     require_enough(system)
     mixed = undetermined_unknowns(near)

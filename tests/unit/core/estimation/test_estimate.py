@@ -20,8 +20,8 @@ from tiltcal.core.closed_forms import (
     tempco_from_two_temperatures,
 )
 from tiltcal.core.estimation.design import Design, Observation, Prior
+from tiltcal.core.estimation.ellipsoid import directions_from_readings
 from tiltcal.core.estimation.estimate import estimate
-from tiltcal.core.estimation.unit_gravity import directions_from_readings
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.errors import EstimateError
 
