@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import time
+from datetime import UTC, datetime
 from typing import Protocol
+
+VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
+"""When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""
 
 
 class Clock(Protocol):
@@ -25,6 +29,11 @@ class Clock(Protocol):
     def seek(self, now_ns: int) -> None:
         """Continue from ``now_ns`` (a replayed event's time) if this clock can be set."""
         ...
+
+
+def session_clock(started: datetime, *, virtual: bool) -> Clock:
+    """Return the clock of a session that began at a moment; a virtual one stands at its start."""
+    return VirtualClock() if virtual else SystemClock(int(started.timestamp() * 1e9))
 
 
 class SystemClock:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -81,6 +82,16 @@ def devices_of(bench: BenchFile) -> tuple[tuple[DeviceSetup, ...], DeviceSetup |
     """Return the devices of a bench where no calibration is made: its sensors, and its thermometer."""
     sensors = tuple(DeviceSetup(s.model, s.serial, s.address, orientation=s.orientation) for s in bench.sensors)
     return sensors, None if bench.thermometer is None else _thermometer(bench.thermometer)
+
+
+def with_thermometer(sensors: Sequence[DeviceSetup], thermometer: DeviceSetup | None) -> tuple[DeviceSetup, ...]:
+    """Return all devices of a bench, as a journal numbers them: the sensors, and the thermometer behind them."""
+    return tuple(sensors) if thermometer is None else (*sensors, thermometer)
+
+
+def all_virtual(devices: Sequence[DeviceSetup]) -> bool:
+    """Return whether every device is a virtual twin; the clock of a session is virtual then too."""
+    return all(parse_address(device.address).simulated for device in devices)
 
 
 def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:

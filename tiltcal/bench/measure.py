@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -24,7 +24,7 @@ from tiltcal.calibration.level import NO_LEVEL, level_summary
 from tiltcal.calibration.prediction import predict
 from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
+from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.device import Sensor, in_words
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.atomic import check_writable
@@ -257,8 +257,7 @@ def open_sensor(model: str, address: str) -> Iterator[Sensor]:
         It cannot be opened.
     """
     device = DeviceSetup(model, "", address)
-    simulated = parse_address(address).simulated
-    clock: Clock = VirtualClock() if simulated else SystemClock(time.time_ns())
+    clock = session_clock(datetime.now(UTC), virtual=parse_address(address).simulated)
     with closing(open_device(device, VirtualBench(clock, [device]))) as link:
         yield device.model.driver(link, clock)
 

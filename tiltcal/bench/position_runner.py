@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from datetime import timedelta
 from functools import partial
 from typing import Any
 
@@ -38,7 +37,7 @@ from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Reading
 from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.errors import HardwareError, InputError, JournalError, SensorError
-from tiltcal.files.moments import stamp
+from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position
 
 RECOVERY = 1.0
@@ -253,7 +252,7 @@ class PositionRunner:
 
     def _now(self) -> str:
         """Return the time of the session as a stamp."""
-        return stamp(self._plan.started + timedelta(microseconds=self._log.now_ns() / 1000))
+        return stamp(moment_after(self._plan.started, self._log.now_ns()))
 
     def _check(
         self, result: PositionResult, accepted: Sequence[PositionResult], expectations: Mapping[str, ExpectedReadings]

@@ -8,20 +8,24 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
+from tiltcal.bench.device_setup import all_virtual, devices_of, with_thermometer
 from tiltcal.bench.event_log import EventLog
-from tiltcal.bench.sensor_set import ConnectedSensor, Listener, SensorSet
-from tiltcal.drivers.bus.clock import Clock
+from tiltcal.bench.sensor_set import ConnectedSensor, Listener, SensorSet, connected, probe_devices
+from tiltcal.bench.virtual_bench import VirtualBench
+from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
 from tiltcal.drivers.device import Reading
 from tiltcal.errors import UsageError
+from tiltcal.files.bench import BenchFile
 from tiltcal.files.journal import write_all
-from tiltcal.files.moments import stamp
+from tiltcal.files.moments import moment_after, stamp
 
 SECURE_NS = 1_000_000_000
 """Time that a row may wait for the disk, ns."""
@@ -37,11 +41,19 @@ class RecordingTally:
         Readings that could not be taken; their cells are empty.
     why : str
         The last reason.
+    interrupted : bool
+        Whether it was stopped before its end.
     """
 
     rows: int = 0
     missing: int = 0
     why: str = ""
+    interrupted: bool = False
+
+    @property
+    def missing_in_words(self) -> str:
+        """The missing readings as the end of a line of text; empty if there are none."""
+        return f", {self.missing} readings missing ({self.why})" if self.missing else ""
 
 
 class CsvRecorder:
@@ -78,7 +90,7 @@ class CsvRecorder:
         UsageError
             The disk is full or fails; the rows before are kept.
         """
-        row = (",".join(cells) + "\n").encode()
+        row = _row(cells)
         self._appended = len(row)
         try:
             write_all(self._descriptor, row)
@@ -132,43 +144,91 @@ def column_name(serial: str, channel: str, *, alone: bool) -> str:
     return channel if alone else f"{serial}_{channel}"
 
 
-def header(connected: Sequence[ConnectedSensor], *, thermometer: bool) -> list[str]:
-    """Column names: ``x``, ``y``, ``temperature`` of a single sensor; of several each begins with the serial number."""
+def header(sensors: SensorSet) -> list[str]:
+    """Return the columns: ``x``, ``y``, ``temperature`` of a single sensor, ``S-7_x`` and so on of several."""
     names = ["time"]
-    for device in connected:
-        own = ["temperature"] if device.model.thermometer and not thermometer else []
-        names += [
-            column_name(device.serial, name, alone=len(connected) == 1) for name in (*device.model.channels, *own)
-        ]
-    return names + (["temperature"] if thermometer else [])
+    alone = len(sensors.sensors) == 1
+    for device in sensors.sensors:
+        own = ["temperature"] if device.model.thermometer and not sensors.has_thermometer else []
+        names += [column_name(device.serial, name, alone=alone) for name in (*device.model.channels, *own)]
+    return names + (["temperature"] if sensors.has_thermometer else [])
 
 
-def sample_rows(
-    stream: BinaryIO, connected: Sequence[ConnectedSensor], started: datetime, events: EventLog, thermometer: bool
-) -> Listener:
-    """Return a listener that writes samples as the rows of a log; a sensor that was given up leaves its cells empty.
+def sample_rows(stream: BinaryIO, sensors: SensorSet, started: datetime, events: EventLog) -> Listener:
+    """Return a listener that writes samples as the rows of a log; a sensor that is given up leaves its cells empty.
 
     Parameters
     ----------
     stream : BinaryIO
-        Has the header at once.
+        Gets the header at once.
+    sensors : SensorSet
+        None of it is given up yet.
     started : datetime
         UTC, when the session began.
     events : EventLog
-        Says when a sample was taken.
-    thermometer : bool
-        Whether the bench has one of its own.
+        Its time is that of the sample.
     """
+    connected, thermometer = sensors.sensors, sensors.has_thermometer
 
-    def write(cells: Sequence[str]) -> None:
-        stream.write((",".join(cells) + "\n").encode())
+    def write(sample: Mapping[str, Reading]) -> None:
+        moment = moment_after(started, events.now_ns())
+        readings = [sample.get(device.serial) for device in connected]
+        stream.write(_row(_cells(connected, readings, moment, thermometer)))
 
-    def row(sample: Mapping[str, Reading]) -> None:
-        moment = started + timedelta(microseconds=events.now_ns() / 1000)
-        write(_cells(connected, [sample.get(device.serial) for device in connected], moment, thermometer))
+    stream.write(_row(header(sensors)))
+    return write
 
-    write(header(connected, thermometer=thermometer))
-    return row
+
+def record_bench(
+    bench: BenchFile,
+    log: Path,
+    *,
+    rate: float | None,
+    rows: int | None,
+    seconds: float | None,
+    progress: Callable[[RecordingTally], None],
+) -> RecordingTally:
+    """Record the sensors of a bench to a CSV log, until the limit or Ctrl-C.
+
+    Parameters
+    ----------
+    rate : float or None
+        Rows per second; None is as fast as the sensors renew themselves.
+    rows, seconds : int or None, float or None
+        Limits. With neither it goes on until Ctrl-C, which then is no interruption.
+    progress : callable
+        Called after each row.
+
+    Raises
+    ------
+    UsageError
+        The log exists, an address is wrong, or there is no end on the virtual bench.
+    HardwareError
+        A sensor does not answer.
+    """
+    sensors, thermometer = devices_of(bench)
+    devices = with_thermometer(sensors, thermometer)
+    virtual = all_virtual(devices)
+    interval = 1.0 / rate if rate else max(sensor.model.interval for sensor in sensors)
+    limit = rows if seconds is None else min(rows or sys.maxsize, max(1, round(seconds / interval)))
+    if virtual and limit is None:
+        raise UsageError("a recording on the virtual bench needs --rows or --for")
+    started = VIRTUAL_START if virtual else datetime.now(UTC)
+    clock = session_clock(started, virtual=virtual)
+    twins = VirtualBench(clock, devices)
+    probe_devices(devices, twins, clock)
+    tally = RecordingTally()
+    with connected(sensors, thermometer, EventLog(clock), clock, twins) as opened:
+        recorder = CsvRecorder(log, header(opened))
+        try:
+            for tally in record(opened, recorder, clock, started, interval=interval, rows=limit):
+                progress(tally)
+        except KeyboardInterrupt:
+            tally.interrupted = limit is not None
+        finally:
+            recorder.close()
+            tally.rows = recorder.rows
+    return tally
 
 
 def record(
@@ -177,7 +237,6 @@ def record(
     clock: Clock,
     started: datetime,
     *,
-    thermometer: bool,
     interval: float,
     rows: int | None,
 ) -> Iterator[RecordingTally]:
@@ -187,8 +246,6 @@ def record(
     ----------
     started : datetime
         UTC, when ``clock`` stood at zero.
-    thermometer : bool
-        Whether the bench has a thermometer of its own.
     interval : float
         Seconds between rows.
     rows : int or None
@@ -206,7 +263,7 @@ def record(
     while rows is None or tally.rows < rows:
         readings, why = sensors.read_available(fresh=slower or not tally.rows)
         now_ns = clock.now_ns()
-        log.write(_cells(sensors.sensors, readings, started + timedelta(microseconds=now_ns / 1000), thermometer))
+        log.write(_cells(sensors.sensors, readings, moment_after(started, now_ns), sensors.has_thermometer))
         tally.rows += 1
         if why:
             tally.missing, tally.why = tally.missing + len(why), why[-1]
@@ -216,6 +273,10 @@ def record(
         yield tally
         due_ns = max(due_ns + round(interval * 1e9), now_ns - round(interval * 1e9))
         clock.sleep(max(0, due_ns - clock.now_ns()) / 1e9)
+
+
+def _row(cells: Sequence[str]) -> bytes:
+    return (",".join(cells) + "\n").encode()
 
 
 def _cells(

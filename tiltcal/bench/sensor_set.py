@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from tiltcal.bench.device_setup import DeviceSetup
+from tiltcal.bench.device_setup import DeviceSetup, with_thermometer
 from tiltcal.bench.event_log import EventLog, RecordedLink
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.core.orientation import STRAIGHT, Orientation
@@ -100,6 +100,11 @@ class SensorSet:
         """What is read for a sample, by name: the sensors that were not given up, and the thermometer last."""
         devices = [(sensor.serial, sensor.sensor) for sensor in self.sensors]
         return devices if self._thermometer is None else [*devices, (self.THERMOMETER, self._thermometer)]
+
+    @property
+    def has_thermometer(self) -> bool:
+        """Whether a thermometer of the bench gives the temperature of every sensor."""
+        return self._thermometer is not None
 
     def listen(self, listener: Listener) -> None:
         """Pass every sample that :meth:`read` takes from here on to a listener."""
@@ -242,6 +247,22 @@ def open_device(
     return virtual.twin(device) if address.simulated else open_link(address, device.model, lines)
 
 
+def probe_devices(devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: Clock) -> None:
+    """Open one device after the other, and check that it answers.
+
+    Raises
+    ------
+    UsageError
+        An option of an address is wrong, or contradicts that of another device on the same line.
+    HardwareError
+        A device that cannot be opened, or does not answer.
+    """
+    lines: dict[str, ModbusLine] = {}
+    for device in devices:
+        with closing(open_device(device, virtual, lines)) as link:
+            device.model.driver(link, clock).probe()
+
+
 @contextmanager
 def connected(
     sensors: Sequence[DeviceSetup], thermometer: DeviceSetup | None, log: EventLog, clock: Clock, virtual: VirtualBench
@@ -257,7 +278,7 @@ def connected(
     virtual : VirtualBench
         Makes the twins of ``sim:`` addresses.
     """
-    devices = (*sensors, thermometer) if thermometer is not None else tuple(sensors)
+    devices = with_thermometer(sensors, thermometer)
     lines: dict[str, ModbusLine] = {}
     links = [
         RecordedLink(

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from datetime import timedelta
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, BinaryIO, cast
@@ -17,21 +16,21 @@ from tiltcal.bench.operators.operator import PositionOperator, RotationOperator
 from tiltcal.bench.operators.sim import SimOperator, SimRotationOperator
 from tiltcal.bench.position_runner import PositionRunner
 from tiltcal.bench.recording import sample_rows
-from tiltcal.bench.sensor_set import SensorSet, connected, open_device
+from tiltcal.bench.sensor_set import SensorSet, connected, probe_devices
 from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.verification import Verification, verify_positions
-from tiltcal.drivers.bus.clock import Clock, SystemClock, VirtualClock
+from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
 from tiltcal.files.journal_header import HEADER
+from tiltcal.files.moments import moment_after
 
 if TYPE_CHECKING:
-    from tiltcal.drivers.bus.modbus import ModbusLine
     from tiltcal.files.pair import PairRecord
     from tiltcal.files.rotation import Rotation
 
@@ -108,7 +107,7 @@ class Session:
         self.finished = False
         self._captured = journal is not None
         self.journal = journal
-        self._clock: Clock = VirtualClock() if plan.virtual else SystemClock(int(plan.started.timestamp() * 1e9))
+        self._clock = session_clock(plan.started, virtual=plan.virtual)
         self._virtual = VirtualBench(self._clock, plan.devices)
 
     @classmethod
@@ -200,10 +199,7 @@ class Session:
         HardwareError
             A device that does not answer.
         """
-        lines: dict[str, ModbusLine] = {}
-        for device in () if self._ended else self.plan.devices:
-            with closing(open_device(device, self._virtual, lines)) as link:
-                device.model.driver(link, self._clock).probe()
+        probe_devices(() if self._ended else self.plan.devices, self._virtual, self._clock)
         self._clock.seek(0)
 
     def run(
@@ -294,9 +290,7 @@ class Session:
             clock = RecordedClock(log, self._clock)
             with connected(plan.sensors, plan.thermometer, log, clock, self._virtual) as sensors:
                 if samples is not None:
-                    sensors.listen(
-                        sample_rows(samples, sensors.sensors, plan.started, log, plan.thermometer is not None)
-                    )
+                    sensors.listen(sample_rows(samples, sensors, plan.started, log))
                 yield _OpenSession(sensors, log, clock, writer is not None)
 
     @contextmanager
@@ -317,7 +311,7 @@ class Session:
 
     def _finish(self, opened: _OpenSession) -> SessionEnd:
         """End the journal; there is nothing to resume then."""
-        ended = self.plan.started + timedelta(microseconds=opened.log.now_ns() / 1000)
+        ended = moment_after(self.plan.started, opened.log.now_ns())
         sha256 = opened.log.finish()
         self.finished = True
         statistics = {

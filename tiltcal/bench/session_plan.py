@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tiltcal
-from tiltcal.bench.device_setup import DeviceSetup, devices_of
+from tiltcal.bench.device_setup import DeviceSetup, all_virtual, devices_of, with_thermometer
 from tiltcal.calibration.prediction import require_in_range
-from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import VIRTUAL_START
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.bench import BenchFile
@@ -29,9 +29,6 @@ from tiltcal.files.procedure_file import find_procedure, procedure_from_record, 
 if TYPE_CHECKING:
     from tiltcal.bench.channel_map import ChannelMap
     from tiltcal.files.rotation import Rotation
-
-VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
-"""When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +93,12 @@ class SessionPlan:
     @property
     def devices(self) -> tuple[DeviceSetup, ...]:
         """The sensors, and the thermometer behind them; a journal numbers them in this order."""
-        return self.sensors if self.thermometer is None else (*self.sensors, self.thermometer)
+        return with_thermometer(self.sensors, self.thermometer)
 
     @property
     def virtual(self) -> bool:
         """Whether every device is a virtual twin; the clock is virtual then too."""
-        return all(parse_address(device.address).simulated for device in self.devices)
+        return all_virtual(self.devices)
 
     def channel_map(self, rotation: Rotation) -> ChannelMap:
         """Return which readings of the sensors are the channels of a turning stage.

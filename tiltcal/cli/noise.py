@@ -95,21 +95,20 @@ def command(
     facts.require_scale(wanted)
     if figure is not None:
         check_writable(figure, *(path for path in (log, calibration) if path is not None))
-    interrupted = False
+    interrupted, name = False, None
     with ExitStack() as stack:
-        called = None
         if address is not None:
             from tempfile import TemporaryDirectory
 
             from tiltcal.bench.device_setup import single
-            from tiltcal.cli.record import missing, record_bench
+            from tiltcal.cli.record import record_log
 
             path = output or Path(stack.enter_context(TemporaryDirectory(prefix="tiltcal-"))) / "recorded"
-            recorded = record_bench(single(str(sensor), "", address), rate, samples, seconds, path)
+            tally = record_log(single(str(sensor), "", address), rate, samples, seconds, path)
             kept = f" in {output}" if output is not None else ""
-            remark(f"{recorded.tally.rows} samples{kept}{missing(recorded.tally)}")
-            interrupted = recorded.interrupted
-            log, rate, called = str(path), None, str(output or "the record")
+            remark(f"{tally.rows} samples{kept}{tally.missing_in_words}")
+            interrupted = tally.interrupted
+            log, rate, name = str(path), None, str(output or "the record")
         progress = stack.enter_context(progress_bar("noise"))
         found = characterise_readings(
             log,
@@ -119,7 +118,7 @@ def command(
             columns=columns,
             averages=sizes,
             skip_bad_rows=skip_bad_rows,
-            name=called,
+            name=name,
             progress=progress,
         )
     if figure is not None:

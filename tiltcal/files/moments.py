@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 from tiltcal.errors import InputError
@@ -23,6 +23,11 @@ def moment(text: str | date, path: str | Path | None = None) -> datetime:
 
 LEAST_SECONDS, MOST_SECONDS = 1e8, 253402300799.0
 """Since 1970, up to the end of the year 9999: what counts fewer or more is no moment."""
+
+
+def moment_after(start: datetime, elapsed_ns: int) -> datetime:
+    """Return the moment that is a number of nanoseconds after another one."""
+    return start + timedelta(microseconds=elapsed_ns / 1000)
 
 
 def stamp(moment: datetime) -> str:

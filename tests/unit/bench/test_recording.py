@@ -74,7 +74,7 @@ def test_a_dead_sensor_makes_no_reading_of_another_one_old(tmp_path: Path) -> No
     sensors = SensorSet([ConnectedSensor(model, "A", Silent(clock)), ConnectedSensor(model, "B", Printer(clock))])
     log = CsvRecorder(tmp_path / "log.csv", ["time", "A_x", "B_x"])
     started = datetime(2026, 1, 1, tzinfo=UTC)
-    *_, tally = record(sensors, log, clock, started, thermometer=False, interval=10.0, rows=6)
+    *_, tally = record(sensors, log, clock, started, interval=10.0, rows=6)
     log.close()
     assert (tally.rows, tally.missing) == (6, 6)
     rows = [line.split(",") for line in (tmp_path / "log.csv").read_text().splitlines()[1:]]
