@@ -210,8 +210,10 @@ def record_bench(
     devices = with_thermometer(sensors, thermometer)
     virtual = all_virtual(devices)
     interval = 1.0 / rate if rate else max(sensor.model.interval for sensor in sensors)
-    limit = rows if seconds is None else min(rows or sys.maxsize, max(1, round(seconds / interval)))
-    if virtual and limit is None:
+    endless = rows is None and seconds is None
+    if seconds is not None and interval:
+        rows, seconds = min(rows or sys.maxsize, max(1, round(seconds / interval))), None
+    if virtual and endless:
         raise UsageError("a recording on the virtual bench needs --rows or --for")
     started = VIRTUAL_START if virtual else datetime.now(UTC)
     clock = session_clock(started, virtual=virtual)
@@ -221,10 +223,10 @@ def record_bench(
     with connected(sensors, thermometer, EventLog(clock), clock, twins) as opened:
         recorder = CsvRecorder(log, header(opened))
         try:
-            for tally in record(opened, recorder, clock, started, interval=interval, rows=limit):
+            for tally in record(opened, recorder, clock, started, interval=interval, rows=rows, seconds=seconds):
                 progress(tally)
         except KeyboardInterrupt:
-            tally.interrupted = limit is not None
+            tally.interrupted = not endless
         finally:
             recorder.close()
             tally.rows = recorder.rows
@@ -239,6 +241,7 @@ def record(
     *,
     interval: float,
     rows: int | None,
+    seconds: float | None = None,
 ) -> Iterator[RecordingTally]:
     """Take samples at a steady pace and append them to a log.
 
@@ -247,9 +250,11 @@ def record(
     started : datetime
         UTC, when ``clock`` stood at zero.
     interval : float
-        Seconds between rows.
+        Seconds between rows; 0 where the sensors send by themselves.
     rows : int or None
         How many; None goes on until the caller stops.
+    seconds : float, optional
+        After which no row is begun.
 
     Yields
     ------
@@ -259,8 +264,8 @@ def record(
     tally = RecordingTally()
     # A sensor that talks faster than rows are taken would be read later and later.
     slower = interval > 1.5 * min(model.interval for model in sensors.models)
-    due_ns = secured_ns = clock.now_ns()
-    while rows is None or tally.rows < rows:
+    begun_ns = due_ns = secured_ns = clock.now_ns()
+    while (rows is None or tally.rows < rows) and (seconds is None or clock.now_ns() - begun_ns < seconds * 1e9):
         readings, why = sensors.read_available(fresh=slower or not tally.rows)
         now_ns = clock.now_ns()
         log.write(_cells(sensors.sensors, readings, moment_after(started, now_ns), sensors.has_thermometer))
