@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from io import FileIO
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -59,6 +60,16 @@ _OF_THE_SYSTEM = re.compile(r"errno = (\d+)")
 """What the library's message holds on a full disk, and on all else that the system refuses."""
 
 
+class _WithinFile(FileIO):
+    """A file of which nothing behind its end is read: HDF5 would fill gigabytes with zeros where a size is damaged."""
+
+    def readinto(self, buffer: Any) -> int:
+        place, end = self.tell(), os.fstat(self.fileno()).st_size
+        if place + len(buffer) > end:
+            raise OSError(f"{len(buffer)} bytes from {place} on do not lie within its {end} bytes")
+        return super().readinto(buffer)
+
+
 class NetcdfReader(LogReader):
     """A log in NetCDF-4; see :class:`tiltcal.logs.log.LogReader`.
 
@@ -93,10 +104,13 @@ class NetcdfReader(LogReader):
         self.notes = {str(name): str(note) for name, note in self.file_attributes.items()}
 
     def _require_own_data(self) -> None:
-        """Refuse a file whose data stand in other files, which HDF5 would read wherever they are."""
+        """Refuse a file whose data stand in other files, which HDF5 would read wherever they are.
+
+        Damaged sizes of what describes the variables are met here first, where they take no memory.
+        """
         import h5py
 
-        with h5py.File(self.source.path) as file:
+        with _WithinFile(self.source.path) as content, h5py.File(content) as file:
             for name in file:
                 link = file.get(name, getlink=True)
                 found = None if isinstance(link, h5py.ExternalLink) else file[name]
