@@ -3,7 +3,7 @@
 ``dataclasses.dataclass`` writes six methods as text and compiles them for each class: 1.2 ms under Python 3.11, and
 ``tiltcal apply`` loads a hundred classes. Here the methods are the same functions for all classes, so that a class
 takes 0.1 ms; in return a value takes 3 µs in place of 1 µs. ``fields``, ``replace`` and ``asdict`` of
-:mod:`dataclasses` work as ever.
+:mod:`dataclasses` work as ever. ``dataclass(frozen=True, slots=True)`` is for the values of which a file has a million.
 """
 
 from __future__ import annotations

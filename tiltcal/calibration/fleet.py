@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import chain
 from statistics import mode
@@ -18,12 +17,13 @@ from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.outlier_test import extreme_values
 from tiltcal.errors import InputError
 from tiltcal.files.moments import to_the_second
+from tiltcal.frozen import frozen
 
 FEWEST_SENSORS = 3
 """Sensors of one model that make a distribution."""
 
 
-@dataclass(frozen=True)
+@frozen
 class CoefficientDistribution:
     """The distribution of a coefficient over the sensors of one model, each with its last calibration.
 
@@ -73,7 +73,7 @@ class CoefficientDistribution:
         }
 
 
-@dataclass(frozen=True)
+@frozen
 class ModelFleet:
     """The sensors of one model and unit.
 
@@ -92,7 +92,7 @@ class ModelFleet:
     distributions: tuple[CoefficientDistribution, ...]
 
 
-@dataclass(frozen=True)
+@frozen
 class FleetHistory:
     """The history of a folder.
 

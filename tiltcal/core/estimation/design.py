@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from math import inf
 
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.core.orientation import STRAIGHT
 from tiltcal.errors import EstimateError
+from tiltcal.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class Observation:
     """The mean reading in one position.
 
@@ -50,7 +51,7 @@ class Observation:
     noise_unknown: bool = False
 
 
-@dataclass(frozen=True)
+@frozen
 class Prior:
     """Value and uncertainty of a coefficient before anything is measured.
 
@@ -64,7 +65,7 @@ class Prior:
     u: float = 0.0
 
 
-@dataclass(frozen=True)
+@frozen
 class Design:
     """Which coefficients are to be determined, and how well the bench sets what it sets.
 
@@ -127,7 +128,7 @@ class Design:
         return tuple(name for model in self.models for name in model.coefficients)
 
 
-@dataclass(frozen=True)
+@frozen
 class SensorObservations:
     """Observations of one sensor of a fixture.
 

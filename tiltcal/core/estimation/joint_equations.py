@@ -19,7 +19,7 @@ these parts, and is never written out.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from math import inf
 
@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.estimation.attitude import heading_rotations, tangent_basis, turned
 from tiltcal.core.model import Array, ChannelModel, ModelReading
+from tiltcal.frozen import frozen
 
 Indices = NDArray[np.intp]
 
@@ -38,7 +39,7 @@ THERMOMETER, HYSTERESIS, PRIOR = "thermometer", "hysteresis", "assumed"
 _PER_LEAN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
-@dataclass(frozen=True)
+@frozen
 class EquationBlock:
     """Readings of some sensors that are alike: S sensors with C channels of k coefficients in n positions.
 
@@ -88,7 +89,7 @@ class EquationBlock:
         )
 
 
-@dataclass(frozen=True)
+@frozen
 class LocalEquations:
     """Equations of one block at one point, each divided by its standard uncertainty, in B independent sets.
 
@@ -121,7 +122,7 @@ class LocalEquations:
         return int(self.shared.shape[1])
 
 
-@dataclass(frozen=True)
+@frozen
 class Equations:
     """Equations of all sensors, linearised at one point.
 
@@ -147,7 +148,7 @@ class Equations:
         )
 
 
-@dataclass(frozen=True)
+@frozen
 class System:
     """All equations of a fixture.
 

@@ -5,7 +5,7 @@ Each is found at a minimum of the equations, which moves with it: so the equatio
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf, sqrt
 
 import numpy as np
@@ -21,6 +21,7 @@ from tiltcal.core.estimation.variance_components import (
     variance_components,
 )
 from tiltcal.core.model import Array
+from tiltcal.frozen import frozen
 
 ROUNDS = 20
 """Most times that the jig is estimated anew at the solution that the last one gave; three to five are usual."""
@@ -132,7 +133,7 @@ def find_noise(
     return known, z, found
 
 
-@dataclass(frozen=True)
+@frozen
 class FoundThermometer:
     """The system with the thermometer that the residuals show, its minimum, and that variance's degrees of freedom."""
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tiltcal.core.coverage_factor import COVERAGE, NORMAL_FACTOR
 from tiltcal.core.model import Array
 from tiltcal.core.ramp.means import FittedMeans
 from tiltcal.errors import EstimateError
+from tiltcal.frozen import frozen
 
 CHANCE = 0.01
 """Probability with which noise alone makes what counts as a loop."""
@@ -20,7 +19,7 @@ BINS = 8
 _WIDTHS, _REFINEMENTS, _BISECTIONS = 10, 3, 40
 
 
-@dataclass(frozen=True)
+@frozen
 class Loops:
     """The way up less the way down.
 
@@ -41,7 +40,7 @@ class Loops:
         return np.asarray(1.0 - after / np.maximum(before, np.finfo(float).tiny))
 
 
-@dataclass(frozen=True)
+@frozen
 class HalfLoop:
     """Half the difference between the ways of a channel, as a polynomial of the temperature, and its covariance."""
 
