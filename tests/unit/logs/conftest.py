@@ -1,0 +1,16 @@
+"""What the tests of several modules start from."""
+
+from __future__ import annotations
+
+import pytest
+from support import FIXTURES
+
+from tiltcal.calibration.calibration import Calibration, read
+
+
+@pytest.fixture(scope="session")
+def calibration() -> Calibration:
+    """A calibration in counts with a drift: offset, sensitivity and temperature of both axes."""
+    found = read(FIXTURES / "mavs.yaml")
+    assert isinstance(found, Calibration)
+    return found

@@ -1,0 +1,208 @@
+"""What the cells of a frame may hold: missing values, values of Python, times, texts, and what no array has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta, timezone
+from decimal import Decimal
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+import xarray
+from support.frames import READINGS, array
+
+from tiltcal.calibration.calibration import Calibration
+from tiltcal.errors import InputError
+from tiltcal.logs.apply import apply_frame
+from tiltcal.logs.frames import rows_of
+
+
+class TestMissingValues:
+    """What an array masks is missing, whatever stands below the mask."""
+
+    @pytest.mark.parametrize("kind", [float, int])
+    def test_a_masked_reading_is_missing(self, kind: type, calibration: Calibration) -> None:
+        masked = np.ma.masked_array(np.array([1024, 1100], dtype=kind), mask=[True, False])
+        found = apply_frame(calibration, READINGS | {"x": masked, "temperature": [20.0, 20.0]})
+        assert np.isnan(found["tilt_x"]).tolist() == [True, False]
+        assert found["flag"].tolist() == [9, 1]
+        means = apply_frame(calibration, READINGS | {"x": masked, "temperature": [20.0, 20.0]}, average=2)
+        assert means["count"].tolist() == [1]
+
+    def test_a_masked_cell_of_a_table_is_missing(self) -> None:
+        masked = {"position": ["level", "x-45"], "temperature": np.ma.masked_array([20.0, 999.0], mask=[False, True])}
+        assert rows_of(masked, "the table") == [{"position": "level", "temperature": 20.0}, {"position": "x-45"}]
+
+
+class TestPythonValues:
+    """Numbers and moments of Python, in columns without a type of their own, count as those of arrays do."""
+
+    COLUMNS: ClassVar[dict[str, list[Any]]] = READINGS | {"x": [1024, None], "temperature": [Decimal("20.5"), None]}
+    SAME: ClassVar[dict[str, list[float]]] = READINGS | {"x": [1024.0, np.nan], "temperature": [20.5, np.nan]}
+
+    @pytest.mark.parametrize(
+        "made",
+        [
+            dict,
+            lambda columns: {name: np.array(cells, object) for name, cells in columns.items()},
+            lambda columns: pd.DataFrame(columns, dtype=object),
+            lambda columns: pl.DataFrame({name: pl.Series(cells, dtype=pl.Object) for name, cells in columns.items()}),
+            lambda columns: xarray.Dataset({name: ("row", np.array(c, object)) for name, c in columns.items()}),
+        ],
+        ids=["lists", "arrays", "pandas", "polars", "xarray"],
+    )
+    def test_numbers(self, made: Callable[[dict[str, Any]], Any], calibration: Calibration) -> None:
+        expected = apply_frame(calibration, self.SAME)
+        assert expected["flag"].tolist() == [1, 9]
+        found = apply_frame(calibration, made(self.COLUMNS))
+        for name in ("tilt_x", "tilt_y", "flag", "reason"):
+            np.testing.assert_array_equal(array(found, name), expected[name])
+
+    @pytest.mark.parametrize("made", [dict, pl.DataFrame, pd.DataFrame, pa.table])
+    def test_a_column_without_a_value(self, made: Callable[[dict[str, Any]], Any], calibration: Calibration) -> None:
+        """As an empty column of CSV: reason 16 of SPEC 10, temperature missing."""
+        found = apply_frame(calibration, made(READINGS | {"temperature": [None, None]}))
+        assert array(found, "reason").tolist() == [16, 16]
+
+    @pytest.mark.parametrize("cells", [[True, False], ["1", None], [1.0, "2"], [[1.0], [2.0, 3.0]]])
+    def test_what_is_no_number(self, cells: list[Any], calibration: Calibration) -> None:
+        columns = READINGS | {"x": pd.Series(cells, dtype=object)}
+        for frame in (columns, pd.DataFrame(columns)):
+            with pytest.raises(InputError, match=r"column 'x' holds .*, not numbers"):
+                apply_frame(calibration, frame)
+
+    @pytest.mark.parametrize(
+        "times",
+        [
+            [datetime(2026, 5, 1, 12, tzinfo=UTC), datetime(2026, 5, 1, 14, 0, 5, tzinfo=timezone(timedelta(hours=2)))],
+            [datetime(2026, 5, 1, 12), datetime(2026, 5, 1, 12, 0, 5)],
+            [pd.Timestamp("2026-05-01T12:00:00Z"), pd.Timestamp("2026-05-01T12:00:05Z")],
+        ],
+        ids=["zones", "no zone", "pandas"],
+    )
+    def test_moments(self, times: list[Any], calibration: Calibration) -> None:
+        columns = READINGS | {"time": times}
+        for how in ({"average": 2}, {"every": "10s"}):
+            assert apply_frame(calibration, columns, **how)["time"] == [np.datetime64("2026-05-01T12:00:02.5")]
+
+    def test_moments_in_a_polars_column_of_objects(self, calibration: Calibration) -> None:
+        """They had the time of the first row."""
+        times = pl.Series("time", [datetime(2026, 5, 1, 12), datetime(2026, 5, 1, 12, 0, 5)], pl.Object)
+        found = apply_frame(calibration, pl.DataFrame(READINGS).with_columns(times), average=2)
+        assert found["time"].to_list() == [datetime(2026, 5, 1, 12, 0, 2, 500_000)]
+
+    @pytest.mark.parametrize("name", ["x", "other"])
+    def test_decimals_of_256_bits(self, name: str, calibration: Calibration) -> None:
+        """Polars has none: it panicked."""
+        cells = [Decimal("1000.25"), Decimal("1001.25")]
+        table = READINGS | {"temperature": [20.0, 20.0], name: pa.array(cells, pa.decimal256(40, 2))}
+        found = apply_frame(calibration, pa.table(table), average=2)
+        assert found.column(name).to_pylist() == [1000.75]
+
+    def test_durations(self, calibration: Calibration) -> None:
+        found = apply_frame(calibration, READINGS | {"time": [timedelta(0), timedelta(seconds=5)]}, every="10s")
+        assert found["time"] == [np.timedelta64(2500, "ms")]
+
+    def test_a_moment_that_is_missing(self, calibration: Calibration) -> None:
+        times = [datetime(2026, 5, 1, 12), None]
+        assert apply_frame(calibration, READINGS | {"time": times}, every="10s")["time"] == [np.datetime64(times[0])]
+
+
+class TestMeans:
+    """Of two rows; what a column holds besides numbers is that of the first."""
+
+    @pytest.mark.parametrize("kind", ["str", "string", "object"])
+    def test_a_text_of_a_time_is_missing(self, kind: str, calibration: Calibration) -> None:
+        frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]})
+        frame["time"] = pd.Series(["2026-05-01T12:00:00Z", None], dtype=kind)
+        for how in ({"average": 2}, {"every": "10s"}):
+            found = apply_frame(calibration, frame, **how)
+            assert found["time"].tolist() == ["2026-05-01T12:00:00Z"]
+            assert found["count"].tolist() == [2]
+
+    @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+    def test_moments_of_every_unit(self, unit: str, calibration: Calibration) -> None:
+        times = np.array(["2026-05-01T12:00:00", "2026-05-01T12:00:05"], "M8[s]").astype(f"M8[{unit}]")
+        columns = READINGS | {"temperature": [20.0, 20.0]}
+        data = xarray.Dataset({name: ("time", column) for name, column in columns.items()}, {"time": times})
+        for frame in (columns | {"time": times}, data, columns | {"time": times - times[0]}):
+            for how in ({"average": 2}, {"every": "10s"}, {"every": timedelta(seconds=10)}):
+                found = np.asarray(apply_frame(calibration, frame, **how)["time"])
+                assert found - np.asarray(frame["time"])[0] == [np.timedelta64(2500, "ms")]
+
+    def test_a_masked_moment_is_missing(self, calibration: Calibration) -> None:
+        times = np.ma.masked_array(np.array(["2026-05-01T12:00", "2036-05-01T12:00"], "M8[s]"), mask=[False, True])
+        frame = READINGS | {"temperature": [20.0, 20.0], "time": times}
+        found = apply_frame(calibration, frame, every="10s")
+        assert found["count"].tolist() == [2]
+        assert found["time"].tolist() == [times[0].astype(object)]
+
+    @pytest.mark.parametrize(
+        ("cells", "first"),
+        [(["a", np.nan], "a"), ([np.nan, "a"], None), ([None, "a"], None), (["a", 1], "a"), ([1, "a"], 1)],
+    )
+    def test_text_beside_values_of_another_kind(self, cells: list[Any], first: Any, calibration: Calibration) -> None:
+        columns = READINGS | {"temperature": [20.0, 20.0], "note": np.array(cells, object)}
+        data = xarray.Dataset({name: ("row", column) for name, column in columns.items()})
+        for frame in (columns, data, pd.DataFrame(columns)):
+            (found,) = np.asarray(apply_frame(calibration, frame, average=2)["note"]).tolist()
+            assert (None if found != found else found) == first
+
+    @pytest.mark.parametrize(
+        "frame",
+        [
+            pl.DataFrame(READINGS).with_columns(pl.Series("other", ["a", 1], pl.Object)),
+            pd.DataFrame(READINGS | {"other": [1j, 2j]}),
+            pd.DataFrame(READINGS | {"other": pd.arrays.SparseArray([0, 1])}),
+            pd.DataFrame(READINGS | {"other": pd.period_range("2026-05", periods=2, freq="M")}),
+            pa.table(READINGS | {"other": pa.array([(1, 2, 3), None], pa.month_day_nano_interval())}),
+            xarray.Dataset({name: ("row", column) for name, column in READINGS.items()} | {5: ("row", [1.0, 2.0])}),
+            READINGS | {"other": [[1.0], [2.0, 3.0]]},
+            READINGS | {"other": [1.0, 2.0, 3.0]},
+        ],
+        ids=["mixed", "complex", "sparse", "period", "interval", "number for a name", "lists", "another length"],
+    )
+    def test_other_columns_do_not_matter(self, frame: Any, calibration: Calibration) -> None:
+        expected = apply_frame(calibration, {name: [np.mean(column)] for name, column in READINGS.items()})
+        assert array(apply_frame(calibration, frame), "flag").tolist() == [3, 3]
+        means = apply_frame(calibration, frame, average=2)
+        assert array(means, "tilt_x").tolist() == expected["tilt_x"].tolist()
+
+    def test_a_masked_text_is_missing(self, calibration: Calibration) -> None:
+        note = np.ma.masked_array(["a", "b"], mask=[True, False])
+        found = apply_frame(calibration, READINGS | {"temperature": [20.0, 20.0], "note": note}, average=2)
+        assert found["note"].tolist() == [None]
+
+
+class TestRowsOfATable:
+    TABLE: ClassVar[dict[str, list[Any]]] = {"position": ["level", "x-45"], "x": [2.5, 3.0], "n": [100, None]}
+
+    @pytest.mark.parametrize(
+        "made",
+        [
+            pl.DataFrame,
+            pd.DataFrame,
+            lambda columns: pd.DataFrame(columns).convert_dtypes(),
+            lambda columns: pd.DataFrame(columns, dtype=object),
+            lambda columns: pd.DataFrame(columns).set_index("position"),
+            pa.table,
+            dict,
+            lambda columns: columns | {"n": np.array([100, np.nan])},
+            lambda columns: [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)],
+        ],
+        ids=["polars", "pandas", "nullable", "objects", "index", "pyarrow", "dict", "arrays", "rows"],
+    )
+    def test_a_missing_whole_number_leaves_the_others_whole(self, made: Callable[[dict[str, Any]], Any]) -> None:
+        rows = rows_of(made(self.TABLE), "the table")
+        assert rows == [{"position": "level", "x": 2.5, "n": 100}, {"position": "x-45", "x": 3}]
+        assert isinstance(rows[0]["n"], int)
+
+    def test_numbers_of_numpy_are_those_of_python(self) -> None:
+        row = {"position": "level", "x": np.float32(2.5), "y": np.float64(1.25), "z": Decimal("0.5"), "n": np.int64(9)}
+        assert rows_of([row], "the table") == [{"position": "level", "x": 2.5, "y": 1.25, "z": 0.5, "n": 9}]
+        (found,) = rows_of([row], "the table")
+        assert {type(cell) for cell in found.values()} == {str, float, int}
