@@ -38,7 +38,7 @@ from tiltcal.core.flags import (
     mark,
 )
 from tiltcal.core.matrix_product import product
-from tiltcal.core.model import AXES, Array, Coefficients, Limits, nonlinearity_slope, overlap, polynomial
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, polynomial, take_out_nonlinearity
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, inclination, pitch, roll, tilt
 from tiltcal.errors import EstimateError
@@ -47,9 +47,6 @@ from tiltcal.printable import counted
 
 CLIP_LIMIT = 1.02
 """An arcsine argument up to this is taken for ±90°, g."""
-
-NEWTON_STEPS = 4
-"""Of the nonlinearity's inverse: a nonlinearity of 5 % needs three to reach double precision."""
 
 VANISHES = 1e-9
 """Gravity of three axes that is no longer than this has no direction, g."""
@@ -320,7 +317,7 @@ class Compensation:
         out.reason.fill(0)
         dt = self._temperature_difference(temperature, out)
         signal = self._signal(u, dt)
-        linearise(signal, self._coefficients)
+        take_out_nonlinearity(signal, self._coefficients)
         own = product(self.inverse, signal)
         hidden = self._solve_hidden(own, out) if self.solves_z else None
         return KernelChunk(rows, dt, signal, own, hidden, out)
@@ -421,26 +418,6 @@ class Compensation:
         for column in (out.gravity, out.tilt, out.pitch, out.roll, out.inclination):
             if column is not None:
                 column[missing] = np.nan
-
-
-def linearise(signal: Array, coefficients: Coefficients) -> None:
-    """Take the nonlinearity out of the signal S_ii B(a) of each channel, in place: S_ii a is left.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (channels, n)
-        Unit.
-    """
-    if coefficients.nonlinearity is None:
-        return
-    for row, channel, shares in zip(signal, coefficients.channels, coefficients.nonlinearity, strict=True):
-        if shares.any():
-            own = coefficients.own_sensitivity(channel)
-            target = row / own
-            a = target.copy()
-            for _ in range(NEWTON_STEPS):
-                a -= (a * (1.0 + polynomial(shares, a)) - target) / nonlinearity_slope(shares, a)
-            np.multiply(a, own, out=row)
 
 
 def _arcsine(argument: Array, angle: Array, out: Compensated) -> None:

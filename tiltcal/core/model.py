@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
 
+NEWTON_STEPS = 4
+"""Of the nonlinearity's inverse: a nonlinearity of 5 % needs three to reach double precision."""
+
 
 @frozen
 class Mounting:
@@ -195,6 +198,26 @@ def _polynomial_shape(coefficients: Array, variable: Array) -> tuple[int, ...]:
 def nonlinearity_slope(shares: Array, a: Array) -> Array:
     """Evaluate B'(a), the derivative of a (1 + n2 a + n3 a² + ...); ``shares`` are the n."""
     return 1.0 + polynomial(shares * np.arange(2, 2 + len(shares)), a)
+
+
+def take_out_nonlinearity(signal: Array, coefficients: Coefficients) -> None:
+    """Invert B in the signal S_ii B(a) of each channel, in place, by Newton's method: S_ii a is left.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (channels, n)
+        Unit.
+    """
+    if coefficients.nonlinearity is None:
+        return
+    for row, channel, shares in zip(signal, coefficients.channels, coefficients.nonlinearity, strict=True):
+        if shares.any():
+            own = coefficients.own_sensitivity(channel)
+            target = row / own
+            a = target.copy()
+            for _ in range(NEWTON_STEPS):
+                a -= (a * (1.0 + polynomial(shares, a)) - target) / nonlinearity_slope(shares, a)
+            np.multiply(a, own, out=row)
 
 
 @frozen
