@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,9 +109,10 @@ def characterise_log(
     EstimateError
         There is too little to say anything.
     """
-    found = Characteriser(len(channels), sizes)
-    for samples in log.samples():
-        found.add(samples)
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        found = Characteriser(len(channels), sizes, threads.map)
+        for samples in log.samples():
+            found.add(samples)
     for place, channel in enumerate(channels):
         _require_noise(found, place, channel, log.name)
     pace = log.pace

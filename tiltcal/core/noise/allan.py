@@ -71,13 +71,13 @@ class Octaves:
             None where no sample is missing.
         """
         self._rows += len(samples)
-        sums = np.ascontiguousarray(samples.T)
-        counts = np.ones_like(sums) if present is None else present.T.astype(np.float64, order="C")
+        counts = None if present is None else present.T.astype(np.float64, order="C")
+        stretches = _Stretches(1, np.ascontiguousarray(samples.T), counts)
         depth = 0
-        while sums.shape[1]:
+        while stretches.number:
             if depth == len(self._levels):
                 self._levels.append(_Level(self._channels, depth))
-            sums, counts = self._levels[depth].add(sums, counts)
+            stretches = self._levels[depth].add(stretches)
             depth += 1
 
     def result(self) -> AllanVariance:
@@ -93,76 +93,108 @@ class Octaves:
         return AllanVariance(factors, variance)
 
 
+@dataclass(frozen=True)
+class _Stretches:
+    """Sums of the samples of stretches, shape (channels, number), and the numbers of samples that are there.
+
+    Attributes
+    ----------
+    size : int
+        Samples of a stretch.
+    counts : ndarray, shape (channels, number), or None
+        None where no sample is missing.
+    """
+
+    size: int
+    sums: Array
+    counts: Array | None
+
+    @property
+    def number(self) -> int:
+        return len(self.sums[0])
+
+    def behind(self, earlier: _Stretches) -> _Stretches:
+        """Return the stretches with earlier ones before them."""
+        counts = None
+        if self.counts is not None or earlier.counts is not None:
+            counts = np.concatenate([earlier.known_counts(), self.known_counts()], axis=1)
+        return _Stretches(self.size, np.concatenate([earlier.sums, self.sums], axis=1), counts)
+
+    def known_counts(self) -> Array:
+        return np.full(self.sums.shape, float(self.size)) if self.counts is None else self.counts
+
+    def part(self, start: int, end: int | None = None) -> _Stretches:
+        counts = None if self.counts is None else self.counts[:, start:end]
+        return _Stretches(self.size, self.sums[:, start:end], counts)
+
+    def copy(self) -> _Stretches:
+        """Return them in memory of their own, which a part has not."""
+        whole = self.counts is None or self.counts.min(initial=self.size) == self.size
+        return _Stretches(self.size, self.sums.copy(), None if whole else self.known_counts().copy())
+
+    def joined(self, lag: int) -> _Stretches:
+        """Return each stretch together with the one ``lag`` places behind it."""
+        counts = None if self.counts is None else self.counts[:, :-lag] + self.counts[:, lag:]
+        return _Stretches(2 * self.size, self.sums[:, :-lag] + self.sums[:, lag:], counts)
+
+    def halved(self) -> _Stretches:
+        """Return the stretches by twos, an even number of them."""
+        counts = None if self.counts is None else self.counts[:, ::2] + self.counts[:, 1::2]
+        return _Stretches(2 * self.size, self.sums[:, ::2] + self.sums[:, 1::2], counts)
+
+    def differences(self, lag: int) -> tuple[Array, Array]:
+        """Return the sums of squared differences to the mean ``lag`` places behind, and how many there are.
+
+        Both have the shape (channels,). A mean counts if :data:`PRESENT` of its samples are there.
+        """
+        if self.counts is None:
+            change = self.sums[:, lag:] - self.sums[:, :-lag]
+            return np.einsum("ij,ij->i", change, change) / float(self.size) ** 2, np.full(len(change), change.shape[1])
+        enough = self.counts >= PRESENT * self.size
+        mean = np.divide(self.sums, self.counts, out=np.zeros_like(self.sums), where=enough)
+        both = enough[:, lag:] & enough[:, :-lag]
+        change = np.where(both, mean[:, lag:] - mean[:, :-lag], 0.0)
+        return np.einsum("ij,ij->i", change, change), both.sum(axis=1)
+
+
 class _Level:
-    """Blocks of 2**depth samples, and the differences between the means of ``widths`` of them."""
+    """The stretches of 2**depth samples, one behind the other, and the differences between means of several of them."""
 
     def __init__(self, channels: int, depth: int) -> None:
         self.depth = depth
         self.widths = (1, 2, 4, 8, 16, STARTS) if depth == 0 else (STARTS,)
-        empty = np.empty((channels, 0))
-        self._tail, self._tail_counts = empty, empty
-        self._odd, self._odd_counts = empty, empty
+        self._last = self._odd = _Stretches(1 << depth, np.empty((channels, 0)), None)
         self._squares = np.zeros((len(self.widths), channels))
         self._pairs = np.zeros((len(self.widths), channels))
 
-    def add(self, sums: Array, counts: Array) -> tuple[Array, Array]:
-        """Take more blocks, shape (channels, n); return those of the level above that are whole by now."""
-        held, held_counts = _joined(self._tail, sums), _joined(self._tail_counts, counts)
-        known = self._tail.shape[1]
-        total = _running(held)
-        total_counts = None if held_counts.min() == 1 << self.depth else _running(held_counts)
-        for place, width in enumerate(self.widths):
-            # Only the pairs whose last block is new.
-            start = max(0, known - 2 * width + 1)
-            if total_counts is None:
-                self._count_whole_pairs(place, width, total[:, start:])
-            else:
-                self._count_pairs(place, width, total[:, start:], total_counts[:, start:])
-        kept = 2 * self.widths[-1] - 1
-        self._tail, self._tail_counts = held[:, -kept:].copy(), held_counts[:, -kept:].copy()
-        return self._halved(sums, counts)
+    def add(self, new: _Stretches) -> _Stretches:
+        """Take more stretches; return those of the level above that are whole by now."""
+        known = self._last.number
+        held = longer = new.behind(self._last)
+        self._last = held.part(max(0, held.number - 2 * STARTS + 1)).copy()
+        width = 1
+        while longer.number > width:
+            if width in self.widths:
+                # Only the pairs whose last stretch is new.
+                squares, pairs = longer.part(max(0, known - 2 * width + 1)).differences(width)
+                place = self.widths.index(width)
+                self._squares[place] += squares
+                self._pairs[place] += pairs
+            if width == STARTS:
+                break
+            longer, width = longer.joined(width), 2 * width
+        return self._halved(new)
 
     def variance(self, place: int) -> Array:
         """Return the Allan variance of one width, shape (channels,)."""
         pairs = self._pairs[place]
         return np.asarray(self._squares[place] / (2.0 * np.where(pairs > 0, pairs, np.nan)))
 
-    def _count_whole_pairs(self, place: int, width: int, total: Array) -> None:
-        """Count the pairs of stretches in which no sample is missing."""
-        pairs = total.shape[1] - 2 * width
-        if pairs <= 0:
-            return
-        stretch = total[:, width:] - total[:, :-width]
-        change = stretch[:, width:] - stretch[:, :-width]
-        self._squares[place] += np.einsum("ij,ij->i", change, change) / float(width << self.depth) ** 2
-        self._pairs[place] += pairs
-
-    def _count_pairs(self, place: int, width: int, total: Array, counts: Array) -> None:
-        if total.shape[1] <= 2 * width:
-            return
-        stretch, filled = total[:, width:] - total[:, :-width], counts[:, width:] - counts[:, :-width]
-        whole = filled >= PRESENT * (width << self.depth)
-        mean = np.divide(stretch, filled, out=np.zeros_like(stretch), where=whole)
-        both = whole[:, width:] & whole[:, :-width]
-        self._squares[place] += np.sum(np.where(both, mean[:, width:] - mean[:, :-width], 0.0) ** 2, axis=1)
-        self._pairs[place] += both.sum(axis=1)
-
-    def _halved(self, sums: Array, counts: Array) -> tuple[Array, Array]:
-        sums, counts = _joined(self._odd, sums), _joined(self._odd_counts, counts)
-        even = sums.shape[1] // 2 * 2
-        self._odd, self._odd_counts = sums[:, even:].copy(), counts[:, even:].copy()
-        return sums[:, 0:even:2] + sums[:, 1:even:2], counts[:, 0:even:2] + counts[:, 1:even:2]
-
-
-def _joined(earlier: Array, later: Array) -> Array:
-    return np.concatenate([earlier, later], axis=1)
-
-
-def _running(values: Array) -> Array:
-    """Return the sums of the first 0, 1, 2, ... values of each channel."""
-    total = np.zeros((len(values), values.shape[1] + 1))
-    np.cumsum(values, axis=1, out=total[:, 1:])
-    return total
+    def _halved(self, new: _Stretches) -> _Stretches:
+        held = new.behind(self._odd)
+        even = held.number // 2 * 2
+        self._odd = held.part(even).copy()
+        return held.part(0, even).halved()
 
 
 def degrees_of_freedom(kind: Kind, samples: float, factor: float) -> float:

@@ -59,11 +59,12 @@ class Averager:
             self._merge(samples, present)
             return
         cuts = np.r_[0, np.arange(self._samples - self._filled, len(samples), self._samples)]
-        sums = np.add.reduceat(samples, cuts, axis=0)
+        # Channel by channel in memory, as the samples are.
+        sums = np.add.reduceat(samples.T, cuts, axis=1).T
         if present is None:
-            counts = np.repeat(np.diff(np.r_[cuts, len(samples)])[:, None].astype(np.float64), samples.shape[1], axis=1)
+            counts = np.repeat(np.diff(np.r_[cuts, len(samples)])[None].astype(np.float64), samples.shape[1], axis=0).T
         else:
-            counts = np.add.reduceat(present.astype(np.float64), cuts, axis=0)
+            counts = np.add.reduceat(present.T.astype(np.float64), cuts, axis=1).T
         sums[0] += self._sum
         counts[0] += self._present
         self._filled = (self._filled + len(samples)) % self._samples

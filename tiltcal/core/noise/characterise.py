@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import sqrt
 
 import numpy as np
@@ -84,10 +86,19 @@ class ChannelNoise:
 
 
 class Characteriser:
-    """Collects all of it along the samples of some channels; ``sizes`` of averages add to 1, 10, 100, ..."""
+    """Collects all of it along the samples of some channels.
 
-    def __init__(self, channels: int, sizes: Sequence[int] = ()) -> None:
-        self._asked = frozenset(sizes)
+    Parameters
+    ----------
+    sizes : sequence of int
+        Of averages, beside 1, 10, 100, ...
+    run : callable
+        Does some pieces of work that do not meet, with the signature of ``map``: that of an executor does them side by
+        side.
+    """
+
+    def __init__(self, channels: int, sizes: Sequence[int] = (), run: Callable[..., Iterable[None]] = map) -> None:
+        self._asked, self._run = frozenset(sizes), run
         self._zero = np.full(channels, np.nan)
         """A value near all samples of each channel, so that their sums keep their digits."""
         self._count = np.zeros(channels, dtype=np.int64)
@@ -99,22 +110,23 @@ class Characteriser:
     def add(self, samples: Array) -> None:
         """Take more samples, evenly spaced behind the last ones, shape (n, channels); NaN where a value is missing."""
         there = np.isfinite(samples)
-        self.rows += len(samples)
-        self._count += there.sum(axis=0)
-        for channel, steps in enumerate(self._steps):
-            known = samples[there[:, channel], channel]
-            steps.add(known)
-            if len(known) and np.isnan(self._zero[channel]):
-                self._zero[channel] = known[0]
         present = None if there.all() else there
+        self.rows += len(samples)
+        self._count += len(samples) if present is None else there.sum(axis=0)
+        known = list(samples.T)
+        if present is not None:
+            known = [channel[here] for channel, here in zip(samples.T, there.T, strict=True)]
+        for place, values in enumerate(known):
+            if len(values) and np.isnan(self._zero[place]):
+                self._zero[place] = values[0]
         # Channel by channel in memory: sums along the samples are then several times faster.
         about_zero = np.asfortranarray(samples - np.nan_to_num(self._zero))
         if present is not None:
             about_zero[~present] = 0.0
-        self._octaves.add(about_zero, present)
-        self._unrest.add(about_zero, present)
-        for averager in self._averagers:
-            averager.add(about_zero, present)
+        work = [partial(self._octaves.add, about_zero, present), partial(self._unrest.add, about_zero, present)]
+        work += [partial(averager.add, about_zero, present) for averager in self._averagers]
+        work += [partial(steps.add, values) for steps, values in zip(self._steps, known, strict=True)]
+        deque(self._run(_do, work), maxlen=0)
 
     @property
     def counts(self) -> list[int]:
@@ -165,3 +177,9 @@ class Characteriser:
         shown = [one for one in averages if one.count >= (2 if one.samples in self._asked else _FEWEST_AVERAGES)]
         step = self._steps[place].result()
         return ChannelNoise(mean, count, step, shown, tau, np.sqrt(variance), low, high, terms)
+
+
+def _do(work: Callable[[], None]) -> None:
+    # Noise beyond any number is refused at the end. A thread has its own settings of what numpy warns of.
+    with np.errstate(over="ignore", invalid="ignore"):
+        work()

@@ -12,7 +12,7 @@ from math import log, sqrt
 
 import numpy as np
 
-from tiltcal.core.detection import bursts, jumps, repeated, runs
+from tiltcal.core.detection import bursts, jumps, repeated, run_bounds, runs
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 
@@ -42,7 +42,7 @@ class Disturbances:
         empty = np.empty((0, channels))
         self._rows = 0
         self._size = BLOCK
-        self._pending, self._pending_counts = empty.T, empty.T
+        self._pending, self._pending_there = empty.T, empty.T.astype(bool)
         self._blocks = [_Blocks(empty, empty, empty)]
         self._held = 0
         self._last = np.full((1, channels), np.nan)
@@ -52,16 +52,16 @@ class Disturbances:
         """Take more samples, zero where they are missing, shape (n, channels); ``present`` is None if none is."""
         self._follow_runs(samples if present is None else np.where(present, samples, np.nan))
         self._rows += len(samples)
-        there = np.ones_like(samples) if present is None else present.astype(np.float64)
-        sums = np.concatenate([self._pending, samples.T], axis=1)
-        counts = np.concatenate([self._pending_counts, there.T], axis=1)
-        whole = sums.shape[1] // self._size * self._size
-        self._pending, self._pending_counts = sums[:, whole:], counts[:, whole:]
+        there = np.ones((1, 1), bool) if present is None else present
+        there = np.concatenate([self._pending_there, np.broadcast_to(there.T, samples.T.shape)], axis=1)
+        values = np.concatenate([self._pending, samples.T], axis=1)
+        whole = values.shape[1] // self._size * self._size
+        self._pending, self._pending_there = values[:, whole:].copy(), there[:, whole:].copy()
         if whole:
-            shape = (len(sums), -1, self._size)
-            cut, counted = sums[:, :whole].reshape(shape), counts[:, :whole].reshape(shape)
-            squares = np.einsum("cij,cij->ic", cut, cut)
-            self._blocks.append(_Blocks(cut.sum(axis=2).T, squares, counted.sum(axis=2).T))
+            shape = (len(values), -1, self._size)
+            cut, counted = values[:, :whole].reshape(shape), there[:, :whole].reshape(shape)
+            sums, squares = np.einsum("cij->ic", cut), np.einsum("cij,cij->ic", cut, cut)
+            self._blocks.append(_Blocks(sums, squares, np.count_nonzero(counted, axis=2).T))
             self._held += whole // self._size
         while self._held > MOST_BLOCKS:
             self._coarsen()
@@ -87,16 +87,18 @@ class Disturbances:
     def _follow_runs(self, samples: Array) -> None:
         if not len(samples):
             return
-        same = repeated(samples, self._last).all(axis=1)
+        same = np.asarray(repeated(samples, self._last).all(axis=1))
         self._last = samples[-1:]
         self._repeats += int(same.sum())
-        breaks = np.flatnonzero(~same)
-        starts = np.r_[-self._run, breaks]
-        ends = np.r_[breaks, len(samples)]
-        longest = int(np.argmax(ends - starts))
-        if ends[longest] - starts[longest] > self._longest.end - self._longest.start:
-            self._longest = RowRange(self._rows + int(starts[longest]), self._rows + int(ends[longest]))
-        self._run = int(ends[-1] - starts[-1])
+        starts, ends = run_bounds(same)
+        starts -= 1  # a run begins with the row that the others repeat
+        if same[0]:
+            starts[0] = -self._run
+        if len(starts):
+            longest = int(np.argmax(ends - starts))
+            if ends[longest] - starts[longest] > self._longest.end - self._longest.start:
+                self._longest = RowRange(self._rows + int(starts[longest]), self._rows + int(ends[longest]))
+        self._run = len(samples) - int(starts[-1]) if same[-1] else 1
 
     def _coarsen(self) -> None:
         """Join blocks by twos; an odd one stays as it is, half as long, which moves those behind it by as much."""
