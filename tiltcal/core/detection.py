@@ -110,6 +110,12 @@ class LongRuns:
         self._bounds.append(self._rows + np.stack([starts[kept], ends[kept]]))
         self._rows += len(mask)
 
+    def add_alike(self, rows: int, value: bool) -> None:
+        """Take so many next rows that all have one value."""
+        if value:
+            self._bounds.append(np.array([[self._rows], [self._rows + rows]], np.intp))
+        self._rows += rows
+
     def result(self) -> list[Span]:
         """Return the runs in the rows so far."""
         starts, ends = np.concatenate(self._bounds, axis=1)
@@ -170,9 +176,9 @@ def stuck_spans(samples: Rows, shortest: int) -> list[Span]:
     steps = np.full(samples[:1].shape[1], inf)
     elsewhere = [Stillest(len(samples)) for _ in steps]
     for variances in window_variances(samples, stuck, shortest):
-        usable = variances[np.isfinite(variances).all(axis=1)]
-        for found, column in zip(elsewhere, usable.T, strict=True):
-            found.add(column)
+        usable = variances[:, np.isfinite(variances).all(axis=0)]
+        for found, channel in zip(elsewhere, usable, strict=True):
+            found.add(channel)
     noise = [found.result() for found in elsewhere]
     if None in noise:
         return stuck
@@ -275,7 +281,7 @@ def is_still(
     return abs(change) <= (limit - coverage * uncertainty if shown else max(limit, sigmas * uncertainty))
 
 
-def window_scatter(samples: Rows, stuck: Sequence[Span], window: int) -> Iterator[Array]:
+def window_scatter(samples: Rows, stuck: Sequence[Span], windows: Sequence[int]) -> Iterator[list[Array]]:
     """Yield the standard deviation in every window, all channels together (root of the sum of squares), in pieces.
 
     Parameters
@@ -284,33 +290,69 @@ def window_scatter(samples: Rows, stuck: Sequence[Span], window: int) -> Iterato
         NaN where a value is missing.
     stuck : sequence of (start, end)
         Rows that cannot be used either, rising.
-    window : int
-        Rows.
+    windows : sequence of int
+        Rows of a window; there may be windows of several lengths.
 
     Yields
     ------
-    ndarray, shape (n,)
-        Of windows that follow each other; infinite where a window holds a row that cannot be used. There is none where
-        there are fewer rows than a window has.
+    list of ndarray, shape (n,)
+        Of windows that follow each other, for each length; infinite where a window holds a row that cannot be used.
+        There is none where there are fewer rows than a window has.
     """
-    for variances in window_variances(samples, stuck, window):
-        yield np.sqrt(np.sum(variances, axis=1))
+    for piece, gone in _pieces_of_windows(samples, stuck, max(windows)):
+        sums, squares = _WindowSums(piece), _WindowSums(np.einsum("ci,ci->i", piece, piece)[None])
+        found = []
+        for window in windows:
+            variances = np.einsum("ci,ci->i", sums.over(window), sums.over(window))
+            variances /= -window
+            variances += squares.over(window)[0]
+            found.append(np.sqrt(_usable(variances[:_CHUNK], gone, window)))
+        yield found
 
 
 def window_variances(samples: Rows, stuck: Sequence[Span], window: int) -> Iterator[Array]:
-    """Yield the sample variance of every channel in every window, shape (n, channels), as :func:`window_scatter`."""
-    for start in range(0, len(samples) - window + 1, _CHUNK):
-        piece = samples[start : start + _CHUNK + window - 1]
-        gone = lost_rows(piece, start, stuck)[:, None]
-        if gone.any():
-            piece = np.where(gone, 0.0, piece)
-        # Running sums about the piece's own mean: over a long record they would lose the noise in their last digits.
-        centred = piece - piece.mean(axis=0)
-        sums, squares = (_window_sums(values, window) for values in (centred, centred**2))
-        variances = np.maximum(squares - sums**2 / window, 0.0) / (window - 1)
-        if gone.any():
-            variances[_window_sums(gone.astype(float), window)[:, 0] > 0.5] = inf
-        yield variances
+    """Yield the sample variance of every channel in every window, shape (channels, n), as :func:`window_scatter`."""
+    for piece, gone in _pieces_of_windows(samples, stuck, window):
+        variances = _WindowSums(np.square(piece)).over(window) - np.square(_WindowSums(piece).over(window)) / window
+        yield _usable(variances[:, :_CHUNK], gone, window)
+
+
+def _pieces_of_windows(samples: Rows, stuck: Sequence[Span], longest: int) -> Iterator[tuple[Array, Mask]]:
+    """Yield the rows of some windows about their mean, shape (channels, n), and which of them cannot be used."""
+    for start in range(0, len(samples), _CHUNK):
+        piece = samples[start : start + _CHUNK + longest - 1]
+        gone = lost_rows(piece, start, stuck)
+        # Squares of what is far from zero would lose the noise in their last digits.
+        piece = piece - (piece if gone.all() else piece[~gone] if gone.any() else piece).mean(axis=0)
+        piece[gone] = 0.0
+        yield np.ascontiguousarray(piece.T), gone
+
+
+def _usable(variances: Array, gone: Mask, window: int) -> Array:
+    """Finish the sums of squared differences in windows, shape (..., n); infinite where a row cannot be used."""
+    np.maximum(variances, 0.0, out=variances)
+    variances /= window - 1
+    if gone.any():
+        variances[..., _WindowSums(gone[None].astype(float)).over(window)[0, : variances.shape[-1]] > 0.5] = inf
+    return variances
+
+
+class _WindowSums:
+    """Sums of the values in every window of any length, shape (channels, n): a window is made of two of half of it."""
+
+    def __init__(self, values: Array) -> None:
+        self._known = {1: values}
+
+    def over(self, window: int) -> Array:
+        """Return the sums over windows of so many values; there is none where there are fewer values."""
+        if window not in self._known:
+            half = window // 2
+            sums = self.over(half)
+            sums = sums[:, : max(sums.shape[1] - half, 0)] + sums[:, half:]
+            if window % 2:
+                sums = sums[:, :-1] + self._known[1][:, window - 1 :]
+            self._known[window] = sums
+        return self._known[window]
 
 
 class Stillest:
@@ -343,11 +385,6 @@ class Stillest:
         place = STILLEST * (self._count - 1)
         low = int(place)
         return float(np.quantile(np.sort(np.concatenate(self._kept))[low : low + 2], place - low))
-
-
-def _window_sums(values: Array, window: int) -> Array:
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    return np.asarray(total[window:] - total[:-window])
 
 
 # ---------------------------------------------------------------------------------------------------------------- moved

@@ -23,7 +23,8 @@ from tiltcal.core.model import Array
 from tiltcal.core.statistics import BLOCKS
 from tiltcal.errors import EstimateError
 from tiltcal.files.segments import Segment
-from tiltcal.logs.stored_rows import StoredRows
+from tiltcal.logs.row_sums import Numbers, RowSums
+from tiltcal.logs.streams import read_ahead
 
 WINDOWS = (200, 100, 50, 25)
 """Rows of the windows that are tried."""
@@ -37,8 +38,8 @@ STUCK = 25
 SAME_DIRECTION_COSINE = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
 
-_PIECE = 1 << 10
-"""Rows whose sums are kept, and of which longer intervals have theirs."""
+_BLOCK = 1 << 14
+"""Rows that are read at once."""
 
 
 @dataclass(frozen=True)
@@ -142,152 +143,134 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
     return "\n".join(lines)
 
 
-def still_intervals(
-    readings: RowSums, scatter: StoredRows, window: int, thresholds: Sequence[float]
-) -> Iterator[list[list[Span]]]:
-    """Yield the still intervals of a log by each threshold, those of one attitude together.
+class StillSpans:
+    """Collects the rows in which a log is still, by each of some thresholds.
 
     Parameters
     ----------
-    scatter : StoredRows
-        In every window; see :func:`tiltcal.core.detection.window_scatter`.
     window : int
-        Rows.
+        Rows of a window.
     thresholds : sequence of float
         Standard deviations, all channels together, unit.
-
-    Yields
-    ------
-    list of list of (start, end)
-        Rows, ends exclusive, in order.
-    """
-    middle = window // 2
-    # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
-    still = [LongRuns(max(middle, 2)) for _ in thresholds]
-    for (piece,) in scatter.blocks():
-        for found, threshold in zip(still, thresholds, strict=True):
-            found.add(piece <= threshold)
-    for found in still:
-        spans = [(start + middle, end + middle) for start, end in found.result()]
-        yield _merged(readings, [span for span in spans if readings.change(span)])
-
-
-class RowSums:
-    """The readings of a log, and the sums of any of its rows.
-
-    Parameters
-    ----------
-    readings : Rows
     """
 
-    def __init__(self, readings: Rows) -> None:
-        self._readings = readings
-        with np.errstate(invalid="ignore"):
-            sums = [readings[start : start + _PIECE].sum(axis=0) for start in range(0, len(readings), _PIECE)]
-        self._sums = np.array(sums)
+    def __init__(self, window: int, thresholds: Sequence[float]) -> None:
+        self._middle, self._thresholds = window // 2, thresholds
+        # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
+        self._still = [LongRuns(max(self._middle, 2)) for _ in thresholds]
 
-    def rows(self, spans: Sequence[Span]) -> Array:
-        """Return the rows of some intervals."""
-        parts = [self._readings[start:end] for start, end in spans]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+    def add(self, scatter: Array) -> None:
+        """Take the scatter in the next windows, shape (n,); see :func:`tiltcal.core.detection.window_scatter`."""
+        low, high = float(np.min(scatter, initial=inf)), float(np.max(scatter, initial=0.0))
+        for found, threshold in zip(self._still, self._thresholds, strict=True):
+            if low <= threshold < high:
+                found.add(scatter <= threshold)
+            else:
+                found.add_alike(len(scatter), high <= threshold)
 
-    def mean(self, spans: Sequence[Span]) -> Array:
-        """Return the mean of some intervals."""
-        n = sum(end - start for start, end in spans)
-        return np.asarray(sum(self._sum(start, end) for start, end in spans) / n)
-
-    def uncertainty(self, spans: Sequence[Span]) -> Array:
-        """Standard uncertainty of the mean, as :func:`tiltcal.core.statistics.summarise` has it, on arrays."""
-        n = sum(end - start for start, end in spans)
-        size = n // BLOCKS
-        if size < 2:
-            return np.asarray(self.rows(spans).std(axis=0, ddof=1) / sqrt(n))
-        if n < _PIECE:
-            means = self.rows(spans)[: BLOCKS * size].reshape(BLOCKS, size, -1).mean(axis=1)
-        else:
-            means = np.array([self.mean(_part(spans, size * block, size * (block + 1))) for block in range(BLOCKS)])
-        return np.asarray(means.std(axis=0, ddof=1) / sqrt(BLOCKS))
-
-    def change(self, span: Span) -> bool:
-        """Return whether a reading changes in an interval."""
-        start, end = span
-        first = self._readings[start : start + 1]
-        return any(np.any(self._readings[at : min(at + _PIECE, end)] != first) for at in range(start, end, _PIECE))
-
-    def _sum(self, start: int, end: int) -> Array:
-        first, last = -(-start // _PIECE), end // _PIECE
-        if last - first < 2:
-            return np.asarray(self._readings[start:end].sum(axis=0))
-        before, behind = self._readings[start : first * _PIECE], self._readings[last * _PIECE : end]
-        return np.asarray(before.sum(axis=0) + self._sums[first:last].sum(axis=0) + behind.sum(axis=0))
+    def result(self) -> list[Numbers]:
+        """Return the first rows and the rows behind the last by each threshold, shape (spans, 2), in order."""
+        return [np.array(found.result(), dtype=np.intp).reshape(-1, 2) + self._middle for found in self._still]
 
 
-def _part(spans: Sequence[Span], first: int, last: int) -> list[Span]:
-    """Return some rows of the rows of several intervals, counted along them."""
-    found = []
-    for start, end in spans:
-        begin, stop = start + max(first, 0), min(start + last, end)
-        if begin < stop:
-            found.append((begin, stop))
-        first, last = first - (end - start), last - (end - start)
-    return found
+def _choices(readings: Rows, stuck: Sequence[Span], windows: Sequence[int]) -> list[StaticDetection]:
+    still = list(_still(readings, stuck, windows))
+    sums = RowSums(readings, np.concatenate([np.empty(0, np.intp), *(spans.ravel() for *_, spans in still)]))
+    attitudes = [_attitudes(sums, spans[sums.change(*spans.T)]) for *_, spans in still]
+    bounds = [part for found in attitudes for spans in found for part in (spans.ravel(), block_bounds(spans)[1])]
+    sums = RowSums(readings, np.concatenate([np.empty(0, np.intp), *bounds]))
+    return [
+        StaticDetection(window, multiple, noise, tuple(map(_as_spans, found)), _ellipsoid(readings, sums, found))
+        for (window, multiple, noise, _), found in zip(still, attitudes, strict=True)
+    ]
 
 
-def _choices(readings: Rows, stuck: Sequence[Span], windows: Sequence[int]) -> Iterator[StaticDetection]:
-    sums = RowSums(readings)
-    for window in windows:
-        with StoredRows(1) as scatter:
-            stillest = Stillest(len(readings))
-            for piece in window_scatter(readings, stuck, window):
-                scatter.append([piece])
-                stillest.add(piece[np.isfinite(piece) & (piece > 0.0)])
-            noise = stillest.result()
-            if noise is None:
-                continue
-            found = still_intervals(sums, scatter, window, [multiple * noise for multiple in MULTIPLES])
-            for multiple, intervals in zip(MULTIPLES, found, strict=True):
-                yield StaticDetection(
-                    window, multiple, noise, tuple(map(tuple, intervals)), _ellipsoid(sums, intervals)
-                )
+def _still(
+    readings: Rows, stuck: Sequence[Span], windows: Sequence[int]
+) -> Iterator[tuple[int, float, float, Numbers]]:
+    """Yield each window, threshold in units of the noise, noise, and the spans that are still by it.
+
+    The scatter is worked out twice, once for the noise: it takes no longer than keeping it in a file.
+    """
+    stillest = [Stillest(len(readings)) for _ in windows]
+    for scatter in read_ahead(window_scatter(readings, stuck, windows)):
+        for least, piece in zip(stillest, scatter, strict=True):
+            least.add(piece[np.isfinite(piece) & (piece > 0.0)])
+    noise = [least.result() or 0.0 for least in stillest]  # 0 where there is no window
+    still = [
+        StillSpans(window, [multiple * each for multiple in MULTIPLES])
+        for window, each in zip(windows, noise, strict=True)
+    ]
+    for scatter in read_ahead(window_scatter(readings, stuck, windows)):
+        for found, piece in zip(still, scatter, strict=True):
+            found.add(piece)
+    for window, each, found in zip(windows, noise, still, strict=True):
+        if each:
+            yield from (
+                (window, multiple, each, spans) for multiple, spans in zip(MULTIPLES, found.result(), strict=True)
+            )
 
 
-def _ellipsoid(readings: RowSums, intervals: Sequence[Sequence[Span]]) -> Ellipsoid | None:
-    if not intervals:
+def _attitudes(sums: RowSums, spans: Numbers) -> list[Numbers]:
+    """Return the spans of each attitude, shape (m, 2): those that follow each other without a turn between them."""
+    if not len(spans):
+        return []
+    means = sums.between(*spans.T) / np.diff(spans)
+    directions = means - (means.max(axis=0) + means.min(axis=0)) / 2
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
+    first, cuts = directions[0], []
+    for number, direction in enumerate(directions[1:], start=1):
+        if direction @ first < SAME_DIRECTION_COSINE:
+            cuts.append(number)
+            first = direction
+    return np.split(spans, cuts)
+
+
+def _ellipsoid(readings: Rows, sums: RowSums, attitudes: Sequence[Numbers]) -> Ellipsoid | None:
+    if not attitudes:
         return None
+    means, uncertainties = zip(*(mean_of(readings, sums, spans) for spans in attitudes), strict=True)
     try:
-        return fit_ellipsoid(
-            np.array([readings.mean(spans) for spans in intervals]),
-            np.array([readings.uncertainty(spans) for spans in intervals]),
-        )
+        return fit_ellipsoid(np.array(means), np.array(uncertainties))
     except EstimateError:
         return None
 
 
-def _merged(readings: RowSums, spans: Sequence[Span]) -> list[list[Span]]:
-    """Intervals that follow each other in one attitude, together."""
-    if not spans:
-        return []
-    means = np.array([readings.mean([span]) for span in spans])
-    middle = (means.max(axis=0) + means.min(axis=0)) / 2
-    directions = means - middle
-    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
-    intervals: list[list[Span]] = []
-    first = directions[0]
-    for span, direction in zip(spans, directions, strict=True):
-        if intervals and direction @ first >= SAME_DIRECTION_COSINE:
-            intervals[-1].append(span)
-        else:
-            intervals.append([span])
-            first = direction
-    return intervals
+def mean_of(readings: Rows, sums: RowSums, spans: Numbers) -> tuple[Array, Array]:
+    """Return the mean of an attitude and its standard uncertainty, by :func:`tiltcal.core.statistics.summarise`."""
+    starts, ends = spans.T
+    n = int((ends - starts).sum())
+    each = sums.between(starts, ends)
+    mean = each.sum(axis=0) / n
+    size = n // BLOCKS
+    if size < 2:
+        rows = np.concatenate([readings[start:end] for start, end in _as_spans(spans)])
+        return mean, np.asarray(rows.std(axis=0, ddof=1) / sqrt(n))
+    which, bounds = block_bounds(spans)
+    up_to = (np.cumsum(each, axis=0) - each)[which] + sums.between(starts[which], bounds)
+    return mean, np.asarray((np.diff(up_to, axis=0) / size).std(axis=0, ddof=1) / sqrt(BLOCKS))
+
+
+def block_bounds(spans: Numbers) -> tuple[Numbers, Numbers]:
+    """Return the bounds of the ten blocks of an attitude along its spans: the span of each, and the row."""
+    starts, ends = spans.T
+    lengths = ends - starts
+    before = np.cumsum(lengths) - lengths
+    places = int(lengths.sum()) // BLOCKS * np.arange(BLOCKS + 1)
+    which = np.searchsorted(before, places, side="right") - 1
+    return which, starts[which] + places - before[which]
+
+
+def _as_spans(spans: Numbers) -> tuple[Span, ...]:
+    return tuple(zip(*spans.T.tolist(), strict=True))
 
 
 def _too_few(tried: Sequence[StaticDetection], readings: Rows, stuck: Sequence[Span]) -> str:
     most = max((len(choice.intervals) for choice in tried), default=0)
     windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried)) or "any number of"
     lost = sum(
-        int(lost_rows(readings[start : start + _PIECE], start, stuck).sum())
-        for start in range(0, len(readings), _PIECE)
+        int(lost_rows(readings[start : start + _BLOCK], start, stuck).sum())
+        for start in range(0, len(readings), _BLOCK)
     )
     why = f" ({lost} rows are missing, or stuck at one value)" if lost else ""
     return (

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from tempfile import SpooledTemporaryFile, gettempdir
 from types import TracebackType
 
@@ -13,9 +15,6 @@ from tiltcal.errors import UsageError
 
 _MEMORY = 32 << 20
 """Bytes up to which there is no file."""
-
-_ROWS = 1 << 16
-"""Of a block."""
 
 
 class StoredRows:
@@ -32,7 +31,7 @@ class StoredRows:
     def __init__(self, columns: int, shown: int | None = None) -> None:
         self._file = SpooledTemporaryFile(_MEMORY)  # noqa: SIM115 (closed where the rows are left)
         self._columns, self._shown = columns, shown
-        self._rows = 0
+        self._ends = [0]  # of the blocks, and behind them the rows
 
     def __enter__(self) -> StoredRows:
         return self
@@ -43,10 +42,10 @@ class StoredRows:
         self._file.close()
 
     def __len__(self) -> int:
-        return self._rows
+        return self._ends[-1]
 
     def append(self, values: Sequence[Array]) -> None:
-        """Store the next rows, shape (n,) of each column.
+        """Store the next rows, shape (n,) of each column; they are one block.
 
         Raises
         ------
@@ -55,24 +54,37 @@ class StoredRows:
         """
         try:
             self._file.seek(0, 2)
-            self._file.write(np.stack(values, axis=1).tobytes())
+            for column in values:
+                self._file.write(np.ascontiguousarray(column, dtype=np.float64).data)
         except OSError as failure:
             raise UsageError(
                 f"the rows of the log cannot be kept in {gettempdir()}: {failure.strerror}; make room there, or name "
                 "another folder in TMPDIR"
             ) from failure
-        self._rows += len(values[0])
+        self._ends.append(self._ends[-1] + len(values[0]))
 
     def __getitem__(self, rows: slice) -> Array:
         """Return some rows, shape (n, shown), each column contiguous."""
-        return np.asfortranarray(self._read(*rows.indices(self._rows)[:2])[:, : self._shown])
+        start, end, _ = rows.indices(len(self))
+        found = np.empty((self._columns if self._shown is None else self._shown, max(end - start, 0)))
+        block = bisect(self._ends, start)
+        done = start
+        while done < end:
+            stop = min(end, self._ends[block])
+            self._read(block, done, found[:, done - start : stop - start])
+            block, done = block + 1, stop
+        return found.T
 
     def blocks(self) -> Iterator[Sequence[Array]]:
-        """Yield all rows, shape (n,) of each column."""
-        for start in range(0, self._rows, _ROWS):
-            yield list(np.ascontiguousarray(self._read(start, min(start + _ROWS, self._rows)).T))
+        """Yield all rows, shape (n,) of each column, in the blocks in which they came."""
+        for block, (first, end) in enumerate(pairwise(self._ends), start=1):
+            found = np.empty((self._columns, end - first))
+            self._read(block, first, found)
+            yield list(found)
 
-    def _read(self, start: int, end: int) -> Array:
-        size = 8 * self._columns
-        self._file.seek(start * size)
-        return np.frombuffer(self._file.read(max(end - start, 0) * size)).reshape(-1, self._columns)
+    def _read(self, block: int, start: int, found: Array) -> None:
+        """Read the rows of a block from ``start`` on into the first columns, shape (columns, n)."""
+        first, end = self._ends[block - 1], self._ends[block]
+        for number, column in enumerate(found):
+            self._file.seek(8 * (self._columns * first + number * (end - first) + start - first))
+            self._file.readinto(column.data)

@@ -67,8 +67,9 @@ class TestStuck:
 
 
 def test_variance_in_a_window_is_that_of_numpy() -> None:
-    found = np.concatenate(list(window_variances(REST + 1e6, [(1000, 1001)], 50)))
-    assert found[7] == pytest.approx(REST[7:57].var(axis=0, ddof=1), rel=1e-6)
+    found = np.concatenate(list(window_variances(REST + 1e6, [(1000, 1001)], 50)), axis=1).T
+    # Far from zero, beside rows that are lost.
+    assert found[7] == pytest.approx(REST[7:57].var(axis=0, ddof=1), rel=1e-9)
     assert np.flatnonzero(np.isinf(found[:, 0])).tolist() == list(range(951, 1001))
 
 
@@ -109,7 +110,7 @@ def test_the_median_is_that_of_numpy(n: int, decimals: int) -> None:
 def test_the_scatter_of_a_long_log_takes_little_memory() -> None:
     samples = np.asfortranarray(np.random.default_rng(1).normal(0.0, 1.0, (300_000, 3)))
     tracemalloc.start()
-    rows = sum(map(len, window_scatter(samples, [], 100)))
+    rows = sum(len(piece) for (piece,) in window_scatter(samples, [], [100]))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert rows == 300_000 - 99

@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from tiltcal.core.detection import window_scatter
 from tiltcal.errors import EstimateError
-from tiltcal.logs.static_detection import STUCK, RowSums, choice_table, find_still, still_intervals, still_segments
+from tiltcal.logs.row_sums import RowSums
+from tiltcal.logs.static_detection import (
+    STUCK,
+    StillSpans,
+    block_bounds,
+    choice_table,
+    find_still,
+    mean_of,
+    still_segments,
+)
 from tiltcal.logs.stored_rows import StoredRows
 
 Array = NDArray[np.float64]
@@ -146,7 +155,7 @@ class TestHolds:
         level=st.sampled_from([0.0, 1e5]),
     )
     def test_the_scatter_is_the_standard_deviation(self, values: Array, window: int, level: float) -> None:
-        (found,) = window_scatter(values + level, [], window)
+        ((found, _),) = window_scatter(values + level, [], [window, 7])
         expected = [
             np.sqrt(np.sum(np.var(values[start : start + window], axis=0, ddof=1))) for start in range(61 - window)
         ]
@@ -155,37 +164,42 @@ class TestHolds:
     def test_small_noise_far_down_a_long_log_is_not_lost(self) -> None:
         rng = np.random.default_rng(4)
         log = np.repeat([[1e4, -1e4, 0.0]], 200_000, axis=0) + 1e-3 * rng.normal(size=(200_000, 3))
-        scatter = np.concatenate(list(window_scatter(log, [], 100)))
+        scatter = np.concatenate([piece for (piece,) in window_scatter(log, [], [100])])
         assert scatter[-1] == pytest.approx(np.sqrt(np.sum(np.var(log[-100:], axis=0, ddof=1))), rel=1e-6)
         assert len(scatter) == 199_901
 
     def test_a_window_with_a_lost_row_is_never_still(self) -> None:
-        (scatter,) = window_scatter(np.zeros((50, 3)), [(20, 21)], 10)
+        ((scatter,),) = window_scatter(np.zeros((50, 3)), [(20, 21)], [10])
         assert np.flatnonzero(np.isinf(scatter)).tolist() == list(range(11, 21))
 
+    def test_a_scatter_that_is_all_below_a_threshold_or_all_above_it(self) -> None:
+        still = StillSpans(50, [0.5, 2.5])
+        for level in (1.0, 2.0, 3.0):
+            still.add(np.full(100, level))
+        assert [spans.tolist() for spans in still.result()] == [[], [[25, 225]]]
+
     def test_identical_samples_are_no_hold(self) -> None:
-        with StoredRows(1) as scatter:
-            scatter.append(np.zeros((1, 351)))
-            assert [*still_intervals(RowSums(np.ones((400, 3))), scatter, 50, [1.0])] == [[]]
+        """So few that no stuck reading shows, in a turn."""
+        log = handled()
+        first = HELD + MOVED // 2
+        log[first : first + 20] = log[first]
+        chosen, _ = find_still(log, [10])
+        assert all(end <= HELD + 5 or start > first + 20 for spans in chosen.intervals for start, end in spans)
 
 
-class TestRowSums:
-    spans = ((5, 4000), (4100, 4130), (6000, 12_000))
-
-    @pytest.mark.parametrize("count", [1, 3])
-    def test_mean_and_uncertainty_of_long_intervals(self, count: int) -> None:
-        readings = np.cumsum(np.random.default_rng(6).normal(size=(12_345, 3)), axis=0)
-        spans = self.spans[:count]
-        samples = np.concatenate([readings[start:end] for start, end in spans])
+@pytest.mark.parametrize("size", [20, 4000, 12_345])
+def test_mean_and_uncertainty_of_an_attitude(size: int) -> None:
+    """They are those of all its rows together, whichever intervals these come from."""
+    rng = np.random.default_rng(6)
+    spans = np.array([(5, 5 + size), (13_000, 13_000 + size), (30_000, 30_009)])
+    readings = np.cumsum(rng.normal(size=(40_000, 3)), axis=0)
+    for some in (spans[:1], spans):
+        samples = np.concatenate([readings[start:end] for start, end in some])
         blocks = samples[: len(samples) // 10 * 10].reshape(10, -1, 3).mean(axis=1)
-        sums = RowSums(readings)
-        assert sums.mean(spans) == pytest.approx(samples.mean(axis=0), rel=1e-12)
-        assert sums.uncertainty(spans) == pytest.approx(blocks.std(axis=0, ddof=1) / np.sqrt(10), rel=1e-9)
-
-    def test_a_change_in_the_last_row(self) -> None:
-        readings = np.ones((5000, 3))
-        readings[4321, 1] = 2.0
-        assert [RowSums(readings).change((7, end)) for end in (4321, 4322)] == [False, True]
+        sums = RowSums(readings, np.append(some, block_bounds(some)[1]))
+        mean, uncertainty = mean_of(readings, sums, some)
+        assert mean == pytest.approx(samples.mean(axis=0), rel=1e-12)
+        assert uncertainty == pytest.approx(blocks.std(axis=0, ddof=1) / np.sqrt(10), rel=1e-9)
 
 
 def test_the_same_is_found_in_a_file_as_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
