@@ -72,7 +72,7 @@ def parse_sentence(line: bytes) -> Sentence | None:
 
 
 def checksum(content: bytes) -> int:
-    """XOR of the bytes between ``$`` and ``*``."""
+    """Return the XOR of the bytes between ``$`` and ``*``."""
     return reduce(xor, content, 0)
 
 

@@ -192,7 +192,7 @@ class Thermistor:
         """Do nothing: every read is a new conversion."""
 
     def _sample(self) -> tuple[float, float]:
-        """Temperature in °C and supply in V."""
+        """Return the temperature in °C and the supply in V."""
         (share,), supply = self._wired.supply.shares(self._converter, (self._wired.number,))
         return self._wired.divider.celsius(share), supply
 

@@ -19,7 +19,7 @@ class Clock(Protocol):
         ...
 
     def now_ns(self) -> int:
-        """Time since the session began, in nanoseconds."""
+        """Return the time since the session began, in nanoseconds."""
         ...
 
     def sleep(self, seconds: float) -> None:

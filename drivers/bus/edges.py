@@ -62,7 +62,7 @@ class Edge(NamedTuple):
 
 
 def pack_edges(edges: Iterable[Edge]) -> bytes:
-    """Edges as the records of a link's answer; a number past 32 bits starts again at 0."""
+    """Return edges as the records of a link's answer; a number past 32 bits starts again at 0."""
     return b"".join(RECORD.pack(edge.time_ns, edge.line, edge.rising, edge.number & 0xFFFFFFFF) for edge in edges)
 
 

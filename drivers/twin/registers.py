@@ -101,7 +101,7 @@ class SpiTwin(RecallingTwin):
     Parameters
     ----------
     decode : callable
-        Takes a command byte apart: register, and whether it writes.
+        Returns the register of a command byte, and whether it writes.
     """
 
     letter = "s"
@@ -146,12 +146,12 @@ class I2cTwin(RecallingTwin):
     Parameters
     ----------
     decode : callable
-        Takes the first byte that is written to the register it stands for.
+        Returns the register of the first byte that is written.
     """
 
     letter = "i"
 
-    def __init__(self, registers: Registers, clock: Clock, decode: Callable[[int], int] = int) -> None:
+    def __init__(self, registers: Registers, clock: Clock, decode: Callable[[int], int]) -> None:
         super().__init__(clock)
         self._registers = registers
         self._decode = decode

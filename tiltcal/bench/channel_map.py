@@ -1,4 +1,4 @@
-"""The channels of a turning stage: which reading of which device each of them is.
+"""The channels of a turning stage, and the reading of a device that each of them is.
 
 A channel is called as `tiltcal record` names its column: ``a1`` of a single device, ``S-7_a1`` of several; where only
 one device has a channel of the name, the name alone will do. The pairs that come of it carry the names of the columns,
@@ -35,7 +35,7 @@ class ChannelRef:
     place: int
 
     def value(self, sample: Sample) -> float:
-        """This reading of a sample, in its unit."""
+        """Return this reading of a sample, in its unit."""
         return sample[self.device].values[self.place]
 
 

@@ -68,7 +68,7 @@ class EventLog:
         return self._now_ns
 
     def secure(self) -> None:
-        """Have all that was recorded on the disk."""
+        """Wait until all that was recorded is on the disk."""
         if self._writer is not None and self.state is not SessionState.PLAYING:
             self._writer.secure()
 
@@ -134,7 +134,7 @@ class EventLog:
         return True
 
     def position(self, summary: dict[str, Any]) -> None:
-        """Note an accepted position, and have all before it on the disk."""
+        """Note an accepted position, and wait until it is on the disk."""
         self._pass_interruptions()
         if self.state is SessionState.PLAYING:
             event = self._play()
@@ -290,7 +290,7 @@ class RecordedLink:
             self._live = None
 
     def _remind(self, live: Link) -> None:
-        """Send a new twin what was sent to the one before it, which a real part has had; a capture goes on."""
+        """Send a new twin what the twin before it got, because a real part keeps its registers; continue a capture."""
         if isinstance(live, Continuing) and self._last_answer:
             live.go_on_after(self._last_answer)
         if isinstance(live, Recalling):

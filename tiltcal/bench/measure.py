@@ -222,7 +222,7 @@ def measure(
 
 
 def _remark_notes(calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool) -> None:
-    """Say each note once, with the sensors that have it; after ``level``, those of the calibration before were said."""
+    """Remark each note once, with its sensors; after ``level``, not again those of the calibration before."""
     having: dict[str, list[str]] = {}
     for calibration in calibrations:
         for note in calibration.fit.notes:
@@ -348,7 +348,7 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
 
 
 def _require_settings(procedure: Procedure, samples: int | None, settle: float | None, jig: float | None) -> None:
-    """Refuse settings that a procedure does not have, or that nobody can measure with."""
+    """Refuse settings that the procedure does not have, or with which no session can measure."""
     require_no_jig(procedure, jig)
     require_whole("--samples", samples, 2, "samples")
     require_above_zero("--settle", settle)

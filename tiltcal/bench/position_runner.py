@@ -1,7 +1,7 @@
 """The runner of positions: takes the sensors through a procedure, one position after the other.
 
-Per position: instruct, wait until still, sample, compare with what is expected, accept or refuse. All that it reads and
-hears comes from the event log, so a session that is replayed runs exactly as it ran.
+Per position: instruct, wait until still, sample, compare with what is expected, accept or refuse. Every reading and
+every answer comes from the event log, so a session that is replayed runs exactly as it ran.
 """
 
 from __future__ import annotations

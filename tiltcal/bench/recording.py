@@ -1,7 +1,7 @@
 """Recording a bench to a log: every sensor's readings, row by row, until someone stops it.
 
-A row is in the kernel's hands when it is written and on the disk within a second, so Ctrl-C and a pulled plug lose
-nothing that was shown.
+The operating system has a row as soon as it is written, and the disk has it within a second: Ctrl-C loses no row, and a
+power cut those of a second.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class RecordingTally:
 
 
 class CsvRecorder:
-    """A log that only grows.
+    """A CSV log that rows are appended to.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class CsvRecorder:
         self._count_row()
 
     def secure(self) -> None:
-        """Have all rows on the disk.
+        """Wait until all rows are on the disk.
 
         Raises
         ------
@@ -115,7 +115,7 @@ class CsvRecorder:
                 raise self._failed(error) from error
 
     def close(self) -> None:
-        """Secure the rows and let the file go.
+        """Secure the rows and close the file.
 
         A row that Ctrl-C met after it was written and before it was counted counts; a part of a row is taken away.
         """

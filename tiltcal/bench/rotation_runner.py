@@ -1,8 +1,8 @@
 """The runner of a rotation: samples the accelerometers of a turning stage until their pairs are matched.
 
 The operator is asked once. Then every sample comes from the event log, in blocks of a fraction of a second. What cannot
-be used is reported once with the reason, and so is its end; after each turn the operator gets p and q. It ends
-when they are known as the procedure asks, when its turns are made, or when the operator says stop.
+be used is reported once with the reason, and once more when samples count again; after each turn the operator gets p
+and q. The rotation ends when both are known as the procedure asks, when its turns are made, or when the operator stops.
 """
 
 from __future__ import annotations
@@ -44,18 +44,14 @@ class RotationResult:
 
     Attributes
     ----------
-    turns : float
-        That were used.
-    seconds : float
-        They took.
-    samples : int
-        That were used.
+    turns, seconds, samples : float, float, int
+        Those that were used.
     left_out : int
         Samples that were held, or damaged on the way.
     ended : str
-        Why it ended.
+        The reason of the end.
     unmatched : tuple of str
-        Pairs that could not be matched, and why.
+        The pairs that could not be matched, with the reasons.
     """
 
     matchings: tuple[Matching, ...]
@@ -93,9 +89,9 @@ class RotationRunner:
         self._interval = max(model.interval for model in sensors.models)
         self._samples = 0
         self._stale = True
-        self._held = ""
+        self._reported = ""
         self._damaged = 0
-        self._told_damage = False
+        self._damage_reported = False
 
     def run(self, title: str) -> RotationResult:
         """Let the stage turn until the pairs are matched.
@@ -113,24 +109,24 @@ class RotationRunner:
         turned = None
         while turned is None:
             collected = RotationSamples(self._channels.pairs, [ref.column for ref in self._channels.readings])
-            ended = self._turn(collected)
+            ended = self._collect(collected)
             try:
                 turned = self._matched(collected, ended)
             except EstimateError as refusal:
                 self._refuse(str(refusal))
         return turned
 
-    def _turn(self, collected: RotationSamples) -> str:
-        """Collect until there is enough; why it is."""
+    def _collect(self, collected: RotationSamples) -> str:
+        """Collect samples until they suffice, and return why they do."""
         since_ns = self._begin()
         made = 0
         while True:
-            why = self._block(collected)
+            why = self._take_block(collected)
             if self._stops(collected):
                 return STOPPED
             if int(collected.turns) > made:
                 made = int(collected.turns)
-                ended = self._tell_turn(collected, made)
+                ended = self._report_turn(collected, made)
                 if ended:
                     return ended
             elif why:
@@ -140,7 +136,7 @@ class RotationRunner:
                 since_ns = self._begin()
 
     def _begin(self) -> int:
-        """Ask to let the stage turn; when that was, in nanoseconds since the session began."""
+        """Ask the operator to let the stage turn, and return the time of the answer, ns since the session began."""
         rotation, pairs = self._rotation, self._channels.pairs
         self._log.ask("rotation", self._operator.turning, rotation.prompt, pairs, rotation.turns)
         self._stale = True
@@ -149,21 +145,23 @@ class RotationRunner:
     def _waited(self, since_ns: int) -> bool:
         return self._log.now_ns() - since_ns > self._rotation.patience * 1e9
 
-    def _block(self, collected: RotationSamples) -> str:
-        """Collect for a while, and report what is held; return why no sample came, if none did."""
+    def _take_block(self, collected: RotationSamples) -> str:
+        """Collect a block, and report what of it is held; return why it ended early, empty where it did not."""
         block, why = self._sampled()
         for remark in collected.take(block):
-            self._say(remark)
+            self._report_hold(remark)
         if why:
             lost = collected.interrupt()
-            self._say(f"{why}; {f'{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out' if lost else KEPT}")
+            self._report_hold(
+                f"{why}; {f'{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out' if lost else KEPT}"
+            )
         elif block.times:
-            self._say(collected.holds)
-            self._say_damage()
+            self._report_hold(collected.holds)
+            self._report_damage()
         return why
 
     def _sampled(self) -> tuple[SampleBlock, str]:
-        """Samples of a fraction of a second, and why they ended early."""
+        """Return the samples of a fraction of a second, and why they ended early, empty where they did not."""
         block, begun_ns = SampleBlock(), self._log.now_ns()
         while len(block.times) < LARGEST_BLOCK and self._log.now_ns() - begun_ns < BLOCK_NS:
             try:
@@ -205,12 +203,12 @@ class RotationRunner:
         self._refuse(f"the stage has made {collected.turns:.2f} whole turns; {TOO_FEW}")
         return False
 
-    def _tell_turn(self, collected: RotationSamples, made: int) -> str:
-        """Tell that another turn is made; why it is the last one, if it is."""
+    def _report_turn(self, collected: RotationSamples, made: int) -> str:
+        """Report a completed turn; return why it is the last one, empty where it is not."""
         self._log.secure()
         left_out = collected.left_out + self._damaged
         turn = StageTurn(made, self._rotation.turns, collected.online(), dict(collected.unknown), left_out)
-        self._told_damage = False
+        self._damage_reported = False
         self._log.report(self._operator.turn_completed, turn)
         enough = self._rotation.converged
         if enough is not None and made >= SOONEST and collected.known_to(enough):
@@ -236,7 +234,7 @@ class RotationRunner:
         if not matchings:
             raise EstimateError("; ".join(unmatched))
         for why in unmatched:
-            self._say(why)
+            self._report_hold(why)
         self._log.report(self._operator.matched, whole.turns, matchings)
         return RotationResult(
             tuple(matchings),
@@ -251,32 +249,32 @@ class RotationRunner:
     def _refuse(self, why: str) -> None:
         self._log.report(self._operator.refused, why)
 
-    def _say(self, why: str) -> None:
-        """Tell, once, why samples are held, or that they go on."""
-        if why == self._held:
+    def _report_hold(self, why: str) -> None:
+        """Report, once, why samples are held; an empty reason reports that they count again."""
+        if why == self._reported:
             return
-        self._held = why
+        self._reported = why
         if why:
             self._log.report(self._operator.paused, why)
         else:
             self._log.report(self._operator.resumed)
 
-    def _say_damage(self) -> None:
-        """Tell, once a turn, that something was lost on the way."""
+    def _report_damage(self) -> None:
+        """Report, at most once a turn, that samples were damaged or lost on the line."""
         damaged = sum(
             _unused(sensor.sensor.link_statistics())
             for sensor in self._sensors.sensors
             if isinstance(sensor.sensor, StreamingSensor)
         )
-        if damaged > self._damaged and not self._told_damage and not self._held:
-            self._told_damage = True
-            self._say(f"{damaged - self._damaged} damaged or lost on the line, and left out")
-            self._say("")
+        if damaged > self._damaged and not self._damage_reported and not self._reported:
+            self._damage_reported = True
+            self._report_hold(f"{damaged - self._damaged} damaged or lost on the line, and left out")
+            self._report_hold("")
         self._damaged = damaged
 
 
 def _unused(link_statistics: Mapping[str, int]) -> int:
-    """Return all but the first, which was used."""
+    """Return the count of data that were not used: all counts but the first."""
     return sum(list(link_statistics.values())[1:])
 
 

@@ -3,8 +3,8 @@
 Every sample goes to two estimators. The recursive ones estimate p and q so far; the regression over all that
 counts gives the result. What cannot be used (the stage stands or turns back, a gap, missing values) is held from both.
 
-An interruption begins a new stretch: the encoder may have lost its zero meanwhile, and the electronics their offsets.
-The stretches are brought to one phase when they are wanted as a whole.
+An interruption begins a new span: the encoder may have lost its zero meanwhile, and the electronics their offsets.
+The spans are brought to one phase when they are used as a whole.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class SampleSpan:
         self._last: tuple[float, int] | None = None
 
     def add(self, theta: Array, readings: Array, times: Rows) -> None:
-        """Use some samples, all complete; of none, what follows does not continue what was before."""
+        """Add samples, all complete; after a call without any, the next samples do not continue the ones before."""
         if not len(theta):
             self._last = None
             return
@@ -76,7 +76,7 @@ class SampleSpan:
         self.seconds += (self._last[1] - first[1]) / 1e9
 
     def with_more(self, later: SampleSpan) -> SampleSpan:
-        """This one and a later one as one; both stay as they are.
+        """Return this span and a later one as one; both stay as they are.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class RotationSamples:
 
     @property
     def turns(self) -> float:
-        """Whole ones that count."""
+        """The whole turns that count."""
         return self._kept + self._stream.turns - self._began
 
     @property
@@ -212,7 +212,7 @@ class RotationSamples:
             return False
         try:
             whole = self.whole().demodulator.result()
-            # Of a few turns some scatter less than their noise allows, by chance: who waits for that would be misled.
+            # A few turns scatter less than their noise allows by chance, so the noise has to agree as well.
             white = replace(whole, scores=whole.scores[:0], weights=whole.weights[:0])
             return all(
                 _within(solve(components, pair), uncertainty) for components in (whole, white) for pair in self._pairs
@@ -221,7 +221,7 @@ class RotationSamples:
             return False
 
     def whole(self) -> SampleSpan:
-        """Return all stretches that count, as one.
+        """Return all spans that count, as one.
 
         Raises
         ------

@@ -260,7 +260,7 @@ def plan_session(
     bases: Mapping[str, BaseFile] | None = None,
     typical: bool = False,
 ) -> SessionPlan:
-    """Lay down a session from what the command line and the bench file say.
+    """Return the plan of a session, from the options of the command line and the bench file.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ class VirtualBench:
 
     @cached_property
     def fixture(self) -> Fixture:
-        """The jig and the chamber; the first virtual sensor's truth says how good they are."""
+        """The jig and the chamber, with the errors that the truth of the first virtual sensor states."""
         if self._first is None:
             return Fixture(self._clock)
         truth = truth_of(parse_address(self._first.address), self._first.model)

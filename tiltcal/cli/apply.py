@@ -224,19 +224,19 @@ def _each(tasks: Sequence[ApplyTask], jobs: int | None, force: bool, scheduler: 
     """Process several logs, report each one, and raise an error at the end if one failed."""
     from tiltcal.cli.apply_tasks import done_here, done_on
 
-    told = {}
+    done = {}
     for task, outcome in done_here(tasks, jobs, force) if scheduler is None else done_on(scheduler, tasks, force):
         if isinstance(outcome, TiltcalError):
             remark(f"{task.log} failed and is left out: {outcome}")
             continue
-        told[task.log] = {"output": task.output, **outcome.as_data()}
+        done[task.log] = {"output": task.output, **outcome.as_data()}
         if not as_json:
             remark(f"{task.output}: {outcome}")
     if as_json:
         options.print_judged(
-            options.json_text({"logs": {task.log: told[task.log] for task in tasks if task.log in told}})
+            options.json_text({"logs": {task.log: done[task.log] for task in tasks if task.log in done}})
         )
-    if len(told) < len(tasks):
-        rest = "; the others are written" if told else ""
-        raise InputError(f"{len(tasks) - len(told)} of {len(tasks)} logs failed{rest}")
+    if len(done) < len(tasks):
+        rest = "; the others are written" if done else ""
+        raise InputError(f"{len(tasks) - len(done)} of {len(tasks)} logs failed{rest}")
     return 0

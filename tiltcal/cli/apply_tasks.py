@@ -205,7 +205,7 @@ def done_on(scheduler: str, tasks: Sequence[ApplyTask], force: bool = False) -> 
 def _outcome(task: ApplyTask, force: bool, progress: Progress | None = None) -> Outcome:
     try:
         made_of = task.made_of
-    except OSError:  # of which apply_log tells
+    except OSError:  # apply_log reports it
         made_of = None
     try:
         if made_of is not None and not force and (known := summary_if_current(task.output, made_of)) is not None:

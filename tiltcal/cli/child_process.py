@@ -1,9 +1,9 @@
 """A child process for commands that read formats of C or Rust libraries.
 
-A damaged Parquet or NetCDF file can end the process in its library (an abort, a crash) or keep it there for ever, deaf
-to Ctrl-C. Where such a file is named, the command runs in a child process: this one waits, hands Ctrl-C on, and turns
-a child that was ended, or computes for long with a NetCDF file open and not a byte of progress, into an error that
-names the file. What the child was writing appears whole or not at all, so nothing half done is left.
+A damaged Parquet or NetCDF file can end the process in its library (an abort, a crash) or keep it there for ever,
+where Ctrl-C has no effect. Where such a file is named, the command runs in a child process: this one waits, hands
+Ctrl-C on, and turns a child that was ended, or computes for long with a NetCDF file open and not a byte of progress,
+into an error that names the file. What the child was writing appears whole or not at all, so nothing half done is left.
 """
 
 from __future__ import annotations

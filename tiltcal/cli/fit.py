@@ -92,14 +92,14 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
         _write_segments(segments_out, calibration)
         remark(f"wrote {segments_out}")
     record = calibration.record
-    told = mounting_summary if determines.mounting else level_summary if determines.level else summary
-    click.echo(told(record))
+    in_words = mounting_summary if determines.mounting else level_summary if determines.level else summary
+    click.echo(in_words(record))
     if determines.free:
-        _tell_free(record)
+        _print_misfit(record)
     remark(f"wrote {output}")
 
 
-def _tell_free(calibration: CalibrationRecord) -> None:
+def _print_misfit(calibration: CalibrationRecord) -> None:
     """Print the misfit and the warning of a calibration from unit gravity."""
     fit = calibration.fit
     click.echo(

@@ -45,7 +45,7 @@ class LineKeys:
     Parameters
     ----------
     stream : text stream
-        Nobody else may read it.
+        Nothing else may read it.
     """
 
     def __init__(self, stream: TextIO) -> None:

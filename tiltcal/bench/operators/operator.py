@@ -211,15 +211,15 @@ class RotationOperator(Operator, Protocol):
         ...
 
     def turn_completed(self, turn: StageTurn) -> None:
-        """Another turn is made."""
+        """Handle a completed turn."""
         ...
 
     def paused(self, why: str) -> None:
-        """Samples do not count from here on."""
+        """Handle the start of a time in which samples do not count."""
         ...
 
     def resumed(self) -> None:
-        """They count again."""
+        """Handle its end: samples count again."""
         ...
 
     def refused(self, why: str) -> None:

@@ -71,7 +71,7 @@ class _Rig:
         return OperatorAnswer("yes")
 
     def done(self, files: list[Path], journal: Path) -> None:
-        self._tell("done", calibrations=[str(path) for path in files], journal=str(journal))
+        self._send("done", calibrations=[str(path) for path in files], journal=str(journal))
 
     def _method(self, name: str) -> Callable[..., Any]:
         method = getattr(self._rig, name, None)
@@ -79,7 +79,7 @@ class _Rig:
             raise UsageError(f"the operator ({type(self._rig).__name__}) has no method {name}(ask)")
         return method  # type: ignore[no-any-return]
 
-    def _tell(self, event: str, **fields: Any) -> None:
+    def _send(self, event: str, **fields: Any) -> None:
         method = getattr(self._rig, event, None)
         if method is not None:
             method({"event": event, **fields})
@@ -87,7 +87,7 @@ class _Rig:
     def _ask(self, ask: Mapping[str, Any], words: Sequence[str], about: str) -> OperatorAnswer:
         """Ask until there is an answer that can be understood, with one of these words."""
         method = self._method(ask["ask"])
-        return self._understood(lambda: _heeded(understood(method(ask), words)), about)
+        return self._understood(lambda: _unless_quit(understood(method(ask), words)), about)
 
     def _understood(self, answer: Callable[[], T], about: str) -> T:
         """Return an answer; one that cannot be understood is refused and given again."""
@@ -99,7 +99,7 @@ class _Rig:
 
     def _refuse(self, about: str, why: str) -> None:
         """Refuse what the rig answered or set; it is asked again."""
-        self._tell("refused", position=about, why=why)
+        self._send("refused", position=about, why=why)
         self._repeat(about, why)
 
     def _repeat(self, about: str, why: str) -> None:
@@ -108,7 +108,7 @@ class _Rig:
         Raises
         ------
         Stopped
-            Too often in a row: the rig does not act on what it is told.
+            Too often in a row: the rig does not do what it is asked for.
         """
         self._repeats = self._repeats + 1 if about == self._repeated else 1
         self._repeated = about
@@ -116,9 +116,9 @@ class _Rig:
             raise Stopped(f"{about} was asked for {REPEATS} times in a row in vain, the last time because {why}")
 
     def _accept(self, event: str, **fields: Any) -> None:
-        """Report that the session goes on: what is asked for in vain from here on counts anew."""
+        """Send the event of a success; asks in vain count anew from here on."""
         self._repeated = ""
-        self._tell(event, **fields)
+        self._send(event, **fields)
 
 
 class RigPositionOperator(_Rig):
@@ -170,7 +170,7 @@ class RigPositionOperator(_Rig):
         self._refuse(position.name, why)
 
     def lost(self, serial: str, why: str) -> None:
-        self._tell("lost", sensor=serial, why=why)
+        self._send("lost", sensor=serial, why=why)
 
 
 class RigRotationOperator(_Rig):
@@ -200,7 +200,7 @@ class RigRotationOperator(_Rig):
 
         def answer() -> OperatorAnswer | None:
             said = look()
-            return None if said is None else _heeded(understood(said, WHILE_TURNING))
+            return None if said is None else _unless_quit(understood(said, WHILE_TURNING))
 
         return self._understood(answer, ROTATION)
 
@@ -210,10 +210,10 @@ class RigRotationOperator(_Rig):
         self._accept("turn", turn=turn.number, of=turn.of, **_coefficients(turn.pairs), **remarks)
 
     def paused(self, why: str) -> None:
-        self._tell("held", why=why)
+        self._send("held", why=why)
 
     def resumed(self) -> None:
-        self._tell("resumed")
+        self._send("resumed")
 
     def refused(self, why: str) -> None:
         self._refuse(ROTATION, why)
@@ -221,7 +221,7 @@ class RigRotationOperator(_Rig):
     def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
         by_name = {matching.pair.name: matching for matching in matchings}
         suppression = {name: matching.suppression for name, matching in by_name.items()}
-        self._tell("accepted", position=ROTATION, turns=turns, **_coefficients(by_name), suppression=suppression)
+        self._send("accepted", position=ROTATION, turns=turns, **_coefficients(by_name), suppression=suppression)
 
 
 def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnswer:
@@ -265,8 +265,8 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
     )
 
 
-def _heeded(answer: OperatorAnswer) -> OperatorAnswer:
-    """Return the answer, unless it is ``quit``, which ends the session."""
+def _unless_quit(answer: OperatorAnswer) -> OperatorAnswer:
+    """Return an answer; ``quit`` ends the session."""
     if answer.word == "quit":
         raise Stopped("the operator program answered quit")
     return answer
