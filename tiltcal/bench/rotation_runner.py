@@ -152,9 +152,8 @@ class RotationRunner:
             self._report_hold(remark)
         if why:
             lost = collected.interrupt()
-            self._report_hold(
-                f"{why}; {f'{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out' if lost else KEPT}"
-            )
+            kept = f"{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out" if lost else KEPT
+            self._report_hold(f"{why}; {kept}")
         elif block.times:
             self._report_hold(collected.holds)
             self._report_damage()

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from operator import mul
-from typing import NamedTuple
 
 from tiltcal.bench.sensor_set import Sample, SensorSet
 from tiltcal.core.detection import is_still
@@ -136,25 +135,18 @@ def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Cal
             held.popleft()
         if now >= judged + window.seconds / JUDGEMENTS:
             judged = now
-            state = _judged(held, models, window)
-            if state.still:
+            moving = _unsettled(held, models, window)
+            if moving is None:
                 return
-            why = state.why or why
+            why = moving or why
         if now - began > window.patience:
             raise Unsettled(f"not still after {window.patience:.0f} s: {why}")
         look(sample, why)
         clock.sleep(pause)
 
 
-class _State(NamedTuple):
-    """Whether all is at rest, and what changes where it is not; empty where it is too early to judge."""
-
-    still: bool
-    why: str = ""
-
-
-def _judged(held: deque[Timed], models: Sequence[Model], window: Window) -> _State:
-    """Judge the samples of the last seconds."""
+def _unsettled(held: deque[Timed], models: Sequence[Model], window: Window) -> str | None:
+    """Return what changes in the last samples, in words; None where nothing does, empty where it is early to judge."""
     now, sample = held[-1]
     why = ""
     if len(held) >= FEWEST_SAMPLES and now - held[0][0] >= window.seconds and window.near(sample):
@@ -165,14 +157,11 @@ def _judged(held: deque[Timed], models: Sequence[Model], window: Window) -> _Sta
         if moving is None and window.soaking:
             moving = _drifting(held, models, SOAKS * window.seconds)
         if moving is None:
-            return _State(still=True)
+            return None
         why = moving
     if window.soaking and now - held[0][0] >= window.seconds * LONG:
-        moving = movement(list(held), models, window.temperature_drift, still=STEADY)
-        if moving is None:
-            return _State(still=True)
-        why = moving
-    return _State(still=False, why=why)
+        return movement(list(held), models, window.temperature_drift, still=STEADY)
+    return why
 
 
 def _drifting(held: deque[Timed], models: Sequence[Model], seconds: float) -> str | None:

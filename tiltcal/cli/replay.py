@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from contextlib import nullcontext
 from itertools import zip_longest
 from pathlib import Path
@@ -53,15 +54,8 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
         require_apart(samples, journal)
     with nullcontext() if samples is None else whole_file(samples) as stream:
         texts = session.replay(stream).texts
-    if golden is not None:
-        for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
-            expected = path.read_bytes() if os.path.isfile(path) else b""
-            if expected != text.encode():
-                lines = zip_longest(expected.splitlines(keepends=True), text.encode().splitlines(keepends=True))
-                number = next(number for number, (kept, made) in enumerate(lines, start=1) if kept != made)
-                remark(f"{journal} does not give {path}: line {number} differs")
-                return NEGATIVE_VERDICT
-            remark(f"{journal} gives {path} to the byte")
+    if golden is not None and not _gives(journal, texts, golden):
+        return NEGATIVE_VERDICT
     if output is not None:
         for path, text in zip(_targets(output, list(texts)), texts.values(), strict=True):
             write_whole(path, text)
@@ -71,6 +65,19 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
     elif golden is None:
         click.echo("---\n".join(texts.values()), nl=False)
     return 0
+
+
+def _gives(journal: Path, texts: Mapping[Path, str], golden: Path) -> bool:
+    """Compare calibration files with golden ones; remark the first difference, or each file that is equal."""
+    for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
+        expected, made = path.read_bytes() if os.path.isfile(path) else b"", text.encode()
+        if expected != made:
+            lines = zip_longest(expected.splitlines(keepends=True), made.splitlines(keepends=True))
+            number = next(number for number, (kept, new) in enumerate(lines, start=1) if kept != new)
+            remark(f"{journal} does not give {path}: line {number} differs")
+            return False
+        remark(f"{journal} gives {path} to the byte")
+    return True
 
 
 def _targets(named: Path, outputs: list[Path]) -> list[Path]:

@@ -17,6 +17,7 @@ from tiltcal.files.procedure_file import find_procedure
 if TYPE_CHECKING:
     from tiltcal.bench.operators.operator import PositionOperator
     from tiltcal.bench.session import Session
+    from tiltcal.files.procedure import Procedure
 
 
 @click.command(epilog="Example: tiltcal verify S-0042.yaml --address spi:///dev/spidev0.0 --limit 0.3")
@@ -80,13 +81,9 @@ def command(
     else:
         path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), remark)
         bench = single(judged.sensor.model, judged.sensor.serial, address, jig)
-        steps = find_procedure(procedure, tilt)
-        if steps.determines.free or steps.determines.completes or steps.ramp is not None:
-            raise UsageError(f"{steps.name} sets no positions to verify with: name another procedure")
-        steps.require_positions()
-        session = Session(
-            plan_session(steps, bench, [None], path, operator=operator, samples=samples, settle=settle), path
-        )
+        steps = _positions(procedure, tilt)
+        plan = plan_session(steps, bench, [None], path, operator=operator, samples=samples, settle=settle)
+        session = Session(plan, path)
     _require_sensor(session, judged.sensor, calibration)
     if resume is not None:
         session.plan.require_as_begun(
@@ -106,15 +103,24 @@ def command(
     session.require_writable()
     with session.resumable(again, remark):
         session.probe()
-        with open_operator(operator, turns=False, virtual=session.plan.virtual, say=remark, plain=plain) as leader:
-            found = session.verify(cast("PositionOperator", leader), judged, limit)
-            leader.done([], session.path)
+        with open_operator(operator, turns=False, virtual=session.plan.virtual, say=remark, plain=plain) as opened:
+            found = session.verify(cast("PositionOperator", opened), judged, limit)
+            opened.done([], session.path)
     if found.jig is None:
         remark("no --jig is stated: the positions count as exact")
     # What a program reads is JSON to the last line.
     as_json = as_json or operator == "json"
     options.print_judged(options.json_text(found.as_data()) if as_json else str(found))
     return 0 if found.verdict == PASSED else NEGATIVE_VERDICT
+
+
+def _positions(procedure: str, tilt: float | None) -> Procedure:
+    """Return a procedure, which must set positions to verify with."""
+    steps = find_procedure(procedure, tilt)
+    if steps.determines.free or steps.determines.completes or steps.ramp is not None:
+        raise UsageError(f"{steps.name} sets no positions to verify with: name another procedure")
+    steps.require_positions()
+    return steps
 
 
 def _require_sensor(session: Session, judged: SensorIdentity, calibration: Path) -> None:
