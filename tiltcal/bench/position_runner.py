@@ -25,7 +25,7 @@ from tiltcal.bench.sample_checks import (
     require_plausible_temperature,
     unchanging,
 )
-from tiltcal.bench.sensor_set import ConnectedSensor, Sample, SensorSet
+from tiltcal.bench.sensor_set import RECOVERY, ConnectedSensor, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.calibration import level
@@ -39,9 +39,6 @@ from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.errors import HardwareError, InputError, JournalError, SensorError
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position
-
-RECOVERY = 1.0
-"""Seconds that a bus is left alone after an error."""
 
 NUDGED = 0.002
 """A change while sampling above this is a sensor that was touched, g (0.1° near level)."""
@@ -333,7 +330,7 @@ class PositionRunner:
         """Refuse an attitude that is there already, as a sensor of three axes sees it."""
         for sensor in self._sensors.sensors:
             if sensor.model.scaled and len(sensor.model.channels) == 3:
-                before = {result.position.name: result.mean(sensor.serial) for result in accepted}
+                before = {one.position.name: one.mean(sensor.serial) for one in accepted}
                 why = expectations[sensor.serial].repeated(before, result.mean(sensor.serial))
                 if why:
                     raise Unsettled(why)

@@ -14,9 +14,9 @@ import numpy as np
 from tiltcal.bench.event_log import EventLog, RecordedClock
 from tiltcal.bench.operators.operator import PositionOperator
 from tiltcal.bench.position_result import PositionResult
-from tiltcal.bench.position_runner import RECOVERY, PositionRunner, measurement_of
+from tiltcal.bench.position_runner import PositionRunner, measurement_of
 from tiltcal.bench.sample_checks import at_rail, require_few
-from tiltcal.bench.sensor_set import Sample, SensorSet
+from tiltcal.bench.sensor_set import RECOVERY, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Unsettled
 from tiltcal.core.ramp.record import RampRecord, RecordAverager

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from tiltcal.bench.channel_map import ChannelMap
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import RotationOperator, StageTurn
-from tiltcal.bench.position_runner import RECOVERY
 from tiltcal.bench.rotation_samples import TOO_FEW, RotationSamples, SampleBlock
-from tiltcal.bench.sensor_set import Sample, SensorSet
+from tiltcal.bench.sensor_set import RECOVERY, Sample, SensorSet
 from tiltcal.bench.session_calibration import SessionEnd, session_provenance
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.core.pair.encoder import FEWEST_TURNS

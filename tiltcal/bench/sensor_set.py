@@ -32,6 +32,9 @@ Listener = Callable[[Mapping[str, Reading]], None]
 ATTEMPTS = 5
 """Failures in a row after which a sensor is given up."""
 
+RECOVERY = 1.0
+"""Seconds that a bus is left alone after an error."""
+
 
 @dataclass(frozen=True)
 class ConnectedSensor:

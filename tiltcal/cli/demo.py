@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import asin, degrees
+from math import asin, degrees, pi, sin
 from pathlib import Path
 from textwrap import indent
 from typing import TYPE_CHECKING
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 MODEL, PROCEDURE, SERIAL = "sca100t-d02", "complete", "SIM-1"
 ROWS, REACH, TEMPERATURES = 1500, 50.0, (28.0, 5.0)
+REACH_BESIDE_X = 36.0
+"""Largest tilt of y, degrees: below 40°, because beside a tilt of x by 50° a larger one is no direction."""
 
 
 @click.command(epilog="Example: tiltcal demo demo")
@@ -89,13 +91,26 @@ def command(folder: Path, seed: int) -> None:
 
 
 def _record(path: Path, address: Address, model: Model) -> None:
-    """Write the log for the calibration, with its true tilt beside the readings."""
-    from tiltcal.bench.virtual_log import sweep
+    """Write the log for the calibration, a row each second, with its true tilt beside the readings."""
+    from tiltcal.bench.device_setup import DeviceSetup
+    from tiltcal.bench.virtual_bench import VirtualBench
+    from tiltcal.core.gravity_direction import gravity_from_tilt
+    from tiltcal.drivers.bus.clock import VirtualClock
 
+    clock, device = VirtualClock(), DeviceSetup(model.name, "", str(address))
+    bench = VirtualBench(clock, [device])
+    sensor = model.driver(bench.twin(device), clock)
     lines = ["time,x,y,temperature,true_tilt_x,true_tilt_y"]
-    for row in sweep(address, model, rows=ROWS, reach=REACH, temperatures=TEMPERATURES):
-        x, y = row.values
-        lines.append(f"{row.time:.4f},{x:.0f},{y:.0f},{row.temperature:.2f},{row.tilt['x']:.5f},{row.tilt['y']:.5f}")
+    for number in range(ROWS):
+        share = number / (ROWS - 1)
+        tilt = {"x": REACH * sin(9 * 2 * pi * share), "y": REACH_BESIDE_X * sin(14 * 2 * pi * share)}
+        bench.fixture.move(gravity_from_tilt(tilt), TEMPERATURES[0] + (TEMPERATURES[1] - TEMPERATURES[0]) * share)
+        clock.sleep(1.0)
+        g_x, g_y, _ = bench.fixture.gravity
+        reading = sensor.read()
+        x, y = reading.values
+        true_x, true_y = degrees(asin(g_x)), degrees(asin(g_y))
+        lines.append(f"{clock.now_ns() / 1e9:.4f},{x:.0f},{y:.0f},{reading.temperature:.2f},{true_x:.5f},{true_y:.5f}")
     write_whole(path, "\n".join(lines) + "\n")
 
 
