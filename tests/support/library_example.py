@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, assert_type
 
 import polars
+import xarray
 
 import tiltcal
 
@@ -42,3 +43,18 @@ def example(frame: polars.DataFrame, table: polars.DataFrame, readings: polars.D
     )
     measured.report("A-1.html")
     print(tiltcal.open_calibrations(".").at("A-1", "2026-05-01").offset)
+
+
+def kinds(frame: polars.DataFrame, data: xarray.Dataset, lists: dict[str, list[float]], unknown: Any) -> None:
+    """The same kind comes back; of columns by name, those that are added are arrays."""
+    cal = tiltcal.fit("six-face", frame, serial="IMU1", unit="m/s2")
+    assert_type(cal.apply(frame, columns={"x": "VoutX"}, uncertainty=True), polars.DataFrame)
+    assert_type(cal.apply(data, every="10s"), xarray.Dataset)
+    assert_type(cal.apply(lists, magnetometer="mx,my,mz"), dict[str, Any])
+    assert_type(cal.apply(unknown), Any)
+    pairs = tiltcal.match(frame, pairs=[("a1", "a2", "a4")], phase="theta")
+    assert_type(pairs.apply(frame, columns={"a1": "Q1"}), polars.DataFrame)
+    assert_type(pairs.apply(lists), dict[str, Any])
+    folder = tiltcal.open_calibrations(".")
+    assert_type(folder.apply(frame, serial="A-1", uncertainty=True), polars.DataFrame)
+    assert_type(folder.apply(lists, start="2026-05-01", average=5), dict[str, Any])

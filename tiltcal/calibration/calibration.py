@@ -7,9 +7,10 @@ from dataclasses import replace
 from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack, overload
 
 import tiltcal
+from tiltcal.calibration.apply_arguments import ApplyArguments, Frame
 from tiltcal.calibration.summary import mounting_lines, summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
@@ -148,6 +149,12 @@ class Calibration:
         """
         require_boolean("--first-order", first_order)
         return Compensation(self.coefficients, self.limits, first_order=first_order)
+
+    @overload
+    def apply(self, frame: Mapping[str, Any], **arguments: Unpack[ApplyArguments]) -> dict[str, Any]: ...
+
+    @overload
+    def apply(self, frame: Frame, **arguments: Unpack[ApplyArguments]) -> Frame: ...
 
     def apply(
         self,

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import date
 from difflib import get_close_matches
 from functools import cached_property
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack, overload
 
+from tiltcal.calibration.apply_arguments import ApplyArguments, Frame
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.interpolation import Stability, extrapolate
 from tiltcal.calibration.sensor_history import (
@@ -122,6 +124,28 @@ class CalibrationLibrary:
             The time is not one, a file is wrong, or two contradict each other.
         """
         return calibration_at(self.history(serial), moment(time).timestamp(), self.stability(serial, stability))
+
+    @overload
+    def apply(
+        self,
+        frame: Mapping[str, Any],
+        *,
+        serial: str | None = None,
+        stability: float | None = None,
+        start: str | date | None = None,
+        **options: Unpack[ApplyArguments],
+    ) -> dict[str, Any]: ...
+
+    @overload
+    def apply(
+        self,
+        frame: Frame,
+        *,
+        serial: str | None = None,
+        stability: float | None = None,
+        start: str | date | None = None,
+        **options: Unpack[ApplyArguments],
+    ) -> Frame: ...
 
     def apply(
         self,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
+from tiltcal.calibration.apply_arguments import Frame
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed
@@ -52,6 +53,12 @@ class PairCalibration:
     def compensation(self) -> PairCompensation:
         """Return the matched sums and the gradient signal of readings in arrays."""
         return PairCompensation(self.matchings, self.phase)
+
+    @overload
+    def apply(self, frame: Mapping[str, Any], *, columns: Mapping[str, str] | str = "") -> dict[str, Any]: ...
+
+    @overload
+    def apply(self, frame: Frame, *, columns: Mapping[str, str] | str = "") -> Frame: ...
 
     def apply(self, frame: Any, *, columns: Mapping[str, str] | str = "", **options: Any) -> Any:
         """Add the matched sum of each pair to a frame and, with both pairs, the gradient signal.
