@@ -23,8 +23,9 @@ LEAST_ANGLE = 15.0
 
 REACTION = 3.0
 """Expanded uncertainties that a sensitivity must be apart from zero: noise alone is beyond one of them in 5 of 100."""
-DUST = 1e-9
-"""The share of a reading below which a number is what arithmetic leaves of nothing."""
+
+ROUNDING = 1e-9
+"""The share of a reading below which a sensitivity is a rounding error."""
 
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
@@ -32,7 +33,7 @@ OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
 """What 1 g is in units of acceleration."""
 
 CLEARLY = 2.0
-"""A channel that answers to another axis so many times more than to its own is that axis's channel."""
+"""A channel whose sensitivity to another axis is so many times that to its own is that axis's channel."""
 
 
 def require_own_readings(sensor: MeasuredSensor) -> None:
@@ -55,7 +56,7 @@ def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
     Raises
     ------
     EstimateError
-        A channel does not react to gravity, or two answer to it alike.
+        A channel does not react to gravity, or two react to it alike.
     """
     _require_reaction(sensor, found)
     _require_apart(found.coefficients)
@@ -76,7 +77,7 @@ def _require_reaction(sensor: MeasuredSensor, found: Estimate) -> None:
         name = f"sensitivity.{channel}.{axis}"
         largest = max(abs(measurement.summaries[channel].mean) for measurement in sensor.measurements)
         expanded = factors.get(name, 2.0) * u[name]
-        if sensitivity <= max(REACTION * expanded, DUST * largest):
+        if sensitivity <= max(REACTION * expanded, ROUNDING * largest):
             raise EstimateError(
                 f"{channel} of {sensor.sensor.serial} does not react to gravity: its sensitivity is "
                 f"{significant(sensitivity, 3):g} ± {significant(expanded, 2):g} "
@@ -123,7 +124,7 @@ def _remarks_on_unit(coefficients: Coefficients, unit: str) -> Iterator[str]:
 
 
 def _axis_of(row: Sequence[float], axes: Sequence[str], own: str) -> str:
-    """Return the axis that a channel answers to: its own, unless another is clearly stronger."""
+    """Return the axis that a channel measures: its own, unless its sensitivity to another is clearly larger."""
     strength = dict(zip(axes, np.abs(row).tolist(), strict=True))
     strongest = max(strength, key=lambda axis: strength[axis])
     return strongest if strength[strongest] > CLEARLY * strength[own] else own

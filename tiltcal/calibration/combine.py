@@ -222,7 +222,7 @@ def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
 
 
 def _assumed(sessions: Sequence[CombinedSession], measured: Sequence[str], target: Coefficients) -> list[Statement]:
-    """Return what nobody has measured as it was assumed, once."""
+    """Return what one session has assumed and no session has measured, as a statement; none where there is nothing."""
     for kind, starts in KINDS.items():
         sources = [session for session in sessions if session.assumes(kind)]
         others = [session for session in sessions if not session.assumes(kind)]

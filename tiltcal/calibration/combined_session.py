@@ -83,7 +83,7 @@ class CombinedSession:
 
     @property
     def temperature(self) -> tuple[float, float] | None:
-        """Where the offset holds, °C, and the standard uncertainty of that; None where nobody knows."""
+        """Where the offset holds, °C, and the standard uncertainty of that; None where it is not known."""
         thermal, fit = self.coefficients.thermal, self.record.fit
         if thermal is not None:
             return thermal.reference, 0.0

@@ -64,7 +64,6 @@ class Interval:
 
     Attributes
     ----------
-    before, after : CalibrationRecord
     days : float
         The time between them, d.
     ends : tuple of _End

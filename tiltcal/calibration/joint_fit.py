@@ -26,7 +26,7 @@ from tiltcal.files.position_record import PositionSet, ProcedureRecord
 from tiltcal.files.procedure import Procedure
 
 OF_BASE = "of the base calibration"
-"""What a sensitivity is that stands in from the sensor's own calibration."""
+"""The origin of a sensitivity that the sensor's own calibration lends."""
 
 NO_THERMOMETER = "the thermometer's uncertainty is not stated (--thermometer)"
 NO_NOISE = "the table states no uncertainties of its means (ux, uy, uz)"
@@ -76,14 +76,14 @@ def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure
 
 
 def _assumed(design: Design, sensor: MeasuredSensor) -> str:
-    """Return what the sensitivity is that stands in; empty where it is determined."""
+    """Return the origin of a sensitivity that was not determined; empty where it was."""
     if not design.priors:
         return ""
     return "nominal of the model" if sensor.base is None else OF_BASE
 
 
 def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: Design) -> Estimate:
-    """Return the estimate with notes on what its uncertainty stands on, and does not."""
+    """Return the estimate with notes on what its uncertainty includes and what it leaves out."""
     notes = list(found.notes)
     correlated = correlated_noise(_summaries(measurements, design.channels))
     if correlated is not None and correlated.certain:
@@ -155,7 +155,7 @@ def design_of(
 
 
 def _with_nominal(design: Design, procedure: Procedure, nominal: Model | None) -> Design:
-    """Put the model's sensitivity in place of one that is not determined."""
+    """Return the design with the model's nominal sensitivity, which stands in for one that is not determined."""
     if nominal is None:
         raise EstimateError(no_sensitivity(procedure))
     own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)
@@ -168,7 +168,7 @@ def _with_nominal(design: Design, procedure: Procedure, nominal: Model | None) -
 
 
 def _with_base(design: Design, base: CalibrationRecord, *, whole: bool) -> Design:
-    """Put sensitivity and nonlinearity of the sensor's own calibration in place, with their stated uncertainty.
+    """Return the design with sensitivity and nonlinearity of the sensor's own calibration, and their uncertainty.
 
     Their correlations are left out: a procedure that determines no sensitivity moves them little. The ``whole`` of the
     calibration but its offset has its temperature terms too.
@@ -212,7 +212,7 @@ def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]
                 np.sqrt(np.array([variance[number] for variance, _, _ in noise]) + adc**2),
                 measurement.temperature,
                 measurement.heading,
-                held=before is not None and _stands(before) == _stands(measurement),
+                held=before is not None and _setting(before) == _setting(measurement),
                 dof=np.array([dof[number] for _, dof, _ in noise]),
                 adc=adc,
                 noise_unknown=all(summary.noise_unknown for summary in summaries),
@@ -226,8 +226,8 @@ def _summaries(measurements: Sequence[Measurement], channels: Sequence[str]) -> 
     return [measurement.summaries[channel] for measurement in measurements for channel in channels]
 
 
-def _stands(measurement: Measurement) -> tuple[object, ...]:
-    """Return how the fixture was set; what is set like the position before was not touched."""
+def _setting(measurement: Measurement) -> tuple[object, ...]:
+    """Return how the fixture was set; it was not touched where the position before had the same setting."""
     return measurement.gravity, measurement.heading
 
 
@@ -247,7 +247,7 @@ def _reading(measurements: Sequence[Measurement], design: Design, shown: float |
 
 
 def _limits(design: Design, sensor: MeasuredSensor, thermal: bool) -> Limits:
-    """Tilt to either side as far as any position went, the temperatures that were met, the rails that are known."""
+    """Return the ranges that were covered: tilt to either side as far as any position, temperatures, and the rails."""
     tilt = {}
     for axis in design.channels:
         reach = max(abs(measurement.gravity[AXES.index(axis)]) for measurement in sensor.measurements)

@@ -47,7 +47,7 @@ BASE = "base"
 NEARLY_LEVEL = 5.0
 """The most that a position may be off level as it was set, degrees."""
 
-TURNED = 1e-5
+SMALL_TURN = 1e-5
 """Turn by which derivatives are taken, radians."""
 
 NO_LEVEL = (
@@ -257,7 +257,7 @@ class _Renewal:
 
 @frozen
 class _LevelReading:
-    """What a calibration expects in the positions, on average over them."""
+    """The reading that a calibration expects, on average over the positions."""
 
     coefficients: Coefficients
     seen: Sequence[Observation]
@@ -302,7 +302,7 @@ class _LevelReading:
     def slopes(self, names: Sequence[str]) -> Array:
         """Return the derivatives of the mean reading by the parameters, shape (channels, k)."""
         start = self.start(names)
-        steps = TURNED * np.maximum(1.0, np.abs(start))
+        steps = SMALL_TURN * np.maximum(1.0, np.abs(start))
         return central_differences(lambda vector: self(names, vector), start, steps)
 
     def by_lean(self, headings: Sequence[float]) -> Array:
@@ -312,7 +312,7 @@ class _LevelReading:
         def leaning(lean: Array) -> Array:
             return self((), np.zeros(0), self.up + np.pad(turned @ lean, ((0, 0), (0, 1))))
 
-        return central_differences(leaning, np.zeros(2), np.full(2, TURNED))
+        return central_differences(leaning, np.zeros(2), np.full(2, SMALL_TURN))
 
 
 def _errors_of_bench(at_level: _LevelReading, seen: Sequence[Observation], bench: BenchUncertainty) -> Iterator[Part]:

@@ -214,7 +214,7 @@ def predict(
     Raises
     ------
     EstimateError
-        The positions cannot determine what the procedure asks for; what to add is said.
+        The positions cannot determine what the procedure asks for; the message states what to add.
     UsageError
         The device is no tilt sensor.
     """
@@ -291,16 +291,12 @@ def require_tilt(procedure: Procedure, model: Model) -> None:
 def require_in_range(
     procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT, *, based: bool = False
 ) -> None:
-    """Refuse a device that reads no tilt, positions beyond its rails, and a sensitivity that is not stated.
+    """Refuse a device that reads no tilt, positions beyond its rails, and an unknown sensitivity, with a UsageError.
 
     Parameters
     ----------
     based : bool
         A base calibration states the sensitivity.
-
-    Raises
-    ------
-    UsageError
     """
     require_tilt(procedure, model)
     if not (model.scaled or based or procedure.determines.axes or procedure.determines.completes):

@@ -14,7 +14,7 @@ from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.fit_record import FitRecord, MountingFit
 
 INCREDIBLE = 1e-3
-"""A chi-square of which so little is the probability is no chance."""
+"""Probability of a chi-square below which it is not credible."""
 
 SHOWN = 3
 """Positions that are named."""
@@ -123,7 +123,7 @@ def _objections_to_mounting(fit: MountingFit | None) -> list[str]:
 
 
 def _probability(fit: FitRecord) -> float | None:
-    """Probability of so large a chi-square or a larger one; None where the file has none."""
+    """Return the probability of so large a chi-square or a larger one; None where the file has none."""
     if fit.chi_square is None or not fit.degrees_of_freedom:
         return None
     if fit.p_value is not None:

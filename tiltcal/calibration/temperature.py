@@ -184,7 +184,7 @@ def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measureme
 
 
 def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSensor) -> CalibrationRecord:
-    """Add the mean temperature curves of a sensor's model to its calibration, and say so in it.
+    """Add the mean temperature curves of a sensor's model to its calibration, and record that they are assumed.
 
     Parameters
     ----------
@@ -206,8 +206,8 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
         raise EstimateError("the unit's own temperature run is in this calibration: leave --typical-temperature out")
     known = [m.temperature for m in sensor.measurements if m.temperature is not None]
     reference = round(float(np.mean(known)), 3) if known else ROOM
-    drift = _from(population.drift, reference)[1:]
-    gain = _from(population.gain, reference)
+    drift = _from_reference(population.drift, reference)[1:]
+    gain = _from_reference(population.gain, reference)
     relative = gain[1:] / (1.0 + gain[0])
     channels = coefficients.channels
     thermal = Thermal(
@@ -243,6 +243,6 @@ def _extended(stated: Covariance | None, typical: Mapping[str, float]) -> Covari
     return rounded_covariance((*stated.parameters, *typical), matrix)
 
 
-def _from(curve: Sequence[float], reference: float) -> Array:
-    """Coefficients of a polynomial in T as one in T - reference."""
+def _from_reference(curve: Sequence[float], reference: float) -> Array:
+    """Return the coefficients of a polynomial in T as those of one in T - reference."""
     return np.asarray(Polynomial(curve)(Polynomial([reference, 1.0])).coef, dtype=float)

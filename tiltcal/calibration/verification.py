@@ -174,7 +174,7 @@ def verify_positions(
 
 
 def _noise(calibration: CalibrationRecord, measurement: Measurement, whole: bool) -> float:
-    """Standard uncertainty of a tilt from that of the mean readings, degrees: the largest of all channels."""
+    """Return the largest standard uncertainty of a tilt, degrees, that the noise of the mean readings makes."""
     coefficients = calibration.coefficients
     largest = 0.0
     for channel in coefficients.channels:
@@ -192,7 +192,7 @@ def _tilt(gravity: Vector) -> dict[str, float]:
 
 
 def _between(a: Sequence[float], b: Sequence[float]) -> float:
-    """Angle between two directions, degrees."""
+    """Return the angle between two directions, degrees."""
     cross = np.cross(a, b)
     return degrees(float(np.arctan2(hypot(*cross), np.dot(a, b))))
 

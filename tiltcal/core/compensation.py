@@ -85,7 +85,7 @@ class Compensated:
 
     @classmethod
     def empty(cls, rows: int, axes: int) -> Compensated:
-        """Room for ``rows`` rows, laid out column after column."""
+        """Return a result with memory for ``rows`` rows, laid out column after column."""
         gravity, tilt = np.empty((2, axes, rows))
         pitch, roll, inclination = np.empty((3, rows)) if axes == 3 else (None, None, None)
         flag, reason = np.empty((2, rows), np.uint8)
@@ -182,7 +182,7 @@ class Compensation:
     mounting matrix is negative (the sensor hangs upside down), then it is minus that. Where g_x² + g_y² > 1, g_z is 0
     and the row has flag 3 and reason 1.
 
-    One channel: the other axes are taken to be level, whatever the columns say of them.
+    One channel: the other axes are taken to be level, whatever their columns are.
     """
 
     def __init__(self, coefficients: Coefficients, limits: Limits | None = None, *, first_order: bool = False) -> None:
@@ -371,7 +371,7 @@ class Compensation:
         return signal
 
     def _solve_hidden(self, own: Array, out: Compensated) -> Array:
-        """g_z of a sensor that sees x and y only; takes its coupling out of ``own``."""
+        """Return g_z of a sensor that measures x and y only, and take its coupling out of ``own``."""
         q = self.coupling
         excess = np.einsum("ij,ij->j", own, own) - 1.0
         along = q @ own
@@ -467,7 +467,7 @@ def _first_order_inverse(sensitivity: Array, channels: tuple[str, ...], axes: tu
 
 
 def _bounds(named: dict[str, tuple[float, float]], names: tuple[str, ...]) -> dict[int, tuple[float, float]]:
-    """Bounds by position in ``names``; those of other names do not concern this sensor."""
+    """Return bounds by position in ``names``, without those of other names."""
     return {names.index(name): bounds for name, bounds in named.items() if name in names}
 
 

@@ -23,7 +23,7 @@ FACTOR_STEPS = 1 << 14
 """Of the table of coverage factors: four digits of a factor."""
 
 NEGLIGIBLE = 1e-3
-"""A part of a variance below this changes no factor that anyone would see."""
+"""The share of a variance below which a part of it changes no coverage factor visibly."""
 
 _BISECTIONS = 40
 
@@ -77,7 +77,7 @@ def half_width(spread: Array, weights: Array) -> Array:
 
 
 def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float | Array]]) -> Array:
-    """Effective degrees of freedom of sums of variances (GUM, eq. G.2b); infinite where no part was estimated.
+    """Return effective degrees of freedom of sums of variances (GUM, eq. G.2b); infinite where no part was estimated.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ class DerivedQuantity:
 
 
 def cross_axis(coefficients: Coefficients) -> dict[str, float]:
-    """Cross-axis sensitivity of each channel, % (Cross-axis Compensation, eq. 1).
+    """Return the cross-axis sensitivity of each channel, % (Cross-axis Compensation, eq. 1).
 
     A column that was not determined counts as zero; a channel whose own axis was not determined is left out.
     """
@@ -37,7 +37,7 @@ def cross_axis(coefficients: Coefficients) -> dict[str, float]:
 
 
 def misalignment(coefficients: Coefficients) -> dict[str, float]:
-    """Angle between each channel's sensitive direction and its nominal axis, degrees."""
+    """Return the angle between each channel's sensitive direction and its nominal axis, degrees."""
     angles = {}
     for channel in coefficients.channels:
         if channel in coefficients.axes:
@@ -82,7 +82,7 @@ def with_uncertainty(
 
 
 def _row(coefficients: Coefficients, channel: str) -> tuple[float, list[float]]:
-    """Sensitivity of a channel to its own axis, and to the two others."""
+    """Return the sensitivity of a channel to its own axis, and to the two others."""
     row = dict(
         zip(coefficients.axes, coefficients.sensitivity[coefficients.channels.index(channel)].tolist(), strict=True)
     )

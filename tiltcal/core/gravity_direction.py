@@ -14,7 +14,7 @@ LEVEL: Vector = (0.0, 0.0, 1.0)
 
 
 def gravity_from_tilt(tilt: Mapping[str, float]) -> Vector:
-    """Up in the sensor frame when axes are tilted: (g_x, g_y, g_z) with g_z = +sqrt(1 - g_x² - g_y²).
+    """Return up in the sensor frame where axes are tilted: (g_x, g_y, g_z) with g_z = +sqrt(1 - g_x² - g_y²).
 
     Parameters
     ----------
@@ -58,13 +58,13 @@ def normalised(gravity: Sequence[float]) -> Vector:
 
 
 def tilt_from_gravity(gravity: Sequence[float]) -> dict[str, float]:
-    """Tilt of x and y in degrees, the inverse of :func:`gravity_from_tilt` where g_z is positive."""
+    """Return the tilt of x and y in degrees, the inverse of :func:`gravity_from_tilt` where g_z is positive."""
     g_x, g_y, _ = normalised(gravity)
     return {"x": degrees(asin(g_x)), "y": degrees(asin(g_y))}
 
 
 def _sine(angle: float) -> float:
-    """Sine of an angle in degrees, exact at 0° and ±90°, where procedures put most of their positions."""
+    """Return the sine of an angle in degrees, exact at 0° and ±90°, where procedures put most of their positions."""
     if abs(angle) == 90.0:
         return 1.0 if angle > 0 else -1.0
     if abs(angle) == 30.0:

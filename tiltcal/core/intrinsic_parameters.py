@@ -95,7 +95,7 @@ def intrinsic(coefficients: Coefficients, uncertain: UncertaintyInputs, *, mount
 
 
 def _mounting(coefficients: Coefficients, uncertain: UncertaintyInputs) -> tuple[dict[str, DerivedQuantity], bool]:
-    """Roll, pitch and yaw of R, degrees, and whether they are locked."""
+    """Return roll, pitch and yaw of R, degrees, and whether they are locked."""
     _, rotation = separated(_matrix(coefficients))
     angles = mounting_angles(rotation)
     turned = (angles.mounting.roll, angles.mounting.pitch, angles.mounting.yaw)
@@ -149,7 +149,7 @@ def separated(matrix: Array) -> tuple[Array, Array]:
 
 
 def _matrix(coefficients: Coefficients) -> Array:
-    """S with its columns in the order x, y, z."""
+    """Return S with its columns in the order x, y, z."""
     return coefficients.sensitivity[:, [coefficients.axes.index(axis) for axis in AXES]]
 
 

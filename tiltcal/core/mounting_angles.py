@@ -42,7 +42,7 @@ class MountingAngles(NamedTuple):
 
 
 def mounting_matrix(mounting: Mounting) -> Array:
-    """Rotation that takes a vector from the sensor frame to the application frame.
+    """Return the rotation that takes a vector from the sensor frame to the application frame.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def mounting_matrix(mounting: Mounting) -> Array:
 
 
 def mounting_angles(matrix: Array) -> MountingAngles:
-    """Roll, pitch and yaw of a mounting matrix, the inverse of :func:`mounting_matrix`.
+    """Return roll, pitch and yaw of a mounting matrix, the inverse of :func:`mounting_matrix`.
 
     Parameters
     ----------
@@ -110,5 +110,5 @@ def is_locked(pitch: float, u: float) -> bool:
 
 
 def _wrapped(angle: float) -> float:
-    """``angle`` with -180°, which atan2 makes of a negative zero, named +180°."""
+    """Return an angle with +π in place of -π, which atan2 makes of a negative zero."""
     return pi if angle == -pi else angle

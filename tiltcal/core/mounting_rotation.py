@@ -69,7 +69,7 @@ def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> Mou
     known : ndarray, shape (positions, 3)
         Up in the application's frame, as set.
     sigma : ndarray, shape (positions,), optional
-        Standard uncertainty of each direction, radians; where it is left out the residuals say it.
+        Standard uncertainty of each direction, radians; where it is left out, the residuals show it.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def _aligned(read: Array, known: Array, weights: Array) -> Array:
 
 
 def angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
-    """Standard uncertainty of roll, pitch and yaw, by their derivatives with respect to a small turn.
+    """Return the standard uncertainty of roll, pitch and yaw, by their derivatives with respect to a small turn.
 
     Parameters
     ----------

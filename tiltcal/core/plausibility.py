@@ -71,7 +71,7 @@ class ExpectedReadings:
         self._first_temperature: float | None = None
 
     def distance(self, gravity: Vector, reading: Array, temperature: float | None = None) -> float:
-        """Standard deviations between a reading and what ``gravity`` should give, the worst channel's."""
+        """Return how many standard deviations a reading is from what ``gravity`` should give, in the worst channel."""
         row = np.array([1.0, *gravity])
         sigma = self._pose(temperature)
         worst = 0.0
@@ -92,7 +92,7 @@ class ExpectedReadings:
             self._covariance[i] = self._covariance[i] - np.outer(gain, spread)
 
     def expected(self, gravity: Vector) -> dict[str, float]:
-        """Reading per channel that ``gravity`` should give, in the sensor's unit."""
+        """Return the reading per channel that ``gravity`` should give, in the sensor's unit."""
         row = np.array([1.0, *gravity])
         return {
             channel: float(self._offset + self._sensitivity * (row @ mean))

@@ -79,7 +79,7 @@ class SignalDerivatives:
 
 
 def _key(model: ChannelModel, name: str) -> _Key:
-    """Return what tells the row of a coefficient from others; the same for channels that share it."""
+    """Return what distinguishes the row of a coefficient from others; the same for channels that share it."""
     own = model.name if model.gain or model.nonlinearity else ""
     match name.split("."):
         case ["offset", _]:

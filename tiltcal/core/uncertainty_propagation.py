@@ -92,7 +92,7 @@ class Propagation:
         self._parameters = self._of_channels(inputs.names)
         widening = inputs.factors / NORMAL_FACTOR
         self._known = bool(np.all(np.abs(widening - 1.0) <= NEGLIGIBLE))
-        """Whether every coefficient has the normal factor, so that one variance says all."""
+        """Whether every coefficient has the normal factor, so that one variance is enough."""
         self._coverage = None if self._known else coverage_factors()
         alike = not self._known and bool(np.ptp(widening) <= _EXACT * widening[0])
         self._widened = float(widening[0]) ** 2 if alike else 0.0
@@ -314,7 +314,7 @@ class Propagation:
     # ------------------------------------------------------------------------------------- from components to angles
 
     def _along(self, variances: Array, gradient: Sequence[Array | float]) -> Array:
-        """Variance along a gradient over the outputs, shape (kinds, n)."""
+        """Return the variance along a gradient over the outputs, shape (kinds, n)."""
         total, term = np.empty((2, len(variances), variances.shape[2]))
         target = total
         for (first, second), k in self._pairs.items():
@@ -334,7 +334,7 @@ class Propagation:
         return _slope_of_root(hidden - self._coupling @ own, along)
 
     def _of_axis(self, axis: int, own: Array, slope: Array | None, variances: Array) -> Array:
-        """Variance of one component of g in the application, shape (kinds, n)."""
+        """Return the variance of one component of g in the application, shape (kinds, n)."""
         moved = self._rotated and not self._sees_all
         if slope is None:
             if not moved:
@@ -349,19 +349,19 @@ class Propagation:
         return self._along(variances, gradient)
 
     def _half(self, parts: Array) -> tuple[Array, Array | float]:
-        """Half width of the 95 % interval, and its coverage factor."""
+        """Return the half width of the 95 % interval, and its coverage factor."""
         variance, factor = self._whole_variance(parts)
         return factor * np.sqrt(variance), factor
 
     def _whole_variance(self, parts: Array) -> tuple[Array, Array | float]:
-        """Variance of all kinds together, and the coverage factor of its 95 % interval."""
+        """Return the variance of all kinds together, and the coverage factor of its 95 % interval."""
         np.maximum(parts, 0.0, out=parts)
         if self._coverage is None:
             return parts[0], NORMAL_FACTOR
         return self._coverage.whole(parts[0], self._widened or parts[1], parts[-1])
 
     def _directions(self, gravity: Array, variances: Array, room: Array) -> None:
-        """Pitch, roll and inclination: arctangents with one component and the length of the two others."""
+        """Fill in pitch, roll and inclination: arctangents of one component and the length of the two others."""
         across = self._across(gravity, variances, (1, 2))
         across.roll(room[:, DIRECTIONS.index("roll")])
         self._from_length(0, across, gravity, variances, room[:, DIRECTIONS.index("pitch")])
@@ -380,7 +380,7 @@ class Propagation:
         return _Across(across, length, cosine, sine, *self._half(self._along(variances, gradient)))
 
     def _from_length(self, alone: int, across: _Across, gravity: Array, variances: Array, room: Array) -> None:
-        """Pitch or inclination: the arctangent of a component over the length of the two others."""
+        """Fill in pitch or inclination: the arctangent of a component over the length of the two others."""
         length = across.length
         size = length * length + gravity[alone] * gravity[alone]
         gradient: list[Array | float] = [0.0, 0.0, 0.0]
@@ -445,7 +445,7 @@ def _length(a: Array, b: Array) -> Array:
 
 
 def _through_arcsine(argument: Array, variance: Array, factor: Array | float, width: Array) -> None:
-    """Half width of the interval of an arcsine, radians, from its argument's variance; NaN where that is beyond ±1."""
+    """Compute half the interval of an arcsine, radians, from its argument's variance; NaN where that is beyond ±1."""
     room = argument * argument
     np.subtract(1.0, room, out=room)
     half = np.max(factor) * sqrt(np.max(variance))

@@ -51,7 +51,7 @@ def _channels(found: tuple[str, ...], node: Node, context: Context) -> tuple[str
 
 
 UNKNOWN_MODEL = "recorded"
-"""The model of a sensor that `fit` was told none of."""
+"""The model in a file of `fit`, where the user named none."""
 
 
 @frozen
@@ -177,7 +177,7 @@ def dump_calibration(calibration: CalibrationRecord) -> str:
 def require_same_sensor(
     old: CalibrationRecord, new: CalibrationRecord, names: tuple[str, str] = ("one", "the other")
 ) -> None:
-    """Refuse two calibrations that are not of one sensor, with a UsageError that says in what they differ."""
+    """Refuse two calibrations that are not of one sensor, with a UsageError that names what differs."""
     for what in ("serial", "model", "unit", "channels"):
         a, b = getattr(old.sensor, what), getattr(new.sensor, what)
         if a != b:

@@ -1,7 +1,7 @@
 """The calibration files in a folder, by serial number and date, found without reading them whole.
 
 A file as tiltcal writes it names its sensor in its third line and its date near its end, so a few hundred bytes of each
-tell what an index needs: 10,000 files take a quarter of a second, and nothing is stored that could go stale or damaged.
+are enough for an index: 10,000 files take a quarter of a second, and nothing is stored that could go stale or damaged.
 A file that is laid out otherwise is read whole.
 """
 

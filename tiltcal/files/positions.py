@@ -25,13 +25,13 @@ class TabledPosition:
     name : str
         Of the position.
     gravity : tuple of float or None
-        Up in the sensor frame, a unit vector; None where the procedure says it by the position's name.
+        Up in the sensor frame, a unit vector; None where the position's name gives it by the procedure.
     mean : dict of str to float
         Per channel, in the sensor's unit.
     u : dict of str to float or None
-        Standard uncertainty of each mean, same unit; None where the table does not say it.
+        Standard uncertainty of each mean, same unit; None where the table does not state it.
     n : int or None
-        Number of samples behind the mean; None where the table does not say it.
+        Number of samples behind the mean; None where the table does not state it.
     temperature : float or None
         °C.
     line : int or None

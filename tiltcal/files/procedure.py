@@ -358,7 +358,7 @@ class Procedure:
     @property
     def closes(self) -> bool:
         """Whether the last position is the first one again."""
-        return len(self.positions) > 1 and _stands(self.positions[0]) == _stands(self.positions[-1])
+        return len(self.positions) > 1 and _setting(self.positions[0]) == _setting(self.positions[-1])
 
     def with_closing(self, closing: bool) -> Procedure:
         """Return this procedure with its first position once more at the end, which shows what has changed meanwhile.
@@ -368,7 +368,7 @@ class Procedure:
         Raises
         ------
         UsageError
-            There are no positions, or nobody sets them.
+            There are no positions, or they are free.
         """
         if not closing:
             return self
@@ -385,7 +385,7 @@ class Procedure:
         return replace(self, positions=(*self.positions, last), record={**self.record, "positions": entries})
 
 
-def _stands(position: Position) -> tuple[object, ...]:
+def _setting(position: Position) -> tuple[object, ...]:
     """Return all that a position sets."""
     return position.gravity, position.heading, position.temperature, position.stage
 

@@ -104,7 +104,7 @@ class Rotation:
 
 
 def require_turns(turns: int) -> int:
-    """Return a number of turns; a UsageError where it is too small, or more than anyone waits for."""
+    """Return a number of turns; a UsageError where it is too small or too large."""
     if not FEWEST_WHOLE_TURNS <= turns <= MOST:
         raise UsageError(
             f"{turns} turns are impossible: at least {FEWEST_WHOLE_TURNS} are needed, and at most {MOST} counted"

@@ -25,7 +25,7 @@ class Segment:
     start, end : int
         Row numbers counted from 0 after the header; the end is exclusive.
     gravity : tuple of float or None
-        Up in the sensor frame, a unit vector; None where the procedure says it by the position's name.
+        Up in the sensor frame, a unit vector; None where the position's name gives it by the procedure.
     line : int or None
         Where the segment stands in its file.
     """

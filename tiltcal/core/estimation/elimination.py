@@ -187,8 +187,8 @@ class LinearSolution:
     """The equations near their minimum, where every unknown is a linear function of the equations' errors.
 
     The attitude angles have the variance ``jig²``; what else is known is in the triangle. The singular values d of the
-    triangle's part for the attitudes, which no other unknown can follow, tell how well each combination of angles
-    shows: its variance is jig² / (1 + jig² d²).
+    triangle's part for the attitudes, which no other unknown can follow, measure how well the readings show each
+    combination of angles: its variance is jig² / (1 + jig² d²).
 
     Attributes
     ----------
@@ -269,7 +269,7 @@ class LinearSolution:
         return response[: self.system.coefficients]
 
     def own_covariances(self, number: int) -> Array:
-        """Covariances of a block's coefficients as if the shared unknowns were known, shape (S, C k, C k)."""
+        """Return covariances of a block's coefficients as if the shared unknowns were known, shape (S, C k, C k)."""
         block, factor = self.system.blocks[number], self.elimination.factors[number]
         inverse = np.asarray(factor.inverse @ factor.inverse.swapaxes(1, 2))
         sensors, channels, k = block.columns.shape

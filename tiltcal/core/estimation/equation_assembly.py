@@ -15,12 +15,12 @@ from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
 UNKNOWN_TABLE = 5.0
-"""Standard uncertainty of a lean of which nothing was said, degrees: no table that anyone works at leans more."""
+"""Standard uncertainty of a lean that is not stated, degrees: no table in use leans more."""
 
 SAME_DIRECTION = 1e-6
 """How far the directions that two sensors give for one position may differ, g."""
 
-TOGETHER = 8
+LARGEST_BLOCK = 8
 """Most sensors in a block: more of them need more memory at a time, and are hardly quicker."""
 
 
@@ -143,7 +143,7 @@ def _blocks(
     ]
     first = 0
     for last in range(1, len(sensors) + 1):
-        if last < len(sensors) and kinds[last] == kinds[first] and last - first < TOGETHER:
+        if last < len(sensors) and kinds[last] == kinds[first] and last - first < LARGEST_BLOCK:
             continue
         models, thermal, reference, n, alone = kinds[first]
         numbers = np.arange(first, last)

@@ -19,7 +19,7 @@ SETTLED = 1e-14
 NEAR = 1e-20
 """Where a step promises a fall of the sum of squares below this share of it, its end is the minimum."""
 
-LEVEL = 1e-12
+PLATEAU = 1e-12
 """A promise below this share of the sum of squares is near the rounding of the sum, which then judges no step."""
 
 CREEPING = 1e-3
@@ -54,7 +54,7 @@ def minimise(system: System, start: Array) -> Array:
         promised = linear.decrease
         if promised <= max(NEAR * (1.0 + here.cost), (SETTLED * (1.0 + system.reach)) ** 2):
             return z + linear.step(system)
-        if promised <= LEVEL * (1.0 + here.cost):
+        if promised <= PLATEAU * (1.0 + here.cost):
             if promised >= last:
                 return z
             z, last = z + linear.step(system), promised

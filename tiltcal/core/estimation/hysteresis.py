@@ -54,7 +54,6 @@ def largest_loops(found: Estimate, observations: Sequence[Observation], jig: flo
 
     Parameters
     ----------
-    found : Estimate
     observations : sequence of Observation
         The positions of the estimate.
     jig : float
@@ -83,9 +82,8 @@ def with_hysteresis(found: Estimate, sensor: SensorObservations) -> Estimate:
 
     Parameters
     ----------
-    found : Estimate
     sensor : SensorObservations
-        What was estimated from.
+        From which the estimate was made.
     """
     if found.coefficients.thermal is None:
         return found

@@ -17,7 +17,7 @@ from tiltcal.errors import EstimateError
 UNDETERMINED = 1e-9
 """A singular value below this share of the largest, with columns scaled to one, counts as zero."""
 
-TOLD = 0.1
+NAMED_PART = 0.1
 """Coefficients with at least this part in an undetermined combination are named."""
 
 MOST_POSITIONS = 3
@@ -49,7 +49,7 @@ def require_determined(system: System, z: Array) -> None:
     Raises
     ------
     EstimateError
-        Names the coefficients, and a position that would tell them apart.
+        Names the coefficients, and a position that would separate them.
     """
     direction, _ = system.directions(system.as_set(z))
     for block, sensor, channel in system.channels():
@@ -79,7 +79,7 @@ def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
     rank = int(np.sum(values > UNDETERMINED * values[0]))
     if rank == len(names):
         return []
-    return [name for name, part in zip(names, vectors[rank], strict=True) if abs(part) > TOLD]
+    return [name for name, part in zip(names, vectors[rank], strict=True) if abs(part) > NAMED_PART]
 
 
 def undetermined_unknowns(near: LinearSolution) -> list[str]:
@@ -107,7 +107,7 @@ def undetermined_unknowns(near: LinearSolution) -> list[str]:
     size = float(np.linalg.norm(combination))
     if float(np.linalg.norm(triangle @ weakest)) > UNDETERMINED * size:
         return []
-    return [name for name, part in zip(names, combination / size, strict=True) if abs(part) > TOLD]
+    return [name for name, part in zip(names, combination / size, strict=True) if abs(part) > NAMED_PART]
 
 
 def _positions_to_add(model: ChannelModel, theta: Array, gravity: Array, dt: Array, rows: Array) -> list[str]:

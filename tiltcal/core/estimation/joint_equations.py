@@ -174,7 +174,7 @@ class System:
     jig, table : float
         Radians; a jig of 0 has no attitude angles.
     table_stated : bool
-        Whether ``table`` was said, and is no mere bound.
+        Whether ``table`` is stated, and no mere bound.
     heading : float
         Radians; 0 has no heading errors.
     thermometer : float

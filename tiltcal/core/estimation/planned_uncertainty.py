@@ -70,7 +70,7 @@ class Prediction:
     dof : int
         Degrees of freedom that are left to check the result.
     correlations : tuple of (str, str, float)
-        Pairs of coefficients that the plan hardly tells apart, the strongest first.
+        Pairs of coefficients that the plan hardly separates, the strongest first.
     worth_adding : tuple of (str, str, float)
         A position, the coefficient that it helps most, and the share of its uncertainty that is left; best first.
     """

@@ -53,7 +53,7 @@ CORRELATED_DOF = 2.0
 """Degrees of freedom of a position's ten block means that are strongly correlated."""
 
 TIMES = np.geomspace(0.02, 30.0, 400)
-"""Correlation times that are told apart, in blocks; longer ones show the same correlation within a position."""
+"""Correlation times that are distinguished, in blocks; longer ones show the same correlation within a position."""
 
 ENOUGH = 5.0
 """Correlation times that a block should have."""

@@ -42,7 +42,7 @@ INSENSITIVE = 1e-9
 """A direction with less than this share of the whole sensitivity to the attitudes has none."""
 
 VARIANCES, JIGS = 100, 40
-"""Variances of the noise and of the jig that are told apart, evenly in their logarithm."""
+"""Variances of the noise and of the jig that are distinguished, evenly in their logarithm."""
 
 FAR = 1e4
 """The largest variance of the noise, over the largest square that the residuals have."""

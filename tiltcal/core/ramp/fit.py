@@ -40,7 +40,7 @@ RESOLVED = 2.0
 """Standard uncertainties that a lag is away from 0 where it is used."""
 
 WORSE = 0.02
-"""Part by which the mean square error of a channel may grow on a leg without anyone seeing it."""
+"""Part by which the mean square error of a channel may grow on a leg and not count as worse."""
 
 TURNS = 3.0
 """Mean square of the residuals behind the turns, over that of the others, from which on a loop turns there."""

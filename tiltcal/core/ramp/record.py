@@ -19,7 +19,7 @@ TURN = 0.2
 """Part of the whole range of temperature by which it must come back for a leg to end."""
 
 SMALLEST_RANGE = 2.0
-"""°C; below it no drift is told from noise."""
+"""°C; below it no drift is distinguished from noise."""
 
 OVERLAP = 0.5
 """Part of the whole range that the ways up and the ways down must both cover."""

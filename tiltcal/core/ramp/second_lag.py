@@ -1,4 +1,4 @@
-"""What the curve of a ramp gains in accuracy and in uncertainty because its lag may be two.
+"""The polynomials of a ramp averaged over one thermal lag and pairs of lags, by their likelihood.
 
 An element that is two lags behind its thermometer, one after the other or side by side, has the temperature::
 
@@ -11,7 +11,7 @@ thermometer is later, by τ2 < 0, the element has a lag τ1 > 0 of its own, or t
 
 One lag follows the turns of two badly, and the polynomial takes on what it leaves. So the polynomials of many pairs
 count, each with the weight of its likelihood, beside that of one lag, which has half of the prior weight. The file has
-one lag all the same: a second one is rarely told from the noise.
+one lag all the same: a second one is rarely distinguished from the noise.
 """
 
 from __future__ import annotations

@@ -48,12 +48,7 @@ class TemperatureJumps:
         return f"{self.count}, the first in row {self.row}, {self.value:g} °C beside {self.before:.4g} °C"
 
     def require_few(self, rows: int) -> None:
-        """Refuse a record in which jumps are no exceptions.
-
-        Raises
-        ------
-        EstimateError
-        """
+        """Refuse a record in which jumps are no exceptions, with an EstimateError."""
         if self.count > max(1, LEFT_OUT * rows):
             raise EstimateError(
                 f"of {rows} temperatures too many jump by more than {TEMPERATURE_JUMP:g} °C ({self._where}): see to "
