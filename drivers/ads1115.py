@@ -52,10 +52,6 @@ class Ads1115:
 
     Parameters
     ----------
-    link : Link
-        I2C.
-    clock : Clock
-        Waits for each conversion.
     full_scale : float
         One of :data:`RANGES`, V.
     rate : int
@@ -120,17 +116,7 @@ class Ads1115:
 
 
 def config_word(number: int, full_scale: float, rate: int) -> int:
-    """Return the config register that starts one single-shot conversion of an input against ground.
-
-    Parameters
-    ----------
-    number : int
-        0 to 3.
-    full_scale : float
-        One of :data:`RANGES`, V.
-    rate : int
-        One of :data:`RATES`, conversions per second.
-    """
+    """Return the config register that starts one single-shot conversion of an input, 0 to 3, against ground."""
     return (
         START
         | (_SINGLE_ENDED | number) << 12

@@ -41,15 +41,7 @@ TROUBLED = 256
 
 
 class Adxl202Sentences:
-    """The driver of an ADXL202 behind a microcontroller that sends sentences.
-
-    Parameters
-    ----------
-    link : Link
-        Serial.
-    clock : Clock
-        Session time: a sentence that does not end is given up.
-    """
+    """The driver of an ADXL202 behind a microcontroller that sends sentences on a serial line."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._lines = LineBuffer(link, clock)
@@ -58,13 +50,7 @@ class Adxl202Sentences:
         self._used = self._damaged = self._lost = self._restarts = 0
 
     def probe(self) -> Mapping[str, str]:
-        """Check that sentences arrive; the errors are those of :meth:`read`.
-
-        Returns
-        -------
-        mapping of str to str
-            Duty cycles, the period, the temperature if it is sent, and the link statistics.
-        """
+        """Return a new sentence, and the link statistics, as text; the errors are those of :meth:`read`."""
         self.discard()
         sentence = self._next()
         said = _in_words(sentence.duty)
@@ -132,13 +118,7 @@ class Adxl202Sentences:
 
 
 class Adxl202Edges:
-    """The driver of an ADXL202 on two lines that are captured edge by edge.
-
-    Parameters
-    ----------
-    link : Link
-        Edge records.
-    """
+    """The driver of an ADXL202 on two lines that are captured edge by edge."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
@@ -147,13 +127,7 @@ class Adxl202Edges:
         self._used = 0
 
     def probe(self) -> Mapping[str, str]:
-        """Check that both lines pulse; the errors are those of :meth:`read`.
-
-        Returns
-        -------
-        mapping of str to str
-            Duty cycles, the period, and the link statistics.
-        """
+        """Return a new period, and the link statistics, as text; the errors are those of :meth:`read`."""
         self.discard()
         cycle = self._next()
         said = _in_words(cycle.duty)

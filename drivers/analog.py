@@ -113,13 +113,7 @@ class AnalogSensor:
         self._converter = wired.front_end.driver(link, clock)
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the sensor answers plausibly; the errors are those of :meth:`read`.
-
-        Returns
-        -------
-        mapping of str to str
-            The reading of each output, the supply and the converter.
-        """
+        """Return a sample, the supply and the converter as text; the errors are those of :meth:`read`."""
         values, supply = self._sample()
         said = {
             channel: f"{value:.4f} V, referred to {NOMINAL:g} V"

@@ -115,15 +115,7 @@ class ColumnLayout:
 
 
 class ColumnsSensor:
-    """The driver of a device that prints numbers.
-
-    Parameters
-    ----------
-    link : Link
-        Serial.
-    clock : Clock
-        Session time: a line that does not end is given up.
-    """
+    """The driver of a device that prints numbers on a serial line."""
 
     def __init__(self, columns: ColumnLayout, link: Link, clock: Clock) -> None:
         self._columns = columns
@@ -131,13 +123,7 @@ class ColumnsSensor:
         self._used = self._damaged = 0
 
     def probe(self) -> Mapping[str, str]:
-        """Check that lines of numbers arrive; the errors are those of :meth:`read`.
-
-        Returns
-        -------
-        mapping of str to str
-            The numbers by name, and the link statistics.
-        """
+        """Return the numbers of a new line, and the link statistics, as text; the errors are those of :meth:`read`."""
         self.discard()
         reading = self.read()
         return numbers_in_words(self._columns.channels, reading) | {"link": in_words(self.link_statistics())}

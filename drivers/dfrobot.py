@@ -47,18 +47,7 @@ def checksum(payload: bytes) -> int:
 
 
 def parse_answer(received: bytes) -> Reading | None:
-    """Return the reading of received bytes; None if they contain no valid answer.
-
-    Parameters
-    ----------
-    received : bytes
-        An answer, possibly after garbage.
-
-    Returns
-    -------
-    Reading or None
-        x and y in counts, 0 to 2047, and the temperature in °C.
-    """
+    """Return x and y (0 to 2047 count) and temperature (°C) of an answer, possibly after garbage; None without one."""
     start = received.find(HEADER)
     while 0 <= start <= len(received) - LENGTH:
         *payload, stated = received[start + len(HEADER) : start + LENGTH]
@@ -70,26 +59,14 @@ def parse_answer(received: bytes) -> Reading | None:
 
 
 class DfrobotSca100t:
-    """The driver of the module.
-
-    Parameters
-    ----------
-    link : Link
-        Serial.
-    """
+    """The driver of the module, on a serial line."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
         self._used = self._damaged = 0
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the module answers; the errors are those of :meth:`read`.
-
-        Returns
-        -------
-        mapping of str to str
-            Both words, the temperature, and the link statistics.
-        """
+        """Return a sample, and the link statistics, as text; the errors are those of :meth:`read`."""
         reading = self.read()
         return in_counts(reading.values) | {
             "temperature": f"{reading.temperature:.1f} °C (not trimmed)",

@@ -38,8 +38,6 @@ class LineBuffer:
 
     Parameters
     ----------
-    link : Link
-        Serial.
     clock : Clock
         Times a line, and the silence before it.
     """

@@ -40,8 +40,6 @@ class Mcp3208:
 
     Parameters
     ----------
-    link : Link
-        SPI.
     reference : float
         Voltage at the reference pin, V.
     """

@@ -159,13 +159,7 @@ class RegisterLayout:
 
 
 class ModbusColumns:
-    """The driver of a device with numbers in registers.
-
-    Parameters
-    ----------
-    link : Link
-        Modbus.
-    """
+    """The driver of a device with numbers in Modbus registers."""
 
     def __init__(self, layout: RegisterLayout, link: Link, clock: Clock) -> None:
         self._layout = layout

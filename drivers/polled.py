@@ -45,13 +45,7 @@ class PolledSensor(ABC):
         self._ready = False
 
     def probe(self) -> Mapping[str, str]:
-        """Set the part up and take a sample; the errors are those of :meth:`read`.
-
-        Returns
-        -------
-        mapping of str to str
-            Identity, range, rate, words and temperature.
-        """
+        """Set the part up; return identity, range, rate and a sample as text. Its errors are those of :meth:`read`."""
         self._ready = False
         reading = self.read()
         temperature = f"{reading.temperature:.1f} °C (not trimmed)"

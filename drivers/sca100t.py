@@ -75,15 +75,7 @@ class SelfTest:
 
 
 class Inclinometer:
-    """What the drivers of the family share: frames, their waits, and the sane range of a word.
-
-    Parameters
-    ----------
-    link : Link
-        SPI.
-    clock : Clock
-        Waits between frames.
-    """
+    """What the drivers of the family share: frames, their waits, and the sane range of a word."""
 
     COMMANDS: ClassVar[Mapping[str, int]]
     """What reads each of the part's output registers."""
@@ -239,17 +231,9 @@ class Sca100t(Inclinometer):
 
 
 def decode_word(frame: bytes) -> int:
-    """Return the 11-bit word of an answer to RDAX or RDAY.
+    """Return the 11-bit word of an answer to RDAX or RDAY, 0 to 2047 count; 1024 at 0 g.
 
-    Parameters
-    ----------
-    frame : bytes
-        Three bytes; the first one and the low 5 bits of the last one have no meaning.
-
-    Returns
-    -------
-    int
-        0 to 2047, count; 1024 at 0 g.
+    The first of its three bytes and the low 5 bits of the last one have no meaning.
     """
     return frame[1] << 3 | frame[2] >> 5
 

@@ -81,13 +81,7 @@ class Sca3000Part:
 
 
 class Sca3000:
-    """The driver of an SCA3000 of any range on either bus.
-
-    Parameters
-    ----------
-    link : Link
-        SPI or I2C, by its letter.
-    """
+    """The driver of an SCA3000 of any range on either bus."""
 
     def __init__(self, part: Sca3000Part, link: Link, clock: Clock) -> None:
         self._part = part
@@ -180,18 +174,7 @@ class Sca3000:
 
 
 def decode_word(pair: bytes) -> int:
-    """Return the 13-bit word of an MSB and an LSB register.
-
-    Parameters
-    ----------
-    pair : bytes
-        MSB, LSB; the low 3 bits of the LSB have no meaning.
-
-    Returns
-    -------
-    int
-        -4096 to 4095, count.
-    """
+    """Return the 13-bit word of an MSB and an LSB, -4096 to 4095 count; the low 3 bits of the LSB have no meaning."""
     return int.from_bytes(pair, "big", signed=True) >> 3
 
 

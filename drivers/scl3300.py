@@ -124,8 +124,6 @@ class Scl3300:
     ----------
     measuring : MeasuringRange
         The mode to set.
-    link : Link
-        SPI.
     """
 
     def __init__(self, part: Scl3300Part, measuring: MeasuringRange, link: Link, clock: Clock) -> None:

@@ -48,17 +48,9 @@ class Sentence:
 
 
 def parse_sentence(line: bytes) -> Sentence | None:
-    """Parse a sentence.
+    """Return the sentence of a line without its end.
 
-    Parameters
-    ----------
-    line : bytes
-        From ``$`` to the checksum, without a line end.
-
-    Returns
-    -------
-    Sentence or None
-        None if its frame, checksum or fields are damaged, or a pulse is longer than its period.
+    None if its frame, checksum or fields are damaged, or a pulse is longer than its period.
     """
     inside = content(line)
     fields = _SENTENCE.fullmatch(inside) if inside is not None else None
@@ -77,18 +69,7 @@ def checksum(content: bytes) -> int:
 
 
 def content(sentence: bytes) -> bytes | None:
-    """Return the content between ``$`` and ``*`` of a sentence.
-
-    Parameters
-    ----------
-    sentence : bytes
-        Without its line end.
-
-    Returns
-    -------
-    bytes or None
-        None if the frame or the checksum is wrong.
-    """
+    """Return the content between ``$`` and ``*`` of a sentence; None if the frame or the checksum is wrong."""
     body, star, digits = sentence.rpartition(b"*")
     if not star or not body.startswith(b"$") or len(digits) != 2:
         return None
@@ -102,12 +83,7 @@ def content(sentence: bytes) -> bytes | None:
 def missing(before: int, now: int) -> int | None:
     """Return how many sentences are missing between two numbers of a sequence.
 
-    The counter may wrap to 0 at any of the :data:`ROUND_NUMBERS`.
-
-    Returns
-    -------
-    int or None
-        None if the counter went back: the device restarted.
+    The counter may wrap to 0 at any of the :data:`ROUND_NUMBERS`. None if it went back: the device restarted.
     """
     if now > before:
         return now - before - 1

@@ -47,15 +47,7 @@ class Tolerances:
     thermometer: float
 
     def draw(self, channels: tuple[str, ...], counts_per_g: float, seed: int) -> Truth:
-        """Draw a plausible part, on a jig of 0.01° in a chamber with a time constant of 20 s.
-
-        Parameters
-        ----------
-        channels : tuple of str
-            Axes that it measures.
-        counts_per_g : float
-            Nominal.
-        """
+        """Draw a plausible part, on a jig of 0.01° in a chamber with a time constant of 20 s."""
         within = part_errors(seed)
 
         def row(channel: str) -> dict[str, float]:

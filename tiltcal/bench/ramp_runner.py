@@ -32,13 +32,7 @@ NO_WAY_BACK = "a ramp is one continuous record: no leg can be taken again; quit,
 
 
 class RampRunner(PositionRunner):
-    """Carries out a ramp.
-
-    Parameters
-    ----------
-    plan, sensors, operator, log, clock, fixture
-        As for :class:`PositionRunner`.
-    """
+    """Carries out a ramp; the other parameters are those of :class:`PositionRunner`."""
 
     def __init__(
         self,

@@ -31,14 +31,10 @@ AGREEMENT = 20.0
 
 
 def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: bool) -> dict[int, str]:
-    """Return the samples that are no measurement, by their number, with the reason.
+    """Return the samples of a position that are no measurement, by their number, with the reason.
 
     Parameters
     ----------
-    held : sequence of (seconds, sample)
-        Of one position.
-    models : sequence of Model
-        Of the sensors in each sample.
     thermometers : bool
         Whether temperatures count; not where the operator typed one.
     """
@@ -120,11 +116,6 @@ def require_not_stuck(sensor: ConnectedSensor, result: PositionResult, accepted:
 
     A reading that stands still within a position is coarse, unless its noise in the positions before is more than its
     step hides. One that stands still over positions of other tilt is stuck.
-
-    Parameters
-    ----------
-    accepted : sequence of PositionResult
-        The positions before.
 
     Raises
     ------

@@ -23,8 +23,6 @@ class VirtualBench:
 
     Parameters
     ----------
-    clock : Clock
-        Session time.
     devices : sequence of DeviceSetup
         The devices; ``sim:`` addresses take ``twin=FILE`` and ``seed=N``.
     """

@@ -225,14 +225,7 @@ class RigRotationOperator(_Rig):
 
 
 def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnswer:
-    """Return a rig's answer, checked.
-
-    Parameters
-    ----------
-    said : object
-        What the rig returned.
-    words : sequence of str
-        What may be answered.
+    """Return the answer of what a rig returned; ``words`` are the answers that it may give.
 
     Raises
     ------

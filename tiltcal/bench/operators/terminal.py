@@ -43,10 +43,6 @@ class _Terminal:
 
     Parameters
     ----------
-    console : Console
-        Where to talk.
-    keys : Keys
-        Where the choices come from.
     live : bool
         Whether one line may overwrite another; needs a terminal.
     """
