@@ -14,6 +14,7 @@ from math import inf
 from typing import TYPE_CHECKING, Protocol
 
 from tiltcal.errors import DeviceFault
+from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -47,7 +48,7 @@ class Converter(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@frozen
 class FrontEnd:
     """A converter with the settings of an address.
 

@@ -9,6 +9,8 @@ from importlib import import_module
 from math import sqrt
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+from tiltcal.frozen import frozen
+
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
@@ -123,7 +125,7 @@ class Population:
     source: str
 
 
-@dataclass(frozen=True)
+@frozen
 class Model:
     """The facts of one sensor model, with its driver and its twin.
 

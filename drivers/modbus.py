@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -35,6 +35,7 @@ from tiltcal.drivers.columns import (
 )
 from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import BusError, DeviceFault
+from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -73,7 +74,7 @@ EXCEPTIONS = {
 _COLUMN = re.compile(r"([^@:*]+)@(0[xX][0-9a-fA-F]{1,8}|[0-9]{1,9})(?::([a-z0-9]+))?(?:\*([-+0-9.eE]+))?")
 
 
-@dataclass(frozen=True)
+@frozen
 class RegisterColumn:
     """One number in registers.
 
@@ -101,7 +102,7 @@ class RegisterColumn:
         return 0.0 if self.code in "fd" else abs(self.scale)
 
 
-@dataclass(frozen=True)
+@frozen
 class RegisterLayout:
     """The numbers and their registers.
 

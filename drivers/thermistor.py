@@ -39,6 +39,7 @@ from tiltcal.drivers.converter import (
 )
 from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import DeviceFault
+from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -105,7 +106,7 @@ class Curve:
         return exp(first - p / (3.0 * first))
 
 
-@dataclass(frozen=True)
+@frozen
 class Divider:
     """A thermistor and a fixed resistor across a supply.
 
@@ -144,7 +145,7 @@ class Divider:
         return self.curve.celsius(self.fixed * (ratio if self.grounded else 1.0 / ratio))
 
 
-@dataclass(frozen=True)
+@frozen
 class WiredThermistor:
     """The wiring of a thermistor to a converter.
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from difflib import get_close_matches
 from math import isfinite
 from typing import NoReturn, TypeVar
@@ -27,6 +27,7 @@ from urllib.parse import unquote
 
 from tiltcal.drivers.bus import BUSES
 from tiltcal.errors import UsageError
+from tiltcal.frozen import frozen
 from tiltcal.stated_texts import require_text
 
 R = TypeVar("R")
@@ -39,7 +40,7 @@ SCHEMES = (*BUSES, "sim")
 """Last part of every known scheme."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Address:
     """One parsed address.
 

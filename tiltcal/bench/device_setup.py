@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
@@ -14,9 +13,10 @@ from tiltcal.errors import UsageError
 from tiltcal.files.bench import BENCH, BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.journal_header import DeviceHeader
 from tiltcal.files.node import Node, require_printable
+from tiltcal.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class DeviceSetup:
     """One device of a session.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from tiltcal.errors import UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.frozen import frozen
 from tiltcal.stated_booleans import require_boolean
 from tiltcal.stated_numbers import require_from_zero, require_whole
 
@@ -32,7 +33,7 @@ _NOT_PREDICTED = (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class PlannedRotation:
     """The pairs that a rotation will match; their uncertainty depends on the amplitude, which is not known before.
 
