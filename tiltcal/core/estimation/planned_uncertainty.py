@@ -89,7 +89,7 @@ class Prediction:
 def predict_uncertainty(
     design: Design,
     positions: Sequence[PlannedPosition],
-    noise: float | Sequence[float],
+    noise: float,
     *,
     sensitivity: float = 1.0,
     drift: float = 0.0,
@@ -104,8 +104,8 @@ def predict_uncertainty(
     design : Design
         With the jig, the thermometer and the table as they are stated; a jig that is not stated counts as perfect, and
         what is predicted is then what noise alone leaves.
-    noise : float or sequence of float
-        Standard uncertainty of a position's mean reading, for all channels or for each, in the sensor's unit.
+    noise : float
+        Standard uncertainty of a position's mean reading, in the sensor's unit.
     sensitivity : float
         Nominal, unit/g.
     drift : float
@@ -122,7 +122,7 @@ def predict_uncertainty(
     EstimateError
         The plan leaves coefficients undetermined; they are named, and a position that would determine them.
     """
-    equations = partial(_system, design, noise=noise, usual=(sensitivity, drift), adc=adc, sensors=sensors)
+    equations = partial(_system, design, noise=noise, sensitivity=sensitivity, drift=drift, adc=adc, sensors=sensors)
     system, z = equations(positions)
     near = linearised(system, z)
     if design.free:
@@ -155,21 +155,22 @@ def _system(
     design: Design,
     positions: Sequence[PlannedPosition],
     *,
-    noise: float | Sequence[float],
-    usual: tuple[float, float],
+    noise: float,
+    sensitivity: float,
+    drift: float,
     adc: float,
     sensors: int,
 ) -> tuple[System, Array]:
     """Return the equations of a plan, without readings, and all unknowns as in the data sheet."""
     stated = replace(design, jig=design.jig or 0.0)
-    u = np.hypot(np.broadcast_to(np.asarray(noise, dtype=float), len(design.channels)), adc)
     zero = np.zeros(len(design.channels))
+    u = np.full(len(design.channels), max(np.hypot(noise, adc), 1e-12 * abs(sensitivity)))
     observations = [
         Observation(
             position.name,
             np.array(position.gravity),
             zero,
-            np.maximum(u, 1e-12 * abs(usual[0])),
+            u,
             position.temperature,
             position.heading,
             position.held,
@@ -180,7 +181,7 @@ def _system(
     plan = [SensorObservations(stated, observations)] * sensors
     require_sound(plan)
     system = system_of(plan)
-    z = _nominal(design, system, *usual)
+    z = _nominal(design, system, sensitivity, drift)
     return triangular_gauge(system, z) if design.free else (system, z)
 
 
