@@ -231,7 +231,7 @@ def open_calibrations(folder: str | Path) -> CalibrationLibrary:
     return library
 
 
-def calibration_at(history: SensorHistory, time: float, stability: Stability | None = None) -> Calibration:
+def calibration_at(history: SensorHistory, time: float, stability: Stability | None) -> Calibration:
     """Return the calibration of a sensor at a time, seconds since 1970."""
     dated = history.calibrations
     times = [calibration.date.timestamp() for calibration in dated]

@@ -113,11 +113,7 @@ def _positions(sessions: Sequence[CombinedSession]) -> tuple[tuple[PositionRecor
     }
     groups: list[list[PositionRecord]] = [[], [], []]
     for n, session in enumerate(sessions):
-        record = session.record
-        fitted = record.positions_with(mounting=(), level=())
-        mounted = record.positions_with(level=())[len(fitted) :]
-        levelled = record.positions[len(fitted) + len(mounted) :]
-        for group, own in zip(groups, (fitted, mounted, levelled), strict=True):
+        for group, own in zip(groups, session.record.runs, strict=True):
             group += [replace(position, position=renamed[n, position.position]) for position in own]
     return tuple(position for group in groups for position in group), renamed
 
@@ -130,28 +126,27 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Combination) -> Unc
             single[name] = max(u, single.get(name, 0.0))
     both = uncertainty_of(found, single)
     both = replace(both, alignment=max(session.record.uncertainty.alignment for session in sessions))
-    for session in sessions:
-        known = session.known
-        turns = np.flatnonzero(is_turn(known.names)).tolist()
-        if not turns:
-            continue
-        across = np.zeros((len(found.names), len(turns)))
-        for statement, by in zip(found.statements, found.parts, strict=True):
-            if statement.label == session.label:
-                across = by @ known.covariance[np.ix_([known.names.index(name) for name in statement.names], turns)]
-        own = known.chosen(turns)
-        every = (*found.names, *own.names)
-        joint = np.block([[found.covariance, across], [across.T, own.covariance]])
-        stated = session.record.uncertainty
-        mounted = {name: u for name, u in stated.items() if name.startswith("mounting.")}
-        return replace(
-            both,
-            standard={**both.standard, **mounted},
-            coverage_factor=dict(both.coverage_factor)
-            | {name: k for name, k in stated.coverage_factor.items() if name.startswith("mounting.")},
-            covariance=rounded_covariance(every, joint),
-        )
-    return both
+    mounting = next((session for session in sessions if is_turn(session.known.names).any()), None)
+    if mounting is None:
+        return both
+    known, stated = mounting.known, mounting.record.uncertainty
+    turns = np.flatnonzero(is_turn(known.names)).tolist()
+    across = np.zeros((len(found.names), len(turns)))
+    for statement, by in zip(found.statements, found.parts, strict=True):
+        if statement.label == mounting.label:
+            across = by @ known.covariance[np.ix_([known.names.index(name) for name in statement.names], turns)]
+    own = known.chosen(turns)
+    joint = np.block([[found.covariance, across], [across.T, own.covariance]])
+    mounted, factors = (
+        {name: value for name, value in named.items() if name.startswith("mounting.")}
+        for named in (stated, stated.coverage_factor)
+    )
+    return replace(
+        both,
+        standard={**both.standard, **mounted},
+        coverage_factor={**both.coverage_factor, **factors},
+        covariance=rounded_covariance((*found.names, *own.names), joint),
+    )
 
 
 def _budget(sessions: Sequence[CombinedSession], found: Combination) -> dict[str, dict[str, float]]:

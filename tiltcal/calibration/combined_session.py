@@ -87,9 +87,8 @@ class CombinedSession:
         thermal, fit = self.coefficients.thermal, self.record.fit
         if thermal is not None:
             return thermal.reference, 0.0
-        run, level = self.record.positions_with(mounting=()), self.record.procedure.level
-        held = run if level is None else run[-len(level.positions) :]  # a level renews the offset where it lies
-        met = [position.temperature for position in held if position.temperature is not None]
+        own, _, levelled = self.record.runs  # a level renews the offset at its own temperature
+        met = [position.temperature for position in levelled or own if position.temperature is not None]
         if not met:
             return None
         stated = fit.thermometer_celsius

@@ -135,18 +135,20 @@ class CalibrationRecord:
     )
     provenance: Provenance = entry(Section(Provenance), "how it was made", default=Provenance(), kept=True)
 
+    @property
+    def runs(self) -> tuple[tuple[PositionRecord, ...], ...]:
+        """The positions of the calibration itself, of its mounting and of its level."""
+        completing = (self.procedure.mounting, self.procedure.level)
+        mounted, levelled = (0 if run is None else len(run.positions) for run in completing)
+        first, second = len(self.positions) - mounted - levelled, len(self.positions) - levelled
+        return self.positions[:first], self.positions[first:second], self.positions[second:]
+
     def positions_with(
         self, *, mounting: Sequence[PositionRecord] | None = None, level: Sequence[PositionRecord] | None = None
     ) -> tuple[PositionRecord, ...]:
         """Return the positions with others of a mounting or a level; None leaves those that there are."""
-        runs = (self.procedure.mounting, self.procedure.level)
-        mounted, levelled = (0 if run is None else len(run.positions) for run in runs)
-        first, second = len(self.positions) - mounted - levelled, len(self.positions) - levelled
-        return (
-            *self.positions[:first],
-            *(self.positions[first:second] if mounting is None else mounting),
-            *(self.positions[second:] if level is None else level),
-        )
+        own, mounted, levelled = self.runs
+        return (*own, *(mounted if mounting is None else mounting), *(levelled if level is None else level))
 
 
 def _names(key: str, found: Mapping[str, Any], context: Context) -> Context:
