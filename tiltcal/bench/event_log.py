@@ -272,7 +272,7 @@ class RecordedLink:
         try:
             if self._live is None:
                 self._live = self._connect()
-                self._remind(self._live)
+                self._restore(self._live)
             answer = self._live.exchange(out, count)
         except BusError as error:
             if not isinstance(error, CaptureEnded):
@@ -289,7 +289,7 @@ class RecordedLink:
             self._live.close()
             self._live = None
 
-    def _remind(self, live: Link) -> None:
+    def _restore(self, live: Link) -> None:
         """Send a new twin what the twin before it got, because a real part keeps its registers; continue a capture."""
         if isinstance(live, Continuing) and self._last_answer:
             live.go_on_after(self._last_answer)

@@ -156,11 +156,8 @@ class PositionRunner:
 
     def _refuse(self, position: Position, error: Exception) -> None:
         log, sensors = self._log, self._sensors
-        if isinstance(error, SensorError) and not sensors.count_failure(error):
-            if log.state is SessionState.LIVE:
-                raise sensors.ending(error)
-            # It ended the session once; whoever resumes it has put it right.
-            sensors.repaired()
+        if isinstance(error, SensorError):
+            sensors.failed(error, live=log.state is SessionState.LIVE)
         log.report(self._operator.refused, position, str(error))
         if isinstance(error, SensorError) and error.serial in sensors.lost:
             log.report(self._operator.lost, error.serial, sensors.lost[error.serial])
@@ -185,7 +182,7 @@ class PositionRunner:
         if reached is None or reached == self._soaked:
             window = Window(self._settings.settle)
         else:
-            # A temperature that the operator types is vouched for; the thermometer may be far off.
+            # A temperature that the operator types counts, because the thermometer may be far off.
             target = position.temperature if typed is None else None
             window = Window(self._settings.soak, self._procedure.soak.drift, target)
             self._soaked = None

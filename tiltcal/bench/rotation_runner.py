@@ -173,11 +173,7 @@ class RotationRunner:
                 return block, str(pause)
             except SensorError as error:
                 self._stale = True
-                if not self._sensors.count_failure(error, needed=True):
-                    if self._log.state is SessionState.LIVE:
-                        raise
-                    # It ended the session once; whoever resumes it has put it right.
-                    self._sensors.succeeded()
+                self._sensors.failed(error, live=self._log.state is SessionState.LIVE, needed=True)
                 self._clock.sleep(RECOVERY)
                 return block, str(error)
             self._sensors.succeeded()

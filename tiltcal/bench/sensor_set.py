@@ -48,7 +48,7 @@ class ConnectedSensor:
     serial : str
         The serial number that goes on the calibration file.
     sensor : Sensor
-        The driver at work on the recorded link.
+        The driver on the recorded link.
     orientation : Orientation
         How it sits on the fixture.
     """
@@ -190,21 +190,24 @@ class SensorSet:
         self._failures.clear()
         self._just_lost.clear()
 
-    def repaired(self) -> None:
-        """Note that failures that ended the session are put right: what was given up with them counts again."""
+    def failed(self, error: SensorError, *, live: bool, needed: bool = False) -> None:
+        """Count a failure; where the session cannot go on, raise the error that ends it.
+
+        Parameters
+        ----------
+        live : bool
+            Whether it happens now. A failure of a journal that is played ended the session before; it was resumed
+            after a repair, so what was given up with it counts again.
+        needed : bool
+            Whether the session cannot go on without the sensor.
+        """
+        if self.count_failure(error, needed=needed):
+            return
+        if live:
+            raise self._ending(error)
         for serial in self._just_lost:
             del self.lost[serial]
         self.succeeded()
-
-    def ending(self, error: SensorError) -> SensorError:
-        """Return the error that ends the session, with the sensors that were given up since the last success."""
-        if not self._just_lost:
-            return error
-        return SensorError(
-            error.serial,
-            f"{error}; before it {', '.join(self._just_lost)} failed: is a supply, a line or an adapter of all of them "
-            "down? After --resume they are measured again",
-        )
 
     def count_failure(self, error: SensorError, *, needed: bool = False) -> bool:
         """Count a failure, and return whether the session can go on.
@@ -219,6 +222,16 @@ class SensorSet:
         self.lost[error.serial] = str(error)
         self._just_lost.append(error.serial)
         return True
+
+    def _ending(self, error: SensorError) -> SensorError:
+        """Return the error that ends the session, with the sensors that were given up since the last success."""
+        if not self._just_lost:
+            return error
+        return SensorError(
+            error.serial,
+            f"{error}; before it {', '.join(self._just_lost)} failed: is a supply, a line or an adapter of all of them "
+            "down? After --resume they are measured again",
+        )
 
     @contextmanager
     def _named(self, serial: str) -> Iterator[None]:

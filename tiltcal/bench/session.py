@@ -73,7 +73,7 @@ class SessionResult:
 
 @frozen
 class _OpenSession:
-    """The devices of a session at work, every byte of which passes through its event log."""
+    """The open devices of a session; every byte passes through its event log."""
 
     sensors: SensorSet
     log: EventLog

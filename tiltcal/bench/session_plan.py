@@ -70,7 +70,7 @@ class SessionPlan:
     table, heading : float or None
         Stated standard uncertainties of the table's lean and of a heading, degrees.
     bases : mapping of str to BaseFile
-        The calibrations that sensors bring with them, by serial number.
+        The calibrations that the sensors have already, by serial number.
     typical : bool
         Whether the model's mean temperature curves stand in for a run of the unit's own.
     """
@@ -271,10 +271,8 @@ def plan_session(
         Calibration files, one per sensor; None where none is made.
     samples, settle
         In place of the procedure's; the soaking window is scaled with ``settle``.
-    bases : mapping of str to BaseFile, optional
-        The calibrations that sensors bring with them, by serial number.
-    typical : bool
-        Whether the models' mean temperature curves stand in for runs of the units' own.
+    bases, typical
+        As in :class:`SessionPlan`.
 
     Raises
     ------
