@@ -19,9 +19,11 @@ from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.base_calibration import bases_of
-from tiltcal.files.calibration import read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.frozen import frozen
 from tiltcal.stated_booleans import require_boolean
@@ -123,11 +125,7 @@ def plan(
     """
     require_boolean("--closing", closing)
     own = None if base is None else read_calibration(base)
-    if sensor is None and own is None:
-        raise UsageError("name the --sensor model, or its calibration with --base")
-    model = find_model(sensor or str(own and own.sensor.model))
-    if address is not None:
-        model = model.at(parse_address(address))
+    model = _model(sensor, address, own)
     steps = find_procedure(procedure, tilt).with_closing(closing)
     require_no_jig(steps, jig)
     require_whole("--samples", samples, 2, "samples")
@@ -146,8 +144,24 @@ def plan(
     found = known(steps, model)
     if steps.closes or steps.determines.free or steps.ramp is not None or len(steps.positions) < 2:
         return found
-    dof = known(steps.with_closing(True), model).prediction.dof
-    first, count = steps.positions[0], samples or steps.samples
+    closed = known(steps.with_closing(True), model)
+    return replace(found, closing=_closing_in_words(steps, samples or steps.samples, closed.prediction.dof))
+
+
+def _model(sensor: str | None, address: str | None, own: CalibrationRecord | None) -> Model:
+    """Return the model that is named, or that of the sensor's calibration, as it is connected at the address."""
+    name = sensor if own is None else sensor or own.sensor.model
+    if name is None:
+        raise UsageError("name the --sensor model, or its calibration with --base")
+    model = find_model(name)
+    return model if address is None else model.at(parse_address(address))
+
+
+def _closing_in_words(steps: Procedure, samples: int, dof: int) -> str:
+    """Return what ``--closing`` takes, and the degrees of freedom that it leaves."""
+    first = steps.positions[0]
     soaked = "" if first.temperature is None else f"a soak at {first.temperature:g} °C and "
-    costs = f"--closing takes {first.name} again at the end ({soaked}{count} samples)"
-    return replace(found, closing=f"{costs}, and leaves {dof} degrees of freedom, which show what has changed")
+    return (
+        f"--closing takes {first.name} again at the end ({soaked}{samples} samples), and leaves {dof} degrees of "
+        "freedom, which show what has changed"
+    )

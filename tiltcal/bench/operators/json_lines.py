@@ -80,7 +80,7 @@ def parsed(line: str) -> object:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the object of these keys and values."""
+    """Return the object of these keys and values; an InputError where a key is there twice."""
     found = dict(pairs)
     if len(found) < len(pairs):
         keys = [key for key, _ in pairs]
