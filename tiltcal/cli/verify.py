@@ -66,10 +66,10 @@ def command(
     not decided. Exit code 1 unless passed.
     """
     from tiltcal.bench.device_setup import single
-    from tiltcal.bench.measure import free_journal
     from tiltcal.bench.operators.selection import open_operator
     from tiltcal.bench.session import Session
     from tiltcal.bench.session_plan import plan_session
+    from tiltcal.bench.session_start import free_journal
     from tiltcal.calibration.verification import PASSED
 
     judged = read_calibration(calibration)
