@@ -17,6 +17,7 @@ from tiltcal.errors import EstimateError, InputError
 from tiltcal.logs.columns import TIME, locate_columns, require_degrees
 from tiltcal.logs.log import LogReader
 from tiltcal.logs.pair_rows import PairBlock, StuckValues
+from tiltcal.logs.streams import read_ahead
 
 ROWS_FOR_SPIN = 1 << 20
 """Rows from whose beginning the spin is estimated where there is no encoder; they are what is kept in memory."""
@@ -94,7 +95,8 @@ def demodulate_log(
     stage, demodulator, tally = AngleTracker(), Demodulator(channels), _Tally(len(channels))
     angles, rows = _EstimatedAngles(), _blocks(log, channels, phase)
     rows = tally.counted(angles.with_angle(rows) if phase is None else rows)
-    for block in StuckValues(channels, say).cleaned(rows):
+    blocks = StuckValues(channels, say).cleaned(rows)
+    for block in blocks if live else read_ahead(blocks):
         theta, readings, numbers = block.complete()
         demodulator.add(stage.follow(theta), readings, numbers)
         for observe in observers:

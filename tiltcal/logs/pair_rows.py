@@ -125,7 +125,9 @@ class StuckValues:
         present = np.isfinite(known)
         if not present.any():
             return np.zeros(len(theta))
-        turns = AngleTracker().follow(known[present])
+        turns = AngleTracker().follow(known if present.all() else known[present])
+        if len(turns) == len(known):
+            return np.asarray(turns[1:] - turns[0])
         latest = np.maximum(np.cumsum(present) - 1, 0)
         return np.asarray((turns[latest] - turns[0])[1:])
 

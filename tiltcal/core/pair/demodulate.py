@@ -57,10 +57,11 @@ def harmonic_columns(angle: Array, harmonics: int) -> Array:
     sine, cosine = columns[0], columns[1]
     np.sin(phase, out=sine)
     np.cos(phase, out=cosine)
-    for h in range(1, harmonics):
-        before_sine, before_cosine = columns[2 * h - 2], columns[2 * h - 1]
-        columns[2 * h] = before_sine * cosine + before_cosine * sine
-        columns[2 * h + 1] = before_cosine * cosine - before_sine * sine
+    twice = 2.0 * cosine
+    for column in range(2, 2 * harmonics):
+        # sin hθ = 2 cos θ sin (h - 1)θ - sin (h - 2)θ, and so for cos hθ; of h = 0 they are 0 and 1.
+        np.multiply(twice, columns[column - 2], out=columns[column])
+        columns[column] -= columns[column - 4] if column > 3 else column - 2
     columns[-1] = 1.0
     return columns
 
@@ -99,7 +100,9 @@ class Demodulator:
             self._step, self._places = common_step(readings), len(np.unique(np.round(angle % 1.0 * _PLACES)))
         columns = harmonic_columns(angle, HARMONICS)
         table = np.concatenate([columns, row[None, :] / _DRIFT_UNIT, (readings - self._pilot).T])
-        block = np.maximum.accumulate(np.floor(angle / self._size).astype(np.int64))
+        block = np.floor(angle / self._size).astype(np.int64)
+        if np.any(block[1:] < block[:-1]):
+            block = np.maximum.accumulate(block)
         cuts = [0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]
         for start, end in pairwise(cuts):
             part = table[:, start:end]

@@ -69,17 +69,20 @@ class AngleTracker:
         if not self.rows:
             self._first = self._last = self._highest = float(angle[0] % 1.0)
         steps = np.diff(angle, prepend=self._last)
-        steps -= np.round(steps)
+        whole = np.rint(steps)
+        steps -= whole
         # No stage is sampled so seldom that it turns back so far at once: rows are missing, and it went on meanwhile.
-        steps[steps < -_JUMP] += 1.0
-        turns = self._last + np.cumsum(steps)
-        # A sum of millions of steps loses digits of the angle; what it is good for is the count.
-        turns = np.round(turns - angle) + angle
-        highest = np.maximum.accumulate(np.maximum(turns, self._highest))
+        whole -= steps < -_JUMP
+        # The angle itself and a count of turns: a sum of millions of steps would lose digits.
+        places = np.flatnonzero(whole)
+        counts = np.append(0.0, np.cumsum(-whole[places]))
+        turns = angle + np.repeat(counts, np.diff(places, prepend=0, append=len(angle)))
+        forwards = float(np.min(steps)) >= 0.0 and self._last >= self._highest
+        highest = turns if forwards else np.maximum.accumulate(np.maximum(turns, self._highest))
         self.backlash = max(self.backlash, float(np.max(highest - turns)))
         self.rows += len(theta)
         self._last, self._highest = float(turns[-1]), float(highest[-1])
-        return turns
+        return np.asarray(turns)
 
     def require_turns(self) -> None:
         """Refuse a record from which nothing can be demodulated.
