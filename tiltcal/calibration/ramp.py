@@ -64,7 +64,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     # The turns of the temperature are not reached by an element that follows them.
     element = ThermalLag(fit.lag)(record.time, record.temperature)
     # The inverse filter amplifies the thermometer's noise, which the means average.
-    temperatures = _range(element if fit.lag >= 0.0 else fit.means.averaged(fit.means.element(fit.lag)) + reference)
+    temperatures = _range(element if fit.lag >= 0.0 else fit.means.temperature(fit.lag) + reference)
     design = replace(design, drift=fit.order, reference=reference)
     groups = _groups(fit, record, attitude)
     found = _estimate(fit, design, np.array(attitude.gravity), temperatures, groups, bench)
@@ -158,14 +158,14 @@ def _estimate(
     modelled = np.array([by_model[part].mean(axis=0) for _, part in _parts(fit)])
     residuals = np.array([[group.summaries[c].mean for c in design.channels] for group in groups]) - modelled
     return Estimate(
-        coefficients,
-        names,
-        Budget.of(list(_sources(fit, design, coefficients, gravity, names, bench))),
-        tuple(group.position for group in groups),
-        residuals,
-        max(len(fit.means) - fit.order - 1, 0) * len(design.channels),
-        None,
-        None,
+        coefficients=coefficients,
+        names=names,
+        budget=Budget.of(list(_sources(fit, design, coefficients, gravity, names, bench))),
+        positions=tuple(group.position for group in groups),
+        residuals=residuals,
+        dof=max(len(fit.means) - fit.order - 1, 0) * len(design.channels),
+        chi_square=None,
+        p=None,
         stated=False,
         notes=_notes(fit, design),
     )
@@ -240,7 +240,7 @@ def _parts(fit: RampFit) -> Iterator[tuple[str, NDArray[np.intp]]]:
 def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Measurement]:
     """Return parts of the legs as positions: what they read, and at which temperature of the thermometer."""
     means, groups = fit.means, []
-    element = means.averaged(means.element(0.0))
+    element = means.temperature(0.0)
     for name, part in _parts(fit):
         n = max(round(record.rows / len(means) * len(part)), 1)
         summaries = {

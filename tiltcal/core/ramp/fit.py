@@ -178,26 +178,25 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     else:
         chosen = plain
         estimate = _without_lag(means, plain.order)
-    lag, coefficients, covariance = estimate.lag, estimate.coefficients, estimate.covariance
-    left = loops(means, lag, coefficients.T)
+    lag, coefficients = estimate.lag, estimate.coefficients
     without = _solve(means, everything, lagged.order, no_lag, scale)
-    explained = loops(means, 0.0, without.coefficients).explained_by(loops(means, solution.lag, solution.coefficients))
+    whole_loop = loops(means, 0.0, without.coefficients)
     return RampFit(
-        reference,
-        coefficients,
-        lag,
-        covariance,
-        lag if used else found_lag,
-        sqrt(covariance[-1, -1]) if used else u_lag,
-        explained,
-        left,
-        estimate.loop_covariance,
-        estimate.u_element,
-        tuple(
+        reference=reference,
+        coefficients=coefficients,
+        lag=lag,
+        covariance=estimate.covariance,
+        found_lag=lag if used else found_lag,
+        u_lag=sqrt(estimate.covariance[-1, -1]) if used else u_lag,
+        explained=whole_loop.explained_by(loops(means, solution.lag, solution.coefficients)),
+        loops=loops(means, lag, coefficients.T),
+        loop_covariance=estimate.loop_covariance,
+        u_element=estimate.u_element,
+        held_out=tuple(
             HeldOutLeg(leg, np.sqrt(b), np.sqrt(a)) for leg, b, a in zip(legs, plain.error, lagged.error, strict=True)
         ),
-        {order: float(np.mean(error / scale**2)) for order, error in chosen.errors.items()},
-        means,
+        error_by_order={order: float(np.mean(error / scale**2)) for order, error in chosen.errors.items()},
+        means=means,
     )
 
 
@@ -333,8 +332,8 @@ def _with_lag(means: FittedMeans, lag: float, polynomials: Array, covariance: Ar
         found.append(HalfLoop(solution, of_loop))
     covariance = covariance.copy()
     covariance[:-1, :-1] = mean.covariance + noise_of_temperature(mean.element, mean.coefficients, means)
-    lag = means.closest_lag(mean.element, lag)
-    u_element = mean.distance(means.in_log(lag))
+    lag = means.element.closest_lag(mean.element, lag)
+    u_element = mean.distance(means.element.in_log(lag))
     return _Estimate(lag, u_element, mean.coefficients, covariance, _widened(found, powers, covariance))
 
 
@@ -360,7 +359,7 @@ def _without_lag(means: FittedMeans, order: int) -> _Estimate:
         if not loop.certain:
             solution, of_solution, _ = joint_least_squares([whitener(means, x, values)], [x], values[:, None])
         coefficients[c], covariance[own, own] = solution[:p], of_solution[:p, :p]
-    covariance[:-1, :-1] += noise_of_temperature(means.element(0.0), coefficients, means)
+    covariance[:-1, :-1] += noise_of_temperature(means.element.at(0.0), coefficients, means)
     return _Estimate(0.0, 0.0, coefficients, covariance, _widened(found, x, covariance))
 
 

@@ -100,7 +100,7 @@ def loops(means: FittedMeans, lag: float, coefficients: Array) -> Loops:
         The ways have no temperature in common.
     """
     left = means.readings - means.powers(lag, len(coefficients) - 1) @ coefficients
-    element = means.averaged(means.element(lag))
+    element = means.temperature(lag)
     rising = [leg.rising for leg in means.legs]
     up = np.array(rising)[means.leg]
     low, high = max(element[up].min(), element[~up].min()), min(element[up].max(), element[~up].max())

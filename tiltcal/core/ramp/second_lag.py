@@ -94,7 +94,7 @@ def over_lags(means: FittedMeans, lag: float, polynomials: Array, covariance: Ar
     best = likeliest_pair(means, lag, polynomials)
     whiteners = [whitener(means, design, y[:, c]) for c, design in enumerate(best.designs)]
     pairs, volume = _close_pairs(means, lag, polynomials, whiteners)
-    single = _solve((0.0, lag), means.element(lag), alone, y, whiteners, abs(lag))
+    single = _solve((0.0, lag), means.element.at(lag), alone, y, whiteners, abs(lag))
     evidence = np.array([single.evidence, *(pair.evidence + log(volume) for pair in pairs)])
     weights = np.exp(evidence - evidence.max())
     weights /= weights.sum()
@@ -178,7 +178,7 @@ def _of_pair(
 ) -> LagPairFit:
     """Fit polynomials and the share of the first lag, which starts where both are ``whole`` on the mean."""
     coefficients = polynomials
-    first, second = means.elements_of(lags)
+    first, second = means.element.of_pair(lags)
     of_second = lags[1] if lags[1] > 0.0 else lags[0] + lags[1]
     share = (of_second - whole) / (of_second - lags[0])
     for _ in range(_STEPS):
