@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.flags import MISSING, NOT_A_NUMBER
-from tiltcal.core.model import Array
 from tiltcal.logs.apply import CompensatedLog
 from tiltcal.logs.log import LogBlock, LogReader, Table
 from tiltcal.logs.prepared_calibration import PreparedCalibration
+from tiltcal.logs.streams import read_ahead
 
 _ABSENT = {"flag": MISSING, "reason": NOT_A_NUMBER}
 """What a cell counts as that holds no flag or no reason."""
@@ -45,14 +46,16 @@ def look_over(
     else:
         tables = CompensatedLog.of(log, prepared, columns).blocks(time)
     overview = ColumnStatistics(prepared.angles)
-    for block, table in tables:
-        shown = np.stack([np.asarray(table[angle], float) for angle in prepared.angles], axis=1)
-        flag, reason = (_small(np.asarray(table[name], float), absent) for name, absent in _ABSENT.items())
+    for block, table in read_ahead(iter(tables)):
+        shown = np.stack([np.asarray(table[angle], float) for angle in prepared.angles]).T
+        flag, reason = (_small(np.asarray(table[name]), absent) for name, absent in _ABSENT.items())
         times = overview.rows + np.arange(float(len(flag))) if time is None else block.values[time]
         overview.add(times, shown, flag, reason)
     return overview, compensated
 
 
-def _small(column: Array, absent: int) -> NDArray[np.uint8]:
+def _small(column: NDArray[Any], absent: int) -> NDArray[np.uint8]:
     """Return flags or reasons as numbers of one byte."""
+    if column.dtype == np.uint8:
+        return column
     return np.where((column >= 0) & (column <= 255), column, absent).astype(np.uint8)
