@@ -118,6 +118,14 @@ class TestRowsThatAreNone:
         assert complaint(content) == "night.csv:3: the last row is cut short"
         assert complaint(content, block=4) == "night.csv:3: the last row is cut short"
 
+    @pytest.mark.parametrize("tail", [b"2,2.5,", b"2,2.5,-", b"2,2.5,1."])
+    def test_a_torn_last_row_of_a_short_log(self, tail: bytes) -> None:
+        """In a column that is not needed; a short log is parsed without the engine."""
+        content = b"time,x,note\n1,2,3\n" + tail
+        source = LogSource(io.BytesIO(content), "night.csv", "night.csv", size=len(content))
+        with pytest.raises(InputError, match=r"night\.csv:3: the last row is cut short"):
+            list(CsvReader(source).rows([1]))
+
     @pytest.mark.parametrize("tail", [b"2,2.5,2", b"2,2.5,2.25", b"2,2.5,done", b"2,2.5,2\r"])
     def test_a_last_row_that_only_lacks_its_line_end(self, tail: bytes) -> None:
         assert column(b"time,x,y\n1,2,3\n" + tail) == [2.0, 2.5]
@@ -165,6 +173,13 @@ class TestSkippedRows:
     def test_a_torn_last_row_is_kept_too(self) -> None:
         assert lines(b"time,x,y\n1,2,3\n2,2.5", skip=True) == ["1,2,3", "2,2.5,"]
         assert same(column(b"time,x,y\n1,2,3\n2,2.5,2.", skip=True), [2.0, nan])
+
+    def test_a_torn_last_row_is_no_wrong_time(self) -> None:
+        """The log has no time in its whole rows; what is left of the last one is not blamed for it."""
+        blocks = log(b"x,time\n1,\n2,17.", skip=True).rows([0, 1], 1, needs_time=True)
+        assert same([value for rows in blocks for value in rows.values[1].tolist()], [nan, nan])
+        with pytest.raises(InputError, match=r"night\.csv:3: column 'time' holds '17\.', neither seconds"):
+            list(log(b"x,time\n1,\n2,17.\n", skip=True).rows([0, 1], 1, needs_time=True))
 
     def test_a_quoted_field_that_never_ends_is_an_error_all_the_same(self) -> None:
         with pytest.raises(InputError, match=r"night\.csv:3: a quoted field opens here"):
@@ -224,6 +239,13 @@ class TestText:
         header = ",".join(f"c{i}" for i in range(5000))
         row = ",".join(map(str, range(5000)))
         assert column(f"{header}\n{row}\n{row}\n".encode(), "c4321") == [4321.0, 4321.0]
+
+    def test_rows_that_hold_every_control_character_are_split_as_they_stand(self) -> None:
+        """The engine splits them by one that is not in the text; NUL, LF and CR have no place in a cell."""
+        note = bytes({*range(1, 32)} - {10, 13})
+        content = b"time,x,note\n1,2," + note + b"\n4,5,done\n"
+        assert lines(content) == ["1,2," + note.decode(), "4,5,done"]
+        assert column(content) == [2.0, 5.0]
 
 
 class TestHeader:
