@@ -15,7 +15,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.columns import (
-    ANYWHERE,
     SEPARATORS,
     SERIAL_COLUMNS,
     UNKNOWN,
@@ -56,7 +55,6 @@ GRADIOMETER = replace(
     addresses=(f"serial:///dev/ttyUSB0?columns={PRINTED}",),
     # Matching a pair does not need the value of 1 g.
     sensitivity=UNKNOWN,
-    offset_spread=ANYWHERE,
     scaled=False,
     thermometer=False,
     driver=partial(ColumnsSensor, _PRINTED),

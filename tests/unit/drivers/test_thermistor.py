@@ -6,13 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import tiltcal
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.thermistor import Curve, Divider
 from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.drivers.twin.truth import Fault, Truth
-from tiltcal.errors import DeviceFault, UsageError
+from tiltcal.errors import BusError, DeviceFault, UsageError
 
 HART = Curve(1.40e-3, 2.37e-4, 9.90e-8)
 """The typical coefficients for a thermistor of 3 kΩ that textbooks print."""
@@ -101,6 +102,24 @@ def test_a_wiring_that_cannot_be(options: str, why: str) -> None:
 def test_wirings_of_the_documentation(options: str) -> None:
     model = find_model("thermistor").at(parse_address(f"{REAL}&{options}"))
     assert (model.channels, model.thermometer) == ((), True)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        "channel=3&supply=2&beta=3950&r0=10000&t0=25&fixed=10000&range=6.144&rate=8",
+        "channel=3&vdd=3.3&a=1.4e-3&b=2.37e-4&c=9.9e-8&fixed=3000&to=supply",
+    ],
+)
+def test_a_bus_takes_the_options_of_its_thermistor(options: str) -> None:
+    """What is missing is the bus, and no option is unknown to it; the virtual one takes the same."""
+    bus = "ads1115+i2c:///dev/i2c-99?address=0x48"
+    with pytest.raises(BusError, match="/dev/i2c-99"), tiltcal.open_sensor("thermistor", f"{bus}&{options}"):
+        pass
+    with pytest.raises(UsageError, match="'gain'"), tiltcal.open_sensor("thermistor", f"{bus}&{options}&gain=2"):
+        pass
+    with tiltcal.open_sensor("thermistor", f"sim:{options}") as thermometer:
+        assert thermometer.read().temperature is not None
 
 
 def sensor(address: str, celsius: float, **truth: object):
