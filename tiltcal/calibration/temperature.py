@@ -18,9 +18,10 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from tiltcal.calibration.estimate_record import rounded_covariance
-from tiltcal.calibration.joint_fit import observations_of, observed_sensor
+from tiltcal.calibration.joint_fit import observed_sensor
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.estimation.estimate import estimate_jointly
+from tiltcal.core.estimation.design import Observation
+from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.hysteresis import ALIKE
 from tiltcal.core.model import Array, Thermal, vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
@@ -138,29 +139,33 @@ def _left_out(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: Be
     """Return the error of predicting each position from the others, and the variance of that error, unit."""
     errors: list[float] = []
     variances: list[float] = []
-    channels = [observed_sensor(sensor, procedure, bench).design.channels for sensor in sensors]
-    observed = [observations_of(sensor.measurements, own) for sensor, own in zip(sensors, channels, strict=True)]
+    observed = [observed_sensor(sensor, procedure, bench).observations for sensor in sensors]
     for number in range(len(sensors[0].measurements)):
         rest = [
             replace(sensor, measurements=[m for k, m in enumerate(sensor.measurements) if k != number])
             for sensor in sensors
         ]
         estimates = estimate_jointly([observed_sensor(sensor, procedure, bench) for sensor in rest])
-        for sensor, seen, estimate in zip(sensors, observed, estimates, strict=True):
-            out, coefficients = sensor.measurements[number], estimate.coefficients
-            gravity, temperature = np.array([out.gravity]), np.array([out.temperature], dtype=float)
-
-            def predicted(values: Array) -> Array:
-                changed = with_vector(coefficients, estimate.names, values)  # noqa: B023
-                return np.asarray(changed.predict(gravity, temperature)[0])  # noqa: B023
-
-            at = vector_of(coefficients, estimate.names)
-            slopes = central_differences(predicted, at, estimate.budget.u)
-            noise = np.where(seen[number].u > 0.0, seen[number].u, estimate.estimated_noise or 1.0)
-            mean = np.array([out.summaries[channel].mean for channel in coefficients.channels])
-            errors.extend((mean - predicted(at)).tolist())
-            variances.extend((noise**2 + np.einsum("ik,kl,il->i", slopes, estimate.covariance, slopes)).tolist())
+        for observations, estimate in zip(observed, estimates, strict=True):
+            seen = observations[number]
+            predicted, variance = _prediction(estimate, seen)
+            noise = np.where(seen.u > 0.0, seen.u, estimate.estimated_noise or 1.0)
+            errors.extend((seen.mean - predicted).tolist())
+            variances.extend((noise**2 + variance).tolist())
     return np.array(errors), np.array(variances)
+
+
+def _prediction(estimate: Estimate, position: Observation) -> tuple[Array, Array]:
+    """Return the readings that an estimate predicts in a position, unit, and the variances of the prediction."""
+    coefficients = estimate.coefficients
+    gravity, temperature = np.array([position.gravity]), np.array([position.temperature], dtype=float)
+
+    def predicted(values: Array) -> Array:
+        return np.asarray(with_vector(coefficients, estimate.names, values).predict(gravity, temperature)[0])
+
+    at = vector_of(coefficients, estimate.names)
+    slopes = central_differences(predicted, at, estimate.budget.u)
+    return predicted(at), np.einsum("ik,kl,il->i", slopes, estimate.covariance, slopes)
 
 
 def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Hysteresis]:
