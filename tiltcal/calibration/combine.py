@@ -155,29 +155,14 @@ def _target(sessions: Sequence[CombinedSession]) -> Coefficients:
     ]
     drifted = [session for session in sessions if session.coefficients.thermal is not None]
     drifted = [session for session in drifted if not session.assumes("temperature")] or drifted[:1]
-    first = scaled[0]
-    for session in scaled[1:]:
-        if set(session.coefficients.axes) != set(first.coefficients.axes):
-            raise UsageError(
-                f"{first.label} determines the sensitivity to {', '.join(first.coefficients.axes)} and "
-                f"{session.label} to {', '.join(session.coefficients.axes)}: an offset of the one is not that of the "
-                "other; combine sessions of the same axes"
-            )
-    for session, other in combinations(drifted, 2):
-        a, b = session.coefficients.thermal, other.coefficients.thermal
-        for what in ("drift", "gain"):
-            orders = [getattr(t, what).shape[1] for t in (a, b)]
-            if min(orders) and orders[0] != orders[1]:
-                raise UsageError(
-                    f"the {what} of {session.label} has order {orders[0]} and that of {other.label} {orders[1]}: a "
-                    "polynomial of one order is not weighed against one of another; combine one of them"
-                )
+    _require_one_set_of_axes(scaled)
+    _require_one_order(drifted)
     _require_exact_once(sessions)
     _require_one_mounting(sessions)
     thermals = [session.coefficients.thermal for session in drifted if session.coefficients.thermal is not None]
     bent = [session.coefficients.nonlinearity for session in scaled if session.coefficients.nonlinearity is not None]
     return replace(
-        first.coefficients,
+        scaled[0].coefficients,
         thermal=_thermal(thermals) if thermals else None,
         nonlinearity=bent[0] if bent else None,
         mounting=next((session.coefficients.mounting for session in sessions if session.coefficients.mounting), None),
@@ -197,6 +182,28 @@ def _thermal(thermals: Sequence[Thermal]) -> Thermal:
         )
     covered = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
     return replace(thermals[0], range=covered, drift=drift, gain=gain, lag=lags.pop() if lags else 0.0)
+
+
+def _require_one_set_of_axes(scaled: Sequence[CombinedSession]) -> None:
+    first = scaled[0]
+    for session in scaled[1:]:
+        if set(session.coefficients.axes) != set(first.coefficients.axes):
+            raise UsageError(
+                f"{first.label} determines the sensitivity to {', '.join(first.coefficients.axes)} and "
+                f"{session.label} to {', '.join(session.coefficients.axes)}: an offset of the one is not that of the "
+                "other; combine sessions of the same axes"
+            )
+
+
+def _require_one_order(drifted: Sequence[CombinedSession]) -> None:
+    for session, other in combinations(drifted, 2):
+        for what in ("drift", "gain"):
+            orders = [getattr(one.coefficients.thermal, what).shape[1] for one in (session, other)]
+            if min(orders) and orders[0] != orders[1]:
+                raise UsageError(
+                    f"the {what} of {session.label} has order {orders[0]} and that of {other.label} {orders[1]}: a "
+                    "polynomial of one order is not weighed against one of another; combine one of them"
+                )
 
 
 def _require_exact_once(sessions: Sequence[CombinedSession]) -> None:
