@@ -33,9 +33,20 @@ STEEP = 0.1
 """Least slope of a bent characteristic relative to the straight one."""
 
 
-ROWS = Converted(
-    ByChannel(ByChannel(Number()), of="channels", complete=True), lambda rows, node, _: _equal_columns(rows, node)
-)
+def _equal_columns(
+    rows: Mapping[str, Mapping[str, float]], node: Node, context: Context
+) -> Mapping[str, Mapping[str, float]]:
+    first = next(iter(rows))
+    for channel, row in rows.items():
+        if set(row) != set(rows[first]):
+            raise node.entries()[channel].error(
+                f"row {channel} has columns [{', '.join(row)}] and row {first} [{', '.join(rows[first])}]; "
+                f"every row has the same columns"
+            )
+    return rows
+
+
+ROWS = Converted(ByChannel(ByChannel(Number()), of="channels", complete=True), _equal_columns)
 """A sensitivity matrix: a row for each channel, and the same columns in every row."""
 
 
@@ -156,17 +167,6 @@ def _section_of(coefficients: Coefficients) -> CoefficientsSection:
 
 COEFFICIENTS = Converted(Section(CoefficientsSection), _coefficients_of, _section_of)
 """The section ``calibration``; reading refuses a matrix that cannot be inverted."""
-
-
-def _equal_columns(rows: Mapping[str, Mapping[str, float]], node: Node) -> Mapping[str, Mapping[str, float]]:
-    first = next(iter(rows))
-    for channel, row in rows.items():
-        if set(row) != set(rows[first]):
-            raise node.entries()[channel].error(
-                f"row {channel} has columns [{', '.join(row)}] and row {first} [{', '.join(rows[first])}]; "
-                f"every row has the same columns"
-            )
-    return rows
 
 
 def in_degrees(angle: float) -> float:

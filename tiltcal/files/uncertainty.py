@@ -134,6 +134,33 @@ class ThermalUncertainty:
     lag: float | None = entry(FROM_ZERO, "of the lag, s", default=None)
 
 
+def _checked_covariance(found: Covariance, node: Node, context: Context) -> Covariance:
+    section, names, matrix = node.entries(), found.parameters, found.matrix
+    if len(set(names)) < len(names):
+        raise section["parameters"].error("a parameter is named twice")
+    for item in section["parameters"].items():
+        item.choice([*context.coefficients, *_TURNS])
+    size = len(names)
+    if len(matrix) != size or any(len(row) != size for row in matrix):
+        raise section["matrix"].error(f"{size} parameters need a matrix of {size} rows of {size} numbers")
+    for i, place in enumerate(section["matrix"].items()):
+        if matrix[i][i] < 0.0:
+            raise place.error(f"the variance {matrix[i][i]:g} of {names[i]} is negative")
+        for j in range(i):
+            scale = max(abs(matrix[i][j]), abs(matrix[j][i]))
+            if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * scale:
+                raise place.error(f"the matrix is not symmetric in {names[i]} and {names[j]}")
+    stated = found.as_array()
+    deviations = np.sqrt(np.diag(stated))
+    scales = np.where(deviations > 0.0, deviations, 1.0)
+    if np.linalg.eigvalsh(stated / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
+        raise section["matrix"].error(
+            "this is no covariance: its correlations contradict one another; take it from the file that the "
+            "calibration wrote"
+        )
+    return found
+
+
 @frozen(kw_only=True)
 class UncertaintySection:
     """The section as it stands in a file."""
@@ -166,7 +193,7 @@ class UncertaintySection:
         default={},
     )
     covariance: Covariance | None = entry(
-        Converted(Section(Covariance), lambda found, node, context: _symmetric(found, node, context)),
+        Converted(Section(Covariance), _checked_covariance),
         "the covariance of the coefficients",
         default=None,
     )
@@ -344,30 +371,3 @@ def _with_turn(
     joint = np.zeros((len(names) + 3, len(names) + 3))
     joint[:-3, :-3], joint[-3:, -3:] = covariance, turn
     return (*names, *_TURNS), joint
-
-
-def _symmetric(found: Covariance, node: Node, context: Context) -> Covariance:
-    section, names, matrix = node.entries(), found.parameters, found.matrix
-    if len(set(names)) < len(names):
-        raise section["parameters"].error("a parameter is named twice")
-    for item in section["parameters"].items():
-        item.choice([*context.coefficients, *_TURNS])
-    size = len(names)
-    if len(matrix) != size or any(len(row) != size for row in matrix):
-        raise section["matrix"].error(f"{size} parameters need a matrix of {size} rows of {size} numbers")
-    for i, place in enumerate(section["matrix"].items()):
-        if matrix[i][i] < 0.0:
-            raise place.error(f"the variance {matrix[i][i]:g} of {names[i]} is negative")
-        for j in range(i):
-            scale = max(abs(matrix[i][j]), abs(matrix[j][i]))
-            if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * scale:
-                raise place.error(f"the matrix is not symmetric in {names[i]} and {names[j]}")
-    stated = found.as_array()
-    deviations = np.sqrt(np.diag(stated))
-    scales = np.where(deviations > 0.0, deviations, 1.0)
-    if np.linalg.eigvalsh(stated / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
-        raise section["matrix"].error(
-            "this is no covariance: its correlations contradict one another; take it from the file that the "
-            "calibration wrote"
-        )
-    return found
