@@ -67,7 +67,7 @@ class Adxl355Registers(CountingUp):
     def __init__(self, conversions: Conversions, clock: Clock, settings: Adxl355Settings) -> None:
         set_up = {FILTER: settings.step, RANGE: AFTER_RESET | settings.range, POWER: MEASURE}
         super().__init__(conversions, clock, HELD, set_up)
-        self._truths = settings
+        self._truth_settings = settings
 
     def write(self, register: int, value: int) -> None:
         """Set a register, or reset the part."""
@@ -83,7 +83,7 @@ class Adxl355Registers(CountingUp):
     def _measured(self, rate: float) -> dict[int, int]:
         raw = round(CENTRE + SLOPE * (self.conversions.temperature() - CENTRE_CELSIUS)) & 0xFFF
         measured = {TEMPERATURE: raw >> 8, TEMPERATURE + 1: raw & 0xFF}
-        scale = COUNTS_PER_G[self._held[RANGE] & 0b11 or 1] / self._truths.counts_per_g
+        scale = COUNTS_PER_G[self._held[RANGE] & 0b11 or 1] / self._truth_settings.counts_per_g
         for place, channel in enumerate("xyz"):
             word = self.conversions.word(channel, rate, -RAIL, RAIL - 1, scale)
             measured |= dict(enumerate((word << 4 & 0xFFFFFF).to_bytes(3, "big"), DATA + 3 * place))

@@ -54,7 +54,7 @@ class Iis2iclxRegisters(CountingUp):
     def __init__(self, conversions: Conversions, clock: Clock, settings: Iis2iclxSettings) -> None:
         rate_and_range = RATES[settings.rate] << 4 | settings.range << 2
         super().__init__(conversions, clock, HELD, {CTRL9: CONFIGURED, CTRL3: WHOLE_SAMPLES, CTRL1: rate_and_range})
-        self._truths = settings
+        self._truth_settings = settings
 
     def write(self, register: int, value: int) -> None:
         """Set a register, or reset the part."""
@@ -71,7 +71,7 @@ class Iis2iclxRegisters(CountingUp):
     def _measured(self, rate: float) -> dict[int, int]:
         raw = round(256.0 * (self.conversions.temperature() - 25.0)) & 0xFFFF
         measured = dict(enumerate(raw.to_bytes(2, "little"), TEMPERATURE))
-        scale = MILLI_G[self._truths.range] / MILLI_G[self._held[CTRL1] >> 2 & 0b11]
+        scale = MILLI_G[self._truth_settings.range] / MILLI_G[self._held[CTRL1] >> 2 & 0b11]
         for place, channel in enumerate("xy"):
             word = self.conversions.word(channel, rate, -32768, 32767, scale)
             measured |= dict(enumerate((word & 0xFFFF).to_bytes(2, "little"), DATA + 2 * place))

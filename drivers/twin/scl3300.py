@@ -67,7 +67,7 @@ class Scl3300Twin(RecallingTwin):
         super().__init__(clock)
         self._conversions = Conversions(truth, fixture, clock)
         self._part = part
-        self._truths_range = measuring
+        self._truth_range = measuring
         self._serial = int(uniform(truth.seed, "serial number", 0) * 2**32)
         self._reset()
 
@@ -85,7 +85,7 @@ class Scl3300Twin(RecallingTwin):
         return answer[: len(out)]
 
     def _take_set_up_state(self) -> None:
-        self._range, self._standing, self._held = self._truths_range, 0, 0
+        self._range, self._standing, self._held = self._truth_range, 0, 0
 
     def _seconds(self, out: bytes) -> float:
         return 8 * len(out) * BIT_SECONDS
@@ -149,7 +149,7 @@ class Scl3300Twin(RecallingTwin):
         return held.get((address, bank), 0)
 
     def _acceleration(self, channel: str) -> int:
-        scale = self._range.counts_per_g / self._truths_range.counts_per_g
+        scale = self._range.counts_per_g / self._truth_range.counts_per_g
         return self._conversions.word(channel, RATE, -32768, 32767, scale)
 
     def _angle(self, axis: int) -> int:

@@ -92,22 +92,17 @@ class Session:
         What was captured before.
     output : Path, optional
         Where the calibration files go, in place of what the plan says: a file, or of several sensors the folder.
-
-    Attributes
-    ----------
-    finished : bool
-        Whether the journal has its end, so that there is nothing to resume.
     """
 
     def __init__(
         self, plan: SessionPlan, path: Path, journal: Journal | None = None, output: Path | None = None
     ) -> None:
         self.plan = plan
-        self._named = output
         self.path = path
-        self.finished = False
-        self._captured = journal is not None
         self.journal = journal
+        self._named = output
+        self._captured = journal is not None
+        self._finished = False
         self._clock = session_clock(plan.started, virtual=plan.virtual)
         self._virtual = VirtualBench(self._clock, plan.devices)
 
@@ -154,7 +149,7 @@ class Session:
                 raise Stopped(f"{error}; {go_on}") from None
             if not isinstance(error, HardwareError):
                 remark(go_on)
-            elif not self.finished:
+            elif not self._finished:
                 raise HardwareError(f"{error}; {go_on}") from None
             raise
 
@@ -314,7 +309,7 @@ class Session:
         """End the journal; there is nothing to resume then."""
         ended = moment_after(self.plan.started, opened.log.now_ns())
         sha256 = opened.log.finish()
-        self.finished = True
+        self._finished = True
         statistics = {
             sensor.serial: sensor.sensor.link_statistics()
             for sensor in opened.sensors.sensors
