@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from tiltcal.drivers.twin.analog import Wiring
 
 SCHEMES = ("ads1115+i2c", "mcp3208+spi")
-"""Address schemes of the converters; the first one is the default of a virtual sensor."""
+"""Address schemes of the converters: module and bus of each. The first one is the default of a virtual sensor."""
 
 NOMINAL = 5.0
 """Nominal supply of analog sensors, V."""
 
-_MODULES = {"ads1115": "tiltcal.drivers.ads1115", "mcp3208": "tiltcal.drivers.mcp3208"}
+_MODULES = tuple(scheme.partition("+")[0] for scheme in SCHEMES)
 
 
 class Converter(Protocol):
@@ -99,11 +99,11 @@ def find_front_end(address: Address) -> FrontEnd:
     UsageError
         An unknown converter, or a setting that it does not have.
     """
-    name = address.text("adc", "ads1115") if address.simulated else address.scheme.partition("+")[0]
+    name = address.text("adc", _MODULES[0]) if address.simulated else address.scheme.partition("+")[0]
     if name not in _MODULES:
         known = " or ".join(f"{scheme}:" for scheme in SCHEMES)
         address.refuse(f"{name!r} is not a known converter (analog sensors are connected by {known})")
-    front_end: FrontEnd = import_module(_MODULES[name]).front_end(address)
+    front_end: FrontEnd = import_module(f"tiltcal.drivers.{name}").front_end(address)
     return replace(front_end, options=(*front_end.options, "adc")) if address.simulated else front_end
 
 
