@@ -101,9 +101,7 @@ class RampRunner(PositionRunner):
             temperature = sample[0].temperature
             if temperature is None:
                 raise UsageError(NO_THERMOMETER)
-            for sensor, reading in zip(self._sensors.sensors, sample, strict=True):
-                seen = np.nan if reading.temperature is None or at_rail(reading, sensor.model) else reading.temperature
-                self._rows[sensor.serial].append((now_ns / 1e9, seen, *reading.values))
+            self._record(sample, now_ns)
             samples.append(sample)
             if abs(temperature - wanted) <= self._ramp.within and len(samples) > 1:
                 return samples
@@ -113,6 +111,12 @@ class RampRunner(PositionRunner):
                 return samples
             self._look(position, sample, f"at {temperature:.1f} °C, on the way to {wanted:g} °C")
             self._clock.sleep(self._ramp.interval)
+
+    def _record(self, sample: Sample, now_ns: int) -> None:
+        """Add a row to each record; one with a reading at a rail has no temperature and is left out."""
+        for sensor, reading in zip(self._sensors.sensors, sample, strict=True):
+            seen = np.nan if reading.temperature is None or at_rail(reading, sensor.model) else reading.temperature
+            self._rows[sensor.serial].append((now_ns / 1e9, seen, *reading.values))
 
     def _of_leg(self, position: Position, samples: Sequence[Sample]) -> PositionResult:
         """Return a leg as a position: the means along its way.

@@ -240,22 +240,45 @@ def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnsw
     word = said.get("answer")
     if not isinstance(word, str) or word not in words:
         raise InputError(f"answer {word!r} is not one of {', '.join(words)}")
-    tilt = {} if said.get("tilt") is None else said["tilt"]
+    return OperatorAnswer(
+        word, _tilt(said.get("tilt")), _gravity(said.get("gravity")), _temperature(said.get("temperature"))
+    )
+
+
+def _tilt(tilt: object) -> dict[str, float]:
+    if tilt is None:
+        return {}
     if not isinstance(tilt, Mapping):
         raise InputError('tilt is an object of degrees such as {"y": 30.02}')
     other = [axis for axis in tilt if axis not in TILT_AXES]
     if other:
         raise InputError(f"tilt of {other[0]!r} in the answer: an angle is that of {' or '.join(TILT_AXES)}")
-    gravity = of_python(said.get("gravity"))
-    if gravity is not None and not (isinstance(gravity, list | tuple) and len(gravity) == 3):
+    return {axis: _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()}
+
+
+def _gravity(gravity: object) -> tuple[float, ...] | None:
+    gravity = of_python(gravity)
+    if gravity is None:
+        return None
+    if not (isinstance(gravity, list | tuple) and len(gravity) == 3):
         raise InputError("gravity is a list of three numbers")
-    temperature = said.get("temperature")
-    return OperatorAnswer(
-        word,
-        {axis: _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()},
-        tuple(_number(component, "gravity") for component in gravity) if gravity is not None else None,
-        None if temperature is None else _temperature(temperature),
-    )
+    return tuple(_number(component, "gravity") for component in gravity)
+
+
+def _temperature(value: object) -> float | None:
+    if value is None:
+        return None
+    temperature, (low, high) = _number(value, "temperature"), TEMPERATURES
+    if not low <= temperature <= high:
+        raise InputError(f"temperature in the answer is {temperature:g} °C, not between {low:g} and {high:g}")
+    return temperature
+
+
+def _number(value: object, key: str) -> float:
+    value = of_python(value)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        raise InputError(f"{key} in the answer is {value!r}, not a number")
+    return float(value)
 
 
 def _unless_quit(answer: OperatorAnswer) -> OperatorAnswer:
@@ -272,17 +295,3 @@ def _values(result: PositionResult, serial: str) -> dict[str, Any]:
 def _coefficients(pairs: Mapping[str, PairCoefficients | Matching]) -> dict[str, dict[str, float]]:
     """Return p, q and their uncertainties, each by the name of the pair."""
     return {key: {name: getattr(pair, key) for name, pair in pairs.items()} for key in ("p", "q", "u_p", "u_q")}
-
-
-def _temperature(value: object) -> float:
-    temperature, (low, high) = _number(value, "temperature"), TEMPERATURES
-    if not low <= temperature <= high:
-        raise InputError(f"temperature in the answer is {temperature:g} °C, not between {low:g} and {high:g}")
-    return temperature
-
-
-def _number(value: object, key: str) -> float:
-    value = of_python(value)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
-        raise InputError(f"{key} in the answer is {value!r}, not a number")
-    return float(value)
