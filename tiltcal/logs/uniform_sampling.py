@@ -111,31 +111,32 @@ class UniformLog:
 
     def _spaced(self, readings: Array, times: Array) -> Iterator[Array]:
         """Yield the readings with missing rows where time leaps; a row without a time follows the one before it."""
-        known = np.flatnonzero(np.isfinite(times))
+        finite = np.isfinite(times)
+        whole = bool(finite.all())
+        known = np.arange(len(times)) if whole else np.flatnonzero(finite)
         if not len(known) and self.pace.interval:
             self._last = np.nan
             yield readings
             return
         if not len(known):
             raise self._unclear(f"its times from row {self.pace.rows} on are neither seconds nor ISO 8601")
-        before = np.r_[self._last, times[known][:-1]]
-        steps = times[known] - before
+        moments = times if whole else times[known]
         # A first row, and one behind rows without a time, has no step of one interval.
-        single = np.r_[not np.isnan(self._last) and known[0] == 0, np.diff(known) == 1]
-        steps = np.where(single, steps, np.nan)
-        if np.nanmin(steps, initial=0.0) < 0.0:
+        steps = np.diff(moments, prepend=self._last)
+        if not whole:
+            steps[np.diff(known, prepend=-1) != 1] = np.nan
+        if np.fmin.reduce(steps, initial=0.0) < 0.0:
             row = self.pace.rows + int(known[np.nanargmin(steps)])
             raise InputError(f"time goes back at row {row}: sort the log, or state --rate HZ", file=self.name)
         self._last = float(times[-1])
-        there = steps[np.isfinite(steps)]
-        if not self.pace.interval and len(there):
-            self.pace.interval = self._first_interval(there)
-            milliseconds = times[known] / _MILLISECOND
+        if not self.pace.interval and np.isfinite(steps).any():
+            self.pace.interval = self._first_interval(steps[np.isfinite(steps)])
+            milliseconds = moments / _MILLISECOND
             self._slack = _MILLISECOND if np.all(np.abs(milliseconds - np.round(milliseconds)) < 1e-3) else 0.0
-        late = (np.nan_to_num(steps) > _LATE * self.pace.interval + self._slack) & (self.pace.interval > 0.0)
+        late = np.asarray((steps > _LATE * self.pace.interval + self._slack) & (self.pace.interval > 0.0))
         usual = np.isfinite(steps) & ~late
         self._regular += int(usual.sum())
-        self._regular_span += float(steps[usual].sum())
+        self._regular_span += float(np.sum(steps, where=usual))
         done = 0
         for row, step in zip(known[late].tolist(), steps[late].tolist(), strict=True):
             yield readings[done:row]
