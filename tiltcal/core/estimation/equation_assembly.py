@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import chain
+from itertools import chain, groupby
 from math import inf, radians
 
 import numpy as np
@@ -141,37 +141,42 @@ def _blocks(
         )
         for sensor, errors in zip(sensors, temperatures, strict=True)
     ]
-    first = 0
-    for last in range(1, len(sensors) + 1):
-        if last < len(sensors) and kinds[last] == kinds[first] and last - first < LARGEST_BLOCK:
-            continue
-        models, thermal, reference, n, alone = kinds[first]
-        numbers = np.arange(first, last)
-        group = sensors[first:last]
-        size = len(models[0].coefficients)
-        read_there = np.array(
-            [[observation.temperature or 0.0 for observation in sensor.observations] for sensor in group]
-        )
-        mean = _table(group, lambda observation: observation.mean)
-        u = _table(group, lambda observation: observation.u)
-        unknown = all(observation.noise_unknown for sensor in group for observation in sensor.observations)
-        yield EquationBlock(
-            models=models,
-            sensors=numbers,
-            columns=starts[first:last, None, None] + np.arange(len(models) * size).reshape(len(models), size),
-            places=np.array(
-                [[places[observation.position] for observation in sensor.observations] for sensor in group],
-                dtype=np.intp,
-            ),
-            mean=mean,
-            u=_alike(_floored(u, mean)) if unknown else _floored(u, mean),
-            adc=_table(group, lambda observation: observation.adc),
-            dof=_table(group, lambda observation: observation.dof),
-            dt=read_there - reference if thermal else np.zeros((len(group), n)),
-            temperatures=np.array(temperatures[first:last]),
-            own_thermometer=alone,
-        )
-        first = last
+    for (*_, own_thermometer), alike in groupby(range(len(sensors)), key=lambda number: kinds[number]):
+        numbers = list(alike)
+        for k in range(0, len(numbers), LARGEST_BLOCK):
+            some = slice(numbers[k], numbers[k : k + LARGEST_BLOCK][-1] + 1)
+            yield _block(sensors[some], some, starts, places, temperatures[some], own_thermometer)
+
+
+def _block(
+    group: Sequence[SensorObservations],
+    numbers: slice,
+    starts: Indices,
+    places: dict[str, int],
+    temperatures: Sequence[Indices],
+    own_thermometer: bool,
+) -> EquationBlock:
+    """Return the readings of some sensors that are alike, whose coefficients begin at ``starts``."""
+    design, n = group[0].design, len(group[0].observations)
+    models, size = design.models, len(design.models[0].coefficients)
+    observations = [observation for sensor in group for observation in sensor.observations]
+    shape = (len(group), n)
+    read_there = np.array([observation.temperature or 0.0 for observation in observations]).reshape(shape)
+    mean = _table(group, lambda observation: observation.mean)
+    u = _floored(_table(group, lambda observation: observation.u), mean)
+    return EquationBlock(
+        models=models,
+        sensors=np.arange(numbers.start, numbers.stop),
+        columns=starts[numbers, None, None] + np.arange(len(models) * size).reshape(len(models), size),
+        places=np.array([places[observation.position] for observation in observations], dtype=np.intp).reshape(shape),
+        mean=mean,
+        u=_alike(u) if all(observation.noise_unknown for observation in observations) else u,
+        adc=_table(group, lambda observation: observation.adc),
+        dof=_table(group, lambda observation: observation.dof),
+        dt=read_there - design.reference if design.thermal else np.zeros(shape),
+        temperatures=np.array(temperatures),
+        own_thermometer=own_thermometer,
+    )
 
 
 def _table(group: Sequence[SensorObservations], value: Callable[[Observation], Array | float]) -> Array:
