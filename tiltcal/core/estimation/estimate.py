@@ -194,11 +194,12 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
         dof,
         chi_square,
         True,
+        attitudes,
         estimated_thermometer=None if shown is None else system.thermometer,
         noise_dof=None if noise is None else noise.own_dof,
         notes=() if dof else (NO_FREEDOM,),
     )
-    return _estimates(sensors, system, found, attitudes)
+    return _estimates(sensors, system, found)
 
 
 def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
@@ -228,7 +229,7 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
     if not components.detectable and np.any(near.response[:, near.shared - near.angles :] != 0.0):
         notes.append(JIG_NOT_SHOWN)
     chi_square = _chi_square(system, z)
-    found = _Found(z, budgets, dof, chi_square, False, degrees(components.angle), notes=tuple(notes))
+    found = _Found(z, budgets, dof, chi_square, False, estimated_jig=degrees(components.angle), notes=tuple(notes))
     return _estimates(sensors, known, found)
 
 
@@ -264,7 +265,7 @@ def _of_residuals(before: System, system: System, z: Array, dof: int, noise: Noi
         dof,
         _chi_square(before, z),
         False,
-        degrees(system.jig),
+        estimated_jig=degrees(system.jig),
         noise_dof=noise.own_dof,
         notes=(JIG_NOT_SHOWN,) if hidden else (),
     )
@@ -305,6 +306,7 @@ class _Found:
     dof: int
     chi_square: float | None
     stated: bool
+    attitudes: tuple[AttitudeError, ...] = ()
     estimated_jig: float | None = None
     estimated_thermometer: float | None = None
     noise_dof: float | None = None
@@ -350,9 +352,7 @@ def _attitudes(
     )
 
 
-def _estimates(
-    sensors: Sequence[SensorObservations], system: System, found: _Found, attitudes: Sequence[AttitudeError] = ()
-) -> tuple[Estimate, ...]:
+def _estimates(sensors: Sequence[SensorObservations], system: System, found: _Found) -> tuple[Estimate, ...]:
     """Return the result of each sensor."""
     from scipy.special import chdtrc
 
@@ -377,7 +377,7 @@ def _estimates(
                 chi_square=found.chi_square,
                 p=p,
                 stated=found.stated,
-                attitudes=tuple(attitude for attitude in attitudes if attitude.position in here),
+                attitudes=tuple(attitude for attitude in found.attitudes if attitude.position in here),
                 estimated_jig=found.estimated_jig,
                 estimated_thermometer=found.estimated_thermometer,
                 estimated_noise=None if found.noise_dof is None else noise,

@@ -35,13 +35,10 @@ class Loop:
     ----------
     difference, u : float
         The later residual minus the earlier one, and its standard uncertainty, in the sensor's unit.
-    between : tuple of (str, str)
-        The positions.
     """
 
     difference: float
     u: float
-    between: tuple[str, str]
 
     @property
     def significant(self) -> bool:
@@ -69,7 +66,7 @@ def largest_loops(found: Estimate, observations: Sequence[Observation], jig: flo
             by_jig = 0.0 if settings[i] == settings[j] else sqrt(2.0) * radians(jig) * float(np.linalg.norm(across))
             difference = float(found.residuals[j, column] - found.residuals[i, column])
             u = hypot(observations[i].u[column], observations[j].u[column], by_jig)
-            measured.append(Loop(difference, u, (observations[i].position, observations[j].position)))
+            measured.append(Loop(difference, u))
         # Readings of which no uncertainty is known have none here.
         loops[channel] = max(
             measured, key=lambda loop: abs(loop.difference) / loop.u if loop.u else abs(loop.difference)
