@@ -53,6 +53,9 @@ GAP = 10e-6
 RESET_SECONDS = 3e-3
 """Seconds after a software reset."""
 
+UNKNOWN = 0xFFFF
+"""Stands for the flags of a start that shows none: with all bits set, it takes none from those that others share."""
+
 ATTEMPTS = 12
 """Unusable samples in a row before an error. If one frame in fifty is damaged, so is one sample in ten."""
 
@@ -202,36 +205,19 @@ class Scl3300:
         return answers
 
     def _set_up(self) -> None:
-        """Reset the part, set its mode, and check its identity."""
-        standing = 0xFFFF
-        requests = (MODES[self._range.mode - 1], STATUS, STATUS, STATUS, WHOAMI)
+        """Reset the part, set its mode, and check its identity; repeat this until the part measures."""
+        standing = UNKNOWN
         for attempt in range(ATTEMPTS):
             if attempt:
                 # Another program may have left the part in bank 1, where nothing resets it, or in power-down.
                 self._exchange(BANK_0)
                 self._exchange(WAKE_UP)
                 self._clock.sleep(RESET_SECONDS)
-            raw = self._reset(*requests)
-            try:
-                self._require_a_part(requests, raw)
-            except BusError:
-                if attempt:
-                    raise
-                continue
-            answers = self._decoded(requests, raw)
-            echo, _, second, third, whoami = answers
-            if not all(map(Answer.answers, answers, requests)):
-                continue
-            if whoami.status == NORMAL and whoami.data != self._part.identity:
-                if attempt:
-                    raise DeviceFault(self._other_part(whoami.data))
-                continue
-            # Reading STATUS clears what the start has set: the second answer has to be free of errors.
-            if echo.data == self._range.mode - 1 and second.status == third.status == whoami.status == NORMAL:
+            flags = self._start(first=not attempt)
+            if flags is None:
                 return
-            if attempt:
-                standing &= third.data if third.status == ERROR else 0
-        if standing not in (0, 0xFFFF):
+            standing &= flags
+        if standing not in (0, UNKNOWN):
             raise DeviceFault(
                 f"the {self._part.name} reports a fault that its start does not clear: {flags_in_words(standing)}: "
                 "switch its supply off and on; if it stays, replace the part"
@@ -240,6 +226,34 @@ class Scl3300:
             f"the {self._part.name} could not be set up in {ATTEMPTS} attempts ({in_words(self._counts)}): try a "
             "slower clock (such as speed=500000), shorter wires, and check chip select and the supply"
         )
+
+    def _start(self, *, first: bool) -> int | None:
+        """Start the part once; return None where it measures, else the flags of its error, or :data:`UNKNOWN`.
+
+        The first start may fail in any way, because the part may be in bank 1 or in power-down.
+        """
+        requests = (MODES[self._range.mode - 1], STATUS, STATUS, STATUS, WHOAMI)
+        raw = self._reset(*requests)
+        try:
+            self._require_a_part(requests, raw)
+        except BusError:
+            if first:
+                return UNKNOWN
+            raise
+        answers = self._decoded(requests, raw)
+        echo, _, second, third, whoami = answers
+        if not all(map(Answer.answers, answers, requests)):
+            return UNKNOWN
+        if whoami.status == NORMAL and whoami.data != self._part.identity:
+            if first:
+                return UNKNOWN
+            raise DeviceFault(self._other_part(whoami.data))
+        # Reading STATUS clears what the start has set: the second answer has to be free of errors.
+        if echo.data == self._range.mode - 1 and second.status == third.status == whoami.status == NORMAL:
+            return None
+        if first:
+            return UNKNOWN
+        return third.data if third.status == ERROR else 0
 
     def _reset(self, mode: bytes, *requests: bytes) -> list[bytes]:
         """Reset the part and set its mode; return the answers to the mode and to the requests behind it."""

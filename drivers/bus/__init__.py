@@ -55,7 +55,7 @@ def open_link(address: Address, model: Model, lines: MutableMapping[str, ModbusL
     address : Address
         Of a real bus. The link of a ``sim:`` address is the twin, ``model.twin(truth, fixture, clock)``.
     model : Model
-        What is connected there; its facts limit the options.
+        What is connected there; its facts limit the options, and its own options are allowed too.
     lines : mapping of str to ModbusLine, optional
         The lines that the caller has open already, by their port: devices on one of them share it. See
         :func:`~tiltcal.drivers.bus.modbus.open_modbus`.

@@ -90,8 +90,6 @@ def open_gpio(address: Address, model: Model) -> GpioLink:
     address : Address
         The path is a GPIO chip; options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge that
         are an error.
-    model : Model
-        Its own options are allowed too.
 
     Raises
     ------

@@ -25,8 +25,6 @@ def open_i2c(address: Address, model: Model) -> I2cLink:
     ----------
     address : Address
         Option ``address``, the device's 7-bit address, is required.
-    model : Model
-        What is connected there; its own options are allowed too.
 
     Raises
     ------

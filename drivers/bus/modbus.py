@@ -44,8 +44,6 @@ def open_modbus(address: Address, model: Model, lines: MutableMapping[str, Modbu
     address : Address
         The path is a serial port, or ``tcp://host:port``. Options ``unit`` (1 to 247) and ``timeout`` (seconds); of a
         serial port ``baudrate``, ``parity`` (N, E, O) and ``stopbits`` (1, 2).
-    model : Model
-        Its options are accepted as well.
     lines : mapping of str to ModbusLine, optional
         The serial lines that were opened before, by their port, which the units of an RS-485 line share; a new one is
         added.

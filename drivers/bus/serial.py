@@ -47,8 +47,6 @@ def open_serial(address: Address, model: Model) -> SerialLink:
     address : Address
         The path is a port, or a URL of pyserial's with one of :data:`HANDLERS`. Options ``baudrate``, ``parity`` (N,
         E, O, M, S), ``stopbits`` (1, 1.5, 2) and ``timeout`` (seconds of silence that are an error).
-    model : Model
-        Its own options are allowed too.
 
     Raises
     ------

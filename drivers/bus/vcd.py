@@ -34,8 +34,6 @@ def open_vcd(address: Address, model: Model) -> VcdLink:
     address : Address
         The path is the capture. Options ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several scopes
         have the name.
-    model : Model
-        Its own options are allowed too.
 
     Raises
     ------
