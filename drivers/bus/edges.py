@@ -109,17 +109,7 @@ def open_gpio(address: Address, model: Model) -> GpioLink:
 
 
 class GpioLink:
-    """Both lines of one sensor on one GPIO chip, with the kernel's monotonic timestamps; see :func:`open_gpio`.
-
-    Parameters
-    ----------
-    chip : str
-        Such as ``/dev/gpiochip0``.
-    x, y : int
-        Line offsets.
-    timeout : float
-        Seconds without an edge that are an error.
-    """
+    """Both lines of one sensor on one GPIO chip, with the kernel's monotonic timestamps; see :func:`open_gpio`."""
 
     letter = "e"
 

@@ -40,16 +40,9 @@ def open_i2c(address: Address, model: Model) -> I2cLink:
 
 
 class I2cLink:
-    """One device on one I2C bus; :func:`open_i2c` says what can go wrong.
+    """One device on one I2C bus; the parameters and errors are those of :func:`open_i2c`.
 
     Each exchange is one transaction with one stop condition at its end, so no other master can interrupt it.
-
-    Parameters
-    ----------
-    device : str
-        Device node of the bus, such as ``/dev/i2c-1``.
-    address : int
-        The device's 7-bit address.
     """
 
     letter = "i"

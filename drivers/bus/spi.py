@@ -58,17 +58,7 @@ def open_spi(address: Address, model: Model) -> SpiLink:
 
 
 class SpiLink:
-    """One chip select of one SPI bus; :func:`open_spi` says what can go wrong.
-
-    Parameters
-    ----------
-    device : str
-        Device node, such as ``/dev/spidev0.0``.
-    mode : int
-        Clock mode, 0 to 3.
-    speed : int
-        Clock, Hz.
-    """
+    """One chip select of one SPI bus; the parameters and errors are those of :func:`open_spi`."""
 
     letter = "s"
 

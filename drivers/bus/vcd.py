@@ -52,13 +52,7 @@ def open_vcd(address: Address, model: Model) -> VcdLink:
 
 
 class VcdLink:
-    """The edges of two signals of a capture, from its start to its end; :func:`open_vcd` says what can go wrong.
-
-    Parameters
-    ----------
-    x, y : str
-        Names of signals of one bit.
-    """
+    """The edges of two signals of one bit in a capture, from its start to its end; see :func:`open_vcd`."""
 
     letter = "e"
 

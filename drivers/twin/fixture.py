@@ -133,13 +133,7 @@ class Fixture:
         self.gravity = _rotated(gravity, errors)
 
     def turned(self, seen: Callable[[Vector], Vector]) -> Pose:
-        """Return the pose of a sensor that is rotated on the fixture.
-
-        Parameters
-        ----------
-        seen : callable
-            Converts a vector of the fixture frame to the sensor frame.
-        """
+        """Return the pose of a sensor that is rotated on the fixture."""
         return Pose(self, seen)
 
     def temperature(self, lag: float = 0.0) -> float:
