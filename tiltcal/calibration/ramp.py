@@ -70,24 +70,14 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     found = _estimate(fit, design, np.array(attitude.gravity), temperatures, groups, bench)
     if record.jumps is not None:
         found = replace(found, notes=(*found.notes, record.jumps.note))
-    step = design.thermometer or sensor.thermometer or record.step / sqrt(12.0)
-    if fit.lag < 0.0:
-        # The inverse filter amplifies what is random in the thermometer.
-        step *= 1.0 + 1.0 / LOG_SMOOTHING
-    pace = max(held_out.leg.pace for held_out in fit.held_out) / 60.0
-    uncertain = hypot(step, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
     made = record_of(found, design, replace(sensor, measurements=groups), procedure)
     _require_attitude(made, sensor)
-    u = made.uncertainty
-    thermal = made.coefficients.thermal
-    if fit.uses_lag and thermal is not None:
-        lagged = replace(thermal, lag=round_to(fit.lag, fit.u_lag))
-        made = replace(made, coefficients=replace(made.coefficients, thermal=lagged))
-        u = replace(u, standard={**u.standard, "temperature.lag": significant(fit.u_lag, 4)})
-    reading = {**u.single_reading, **({"temperature": significant(uncertain, 4)} if uncertain else {})}
+    made = _with_lag(made, fit)
+    uncertain = _u_temperature(fit, design.thermometer or sensor.thermometer or record.step / sqrt(12.0))
+    reading = {**made.uncertainty.single_reading, **({"temperature": significant(uncertain, 4)} if uncertain else {})}
     return replace(
         made,
-        uncertainty=replace(u, single_reading=reading),
+        uncertainty=replace(made.uncertainty, single_reading=reading),
         limits=replace(made.limits, temperature=temperatures),
         fit=replace(
             made.fit,
@@ -99,6 +89,28 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
             ramp=_ramp_record(fit, design.channels),
         ),
     )
+
+
+def _with_lag(calibration: CalibrationRecord, fit: RampFit) -> CalibrationRecord:
+    """Return a calibration with the thermal lag and its uncertainty, where one is used."""
+    coefficients, u = calibration.coefficients, calibration.uncertainty
+    if not fit.uses_lag or coefficients.thermal is None:
+        return calibration
+    lagged = replace(coefficients.thermal, lag=round_to(fit.lag, fit.u_lag))
+    return replace(
+        calibration,
+        coefficients=replace(coefficients, thermal=lagged),
+        uncertainty=replace(u, standard={**u.standard, "temperature.lag": significant(fit.u_lag, 4)}),
+    )
+
+
+def _u_temperature(fit: RampFit, thermometer: float) -> float:
+    """Return the standard uncertainty of the element's temperature in a log, from that of its thermometer, °C."""
+    if fit.lag < 0.0:
+        # The inverse filter amplifies what is random in the thermometer.
+        thermometer *= 1.0 + 1.0 / LOG_SMOOTHING
+    pace = max(held_out.leg.pace for held_out in fit.held_out) / 60.0
+    return hypot(thermometer, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
 
 
 def _require_temperatures(record: RampRecord) -> None:
