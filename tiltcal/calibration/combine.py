@@ -245,11 +245,11 @@ def _assumed(sessions: Sequence[CombinedSession], measured: Sequence[str], targe
             own = source.known.chosen(some)
             return [
                 Statement(
-                    ASSUMED,
-                    own.names,
-                    vector_of(source.coefficients, own.names),
-                    own.covariance,
-                    own.factors,
+                    label=ASSUMED,
+                    names=own.names,
+                    values=vector_of(source.coefficients, own.names),
+                    covariance=own.covariance,
+                    factors=own.factors,
                     temperature=None,
                     u_temperature=0.0,
                     given=(),

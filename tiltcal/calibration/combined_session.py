@@ -132,16 +132,16 @@ class CombinedSession:
         kept = [k for k, name in enumerate(own.names) if not (why and name.startswith("offset."))]
         at = self.temperature if target.thermal is not None else None
         statement = Statement(
-            self.label,
-            tuple(own.names[k] for k in kept),
-            value[kept],
-            conditioned[np.ix_(kept, kept)],
-            own.factors[kept],
-            None if at is None else at[0],
-            0.0 if at is None else at[1],
-            tuple(given),
-            np.array([stated.get(name, 0.0) for name in given]),
-            np.array(list(given.values())).reshape(len(given), len(own.names)).T[kept],
+            label=self.label,
+            names=tuple(own.names[k] for k in kept),
+            values=value[kept],
+            covariance=conditioned[np.ix_(kept, kept)],
+            factors=own.factors[kept],
+            temperature=None if at is None else at[0],
+            u_temperature=0.0 if at is None else at[1],
+            given=tuple(given),
+            given_values=np.array([stated.get(name, 0.0) for name in given]),
+            by_given=np.array(list(given.values())).reshape(len(given), len(own.names)).T[kept],
         )
         return statement, why
 

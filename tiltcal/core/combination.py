@@ -146,15 +146,15 @@ def combine_statements(statements: Sequence[Statement], start: Coefficients, nam
     chi_square = float(sum(r @ w @ r for r, w in zip(left, weights, strict=True)))
     differences, compared = _differences(statements, slopes, weights, parts, left)
     return Combination(
-        found,
-        names,
-        _budget(statements, slopes, parts),
-        tuple(statements),
-        tuple(parts),
-        tuple(differences),
-        compared,
-        chi_square,
-        sum(len(statement.names) for statement in statements) - len(names),
+        coefficients=found,
+        names=names,
+        budget=_budget(statements, slopes, parts),
+        statements=tuple(statements),
+        parts=tuple(parts),
+        differences=tuple(differences),
+        compared=compared,
+        chi_square=chi_square,
+        dof=sum(len(statement.names) for statement in statements) - len(names),
     )
 
 
