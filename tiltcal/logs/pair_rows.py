@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.detection import repeated, run_bounds
 from tiltcal.core.model import Array
 from tiltcal.core.pair.encoder import AngleTracker
+from tiltcal.core.rows import repeated, run_bounds
 
 _TURN = 0.25
 """Turns over which a value must stay the same to be stuck."""

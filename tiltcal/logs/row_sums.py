@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.detection import Rows, repeated
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
+from tiltcal.core.rows import Rows, repeated
 
 _BLOCK = 1 << 14
 """Rows that are read at once."""

@@ -17,9 +17,9 @@ from math import cos, inf, radians, sqrt
 
 import numpy as np
 
-from tiltcal.core.detection import LongRuns, Rows, Span, Stillest, lost_rows, stuck_spans, window_scatter
 from tiltcal.core.estimation.ellipsoid import UNKNOWNS, Ellipsoid, fit_ellipsoid
 from tiltcal.core.model import Array
+from tiltcal.core.rows import LongRuns, Rows, Span, Stillest, lost_rows, stuck_spans, window_scatter
 from tiltcal.core.statistics import BLOCKS
 from tiltcal.errors import EstimateError
 from tiltcal.files.segments import Segment

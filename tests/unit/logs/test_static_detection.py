@@ -6,12 +6,8 @@ from math import inf
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from tiltcal.core.detection import window_scatter
 from tiltcal.errors import EstimateError
 from tiltcal.logs.row_sums import RowSums
 from tiltcal.logs.static_detection import (
@@ -148,30 +144,6 @@ class TestStuck:
 
 
 class TestHolds:
-    @settings(max_examples=40, deadline=None)
-    @given(
-        values=arrays(float, (60, 3), elements=st.integers(-800, 800).map(lambda eighths: eighths / 8)),
-        window=st.integers(2, 60),
-        level=st.sampled_from([0.0, 1e5]),
-    )
-    def test_the_scatter_is_the_standard_deviation(self, values: Array, window: int, level: float) -> None:
-        ((found, _),) = window_scatter(values + level, [], [window, 7])
-        expected = [
-            np.sqrt(np.sum(np.var(values[start : start + window], axis=0, ddof=1))) for start in range(61 - window)
-        ]
-        assert found == pytest.approx(expected, rel=1e-6, abs=1e-4)
-
-    def test_small_noise_far_down_a_long_log_is_not_lost(self) -> None:
-        rng = np.random.default_rng(4)
-        log = np.repeat([[1e4, -1e4, 0.0]], 200_000, axis=0) + 1e-3 * rng.normal(size=(200_000, 3))
-        scatter = np.concatenate([piece for (piece,) in window_scatter(log, [], [100])])
-        assert scatter[-1] == pytest.approx(np.sqrt(np.sum(np.var(log[-100:], axis=0, ddof=1))), rel=1e-6)
-        assert len(scatter) == 199_901
-
-    def test_a_window_with_a_lost_row_is_never_still(self) -> None:
-        ((scatter,),) = window_scatter(np.zeros((50, 3)), [(20, 21)], [10])
-        assert np.flatnonzero(np.isinf(scatter)).tolist() == list(range(11, 21))
-
     def test_a_scatter_that_is_all_below_a_threshold_or_all_above_it(self) -> None:
         still = StillSpans(50, [0.5, 2.5])
         for level in (1.0, 2.0, 3.0):

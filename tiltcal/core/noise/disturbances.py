@@ -12,9 +12,10 @@ from math import log, sqrt
 
 import numpy as np
 
-from tiltcal.core.detection import bursts, jumps, repeated, run_bounds, runs
+from tiltcal.core.detection import bursts, jumps
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
+from tiltcal.core.rows import repeated, run_bounds, runs
 
 BLOCK = 16
 """Rows of a block, in a short record."""
