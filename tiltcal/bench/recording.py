@@ -10,7 +10,6 @@ import errno
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,8 +22,8 @@ from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
 from tiltcal.drivers.device import Reading
 from tiltcal.errors import UsageError
+from tiltcal.files.atomic import append_whole
 from tiltcal.files.bench import BenchFile
-from tiltcal.files.journal import write_all
 from tiltcal.files.moments import moment_after, stamp
 
 SECURE_NS = 1_000_000_000
@@ -93,10 +92,8 @@ class CsvRecorder:
         row = _row(cells)
         self._appended = len(row)
         try:
-            write_all(self._descriptor, row)
+            append_whole(self._descriptor, row, self._size)
         except OSError as error:
-            with suppress(OSError):
-                os.ftruncate(self._descriptor, self._size)
             raise self._failed(error) from error
         self._count_row()
 

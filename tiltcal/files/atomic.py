@@ -51,6 +51,23 @@ def write_whole(path: str | Path, text: str) -> None:
         stream.write(text.encode(errors="replace"))  # names of files may be other than UTF-8
 
 
+def append_whole(descriptor: int, data: bytes, size: int) -> None:
+    """Append data to a file of ``size`` bytes, whole or, where an OSError is raised, not at all."""
+    try:
+        write_all(descriptor, data)
+    except OSError:
+        with suppress(OSError):
+            os.ftruncate(descriptor, size)
+        raise
+
+
+def write_all(descriptor: int, data: bytes) -> None:
+    """Write all of the data; the operating system may take a part at a time."""
+    view = memoryview(data)
+    while view:
+        view = view[os.write(descriptor, view) :]
+
+
 def check_writable(path: str | Path, *read: str | Path) -> None:
     """Check, before anything is measured, that a file can be written.
 

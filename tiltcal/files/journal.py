@@ -25,7 +25,6 @@ import os
 import re
 from array import array
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -33,6 +32,7 @@ from typing import Any, BinaryIO, overload
 from zlib import crc32
 
 from tiltcal.errors import InputError, JournalError, UsageError
+from tiltcal.files.atomic import append_whole, write_all
 from tiltcal.files.journal_header import HEADER, Header
 from tiltcal.files.node import document_of
 from tiltcal.frozen import frozen
@@ -306,10 +306,8 @@ class JournalWriter:
         crc = crc32(body, self._crc)
         line = body[:-1] + f',"{crc:08x}"]\n'.encode()
         try:
-            write_all(self._descriptor, line)
+            append_whole(self._descriptor, line, self._size)
         except OSError as error:
-            with suppress(OSError):
-                os.ftruncate(self._descriptor, self._size)
             raise self._failed(error) from error
         self._size += len(line)
         self._crc = crc
@@ -338,13 +336,6 @@ class JournalWriter:
 
     def _failed(self, error: OSError) -> JournalError:
         return JournalError(f"cannot be written: {error.strerror}; make room on the disk, then resume", file=self.path)
-
-
-def write_all(descriptor: int, data: bytes) -> None:
-    """Write all of the data; the operating system may take a part at a time."""
-    view = memoryview(data)
-    while view:
-        view = view[os.write(descriptor, view) :]
 
 
 _dumps = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from tiltcal.bench import recording
 from tiltcal.bench.recording import CsvRecorder, record
 from tiltcal.bench.sensor_set import ConnectedSensor, SensorSet
 from tiltcal.drivers import find_model
@@ -16,6 +15,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.device import Reading
 from tiltcal.errors import BusError
+from tiltcal.files import atomic
 
 
 @pytest.mark.parametrize(("written", "rows"), [(None, 2), (2, 1), (0, 1)], ids=["after", "within", "before"])
@@ -28,7 +28,7 @@ def test_ctrl_c_at_a_row(written: int | None, rows: int, tmp_path: Path, monkeyp
         os.write(descriptor, row[:written])
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(recording, "write_all", interrupted)
+    monkeypatch.setattr(atomic, "write_all", interrupted)
     with pytest.raises(KeyboardInterrupt):
         log.write(["1", "1025"])
     log.close()
