@@ -14,6 +14,7 @@ from support.json_program import lead
 from tiltcal.bench.measure import measure
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import Thermal
+from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import read_calibration
 
 BASE = FIXTURES / "complete.yaml"
@@ -151,6 +152,37 @@ def test_what_does_not_go_together_is_refused(arguments: tuple[str, ...], why: s
     )
     assert done.returncode == 2
     assert why in done.stderr
+
+
+def test_the_base_of_one_sensor_may_be_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has the file of the serial number; a folder names no sensor by itself."""
+    monkeypatch.chdir(tmp_path)
+    Path("bases").mkdir()
+    Path("bases/SIM-42.yaml").write_bytes(BASE.read_bytes())
+    named = {"address": "sim:", "operator": "sim", "samples": 20, "output": "again.yaml"}
+    measure("level", base="bases", sensor="sca100t-d02", serial="SIM-42", **named)
+    assert read_calibration("again.yaml").provenance.base.name == "SIM-42.yaml"
+    with pytest.raises(UsageError, match="measure needs --sensor, --serial"):
+        measure("level", base="bases", **named)
+    with pytest.raises(InputError, match=r"bases/SIM-43\.yaml: no such file"):
+        measure("level", base="bases", sensor="sca100t-d02", serial="SIM-43", **named)
+
+
+def test_another_base_is_refused_with_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("other.yaml").write_text(BASE.read_text(encoding="utf-8").replace("1026.", "1027."), encoding="utf-8")
+    assert Path("other.yaml").read_bytes() != BASE.read_bytes()
+    measure("level", base=BASE, address="sim:", operator="sim", samples=20, output="again.yaml")
+    measure(base=BASE, resume=JOURNAL)
+    with pytest.raises(UsageError, match="--base differs"):
+        measure(base="other.yaml", resume=JOURNAL)
+
+
+def test_a_base_that_is_wrong_is_named(tmp_path: Path) -> None:
+    """As it was given, with its folder."""
+    (tmp_path / "base.yaml").write_text("tiltcal: 1\nkind: tilt\n", encoding="utf-8")
+    with pytest.raises(InputError, match=f"^{tmp_path / 'base.yaml'}:1: the key 'sensor' is missing"):
+        measure("level", base=tmp_path / "base.yaml", address="sim:", operator="sim", output=tmp_path / "again.yaml")
 
 
 def test_the_base_names_the_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,8 +15,9 @@ from tiltcal.calibration.prediction import predict
 from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.atomic import check_writable
-from tiltcal.files.base_calibration import bases_of, identity_in
+from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.bench import BenchFile
+from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.node import require_name
 from tiltcal.files.procedure import Procedure
@@ -103,7 +104,7 @@ def _resumed(journal: Path, stated: StatedSession, remark: Callable[[str], None]
 def _begun(stated: StatedSession, remark: Callable[[str], None]) -> Session:
     """Return a new session, and remark how well it will determine the coefficients."""
     if stated.base is not None and stated.bench is None and os.path.isfile(stated.base):
-        identity = identity_in(stated.base)
+        identity = read_calibration(stated.base).sensor
         stated = replace(stated, sensor=stated.sensor or identity.model, serial=stated.serial or identity.serial)
     _require_named(stated)
     steps = find_procedure(str(stated.procedure), stated.tilt)

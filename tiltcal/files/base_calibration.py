@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import TILT, CalibrationRecord, SensorIdentity
+from tiltcal.files.calibration import TILT, CalibrationRecord
 from tiltcal.files.declaration import Text, entry
 from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.procedure import Procedure
@@ -76,8 +76,3 @@ def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[st
         if base.coefficients.mounting is not None and not determines.completes:
             raise UsageError(f"{file} has a mounting, which {procedure.name} would drop: name the file from before it")
     return bases
-
-
-def identity_in(path: str | Path) -> SensorIdentity:
-    """Return the sensor that a calibration file is of; an InputError where anything in it is wrong."""
-    return BaseFile(read_text(path), Path(path).name).calibration.sensor
