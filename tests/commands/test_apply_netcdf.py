@@ -104,6 +104,9 @@ def test_what_is_added_says_what_it_is() -> None:
         assert tilt["units"] == found["U95_tilt_y"].attrs["units"] == "degree"
         assert tilt["ancillary_variables"].split() == ["flag", "reason", "u_tilt_x", "U95_tilt_x"]
         assert found["g_x"].attrs["units"] == "1"
+        assert np.isnan(found["g_x"].encoding["_FillValue"])
+        assert "_FillValue" not in found["flag"].encoding
+        assert tilt["coordinates"] == "site"
         assert dict(zip(flag["flag_values"].tolist(), flag["flag_meanings"].split(), strict=True)) == {
             1: "pass",
             3: "suspect",

@@ -362,13 +362,11 @@ class _Dataset:
 
     def of_rows(self, rows: pl.DataFrame) -> _Dataset:
         (dimension,) = self._variable(rows.columns[0]).dims
-        kept = self._data.drop_dims(dimension).assign_attrs(self._data.attrs)
         columns = {
             self._named[name]: (dimension, rows[name].to_numpy(), self._variable(name).attrs) for name in rows.columns
         }
-        coordinates = {name: column for name, column in columns.items() if name in self._data.coords}
-        others = {name: column for name, column in columns.items() if name not in coordinates}
-        return _Dataset(kept.assign_coords(coordinates).assign(others))
+        made = self._data.drop_dims(dimension).assign(columns)
+        return _Dataset(made.set_coords([name for name in columns if name in self._data.coords]))
 
     def with_columns(self, table: Table, readings: Sequence[str], units: Units) -> Any:
         (dimension,) = self._variable(readings[0]).dims

@@ -123,6 +123,17 @@ class TestNotes:
         assert apply_frame(calibration, data, **how).attrs == {"serial": "S-1"}
 
 
+def test_coordinates_of_a_dataset_stay_coordinates_of_its_means(calibration: Calibration) -> None:
+    """The times and the depths along them, and a place of its own; the readings stay variables."""
+    columns = {name: ("time", values, {"units": "count"}) for name, values in READINGS.items()}
+    coords = {"time": [0.0, 1.0], "depth": ("time", [10.0, 12.0], {"units": "m"}), "site": 4.0}
+    found = apply_frame(calibration, xarray.Dataset(columns, coords), average=2)
+    assert set(found.coords) == {*coords}
+    assert {"x", "y", "tilt_x", "count"} <= set(found.data_vars)
+    assert (found["time"].values.tolist(), found["depth"].values.tolist()) == ([0.5], [11.0])
+    assert found["depth"].attrs == {"units": "m"}
+
+
 class TestIndexOfPandas:
     """One that has a name is a column, such as the time that ``resample`` needs there."""
 

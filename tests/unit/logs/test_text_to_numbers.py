@@ -16,6 +16,7 @@ import pytest
 import xarray
 
 from tiltcal.errors import InputError
+from tiltcal.logs.formats import open_log
 from tiltcal.logs.formats.csv import CsvReader
 from tiltcal.logs.formats.netcdf import NetcdfReader
 from tiltcal.logs.formats.parquet import ParquetReader
@@ -109,6 +110,26 @@ def netcdf(folder: Path, times: Sequence[object]) -> list[float]:
 )
 def test_netcdf_may_have_its_times_as_text(times: list[object], tmp_path: Path) -> None:
     assert netcdf(tmp_path, times) == pytest.approx([NOON, NOON + 1.0, np.nan], nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("times", "there"),
+    [(["noon", "1 pm"], True), ([b"noon", b"1 pm"], True), ([0.0, 1.0], True), ([True, False], False)],
+)
+def test_what_may_be_times_of_netcdf(times: list[object], there: bool, tmp_path: Path) -> None:
+    xarray.Dataset({"time": ("row", np.array(times)), "x": ("row", [0.0, 1.0])}).to_netcdf(
+        tmp_path / "log.nc", engine="h5netcdf"
+    )
+    with open_log(tmp_path / "log.nc") as reader:
+        assert reader.has_times("time", reader.names.index("x")) == there
+
+
+def test_a_text_behind_the_first_times_of_netcdf_counts_as_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a block of its own, which has no time that can be read."""
+    monkeypatch.setattr("tiltcal.logs.formats.netcdf._ROWS", 1)
+    assert netcdf(tmp_path, ["2026-05-01T12:00:00Z", "noon"]) == pytest.approx([NOON, np.nan], nan_ok=True)
 
 
 @pytest.mark.parametrize("times", [["", "noon"], [b"", b"noon"]])

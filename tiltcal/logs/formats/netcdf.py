@@ -96,7 +96,6 @@ class NetcdfReader(LogReader):
                 engine="h5netcdf",
                 decode_times=False,
                 decode_coords=False,
-                cache=False,
                 create_default_indexes=False,
             )
         self.names = tuple(str(name) for name in self._data.variables)
@@ -161,9 +160,7 @@ class NetcdfReader(LogReader):
 
     def attributes(self, name: str) -> Mapping[str, Any]:
         """Return the attributes of a variable that its decoding has left."""
-        variable = self._data[name]
-        place = {"coordinates": variable.encoding["coordinates"]} if "coordinates" in variable.encoding else {}
-        return {**variable.attrs, **place}
+        return dict(self._data[name].attrs)
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         dimension = self.dimension(columns)
@@ -263,7 +260,7 @@ class NetcdfWriter(LogWriter):
         with (
             interrupts_held() as check_interrupts,
             _refusing_to_add(log.name),
-            h5netcdf.File(self._sink, "r+", decode_vlen_strings=True) as file,
+            h5netcdf.File(self._sink, "r+") as file,
         ):
             chunk = len(first[0])
             variables = {name: self._variable(file, name, dimension, like, chunk) for name in self._added}

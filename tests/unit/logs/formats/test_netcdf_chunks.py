@@ -52,3 +52,18 @@ def test_chunks_do_not_wait_in_memory_for_the_end_of_a_log(tmp_path: Path) -> No
 
         _write_chunks({"tilt_x": SimpleNamespace(_h5ds=dataset)}, tables(), 100, lambda: None)
         assert dataset.id.get_num_chunks() == 40
+
+
+def test_ctrl_c_is_heard_between_two_blocks(tmp_path: Path) -> None:
+    asked = iter([None, KeyboardInterrupt])
+
+    def check_interrupts() -> None:
+        if (why := next(asked)) is not None:
+            raise why
+
+    with h5py.File(tmp_path / "log.nc", "w") as file:
+        dataset = file.create_dataset("tilt_x", 400, float, chunks=(100,), compression=1, shuffle=True)
+        tables = ({"tilt_x": np.full(100, float(number))} for number in range(4))
+        with pytest.raises(KeyboardInterrupt):
+            _write_chunks({"tilt_x": SimpleNamespace(_h5ds=dataset)}, tables, 100, check_interrupts)
+        assert next(tables)["tilt_x"][0] == 2.0
