@@ -166,6 +166,9 @@ def test_the_base_of_one_sensor_may_be_a_folder(tmp_path: Path, monkeypatch: pyt
         measure("level", base="bases", **named)
     with pytest.raises(InputError, match=r"bases/SIM-43\.yaml: no such file"):
         measure("level", base="bases", sensor="sca100t-d02", serial="SIM-43", **named)
+    Path("bases/SIM-43.yaml").write_text("tiltcal: 1\nkind: tilt\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"bases/SIM-43\.yaml:1: the key 'sensor' is missing"):
+        measure("level", base="bases", sensor="sca100t-d02", serial="SIM-43", **named)
 
 
 def test_another_base_is_refused_with_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

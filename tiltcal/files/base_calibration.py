@@ -70,7 +70,7 @@ def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[st
         raise UsageError(f"{path} is one file for {len(serials)} sensors: name the folder that has SERIAL.yaml of each")
     bases = {serial: BaseFile(read_text(file), file.name) for serial, file in files.items()}
     for serial, file in files.items():
-        base = bases[serial].calibration
+        base = TILT.read(parse_document(bases[serial].text, str(file)))  # an error names the file as it was given
         if base.sensor.serial != serial:
             raise UsageError(f"{file} is of {base.sensor.serial}, and the sensor to measure is {serial}")
         if base.coefficients.mounting is not None and not determines.completes:
