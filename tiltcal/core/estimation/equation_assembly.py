@@ -181,10 +181,9 @@ def _block(
 
 def _table(group: Sequence[SensorObservations], value: Callable[[Observation], Array | float]) -> Array:
     """Return a value of each reading, shape (sensors, channels, positions)."""
-    rows = [
-        [np.broadcast_to(value(observation), observation.mean.shape) for observation in sensor.observations]
-        for sensor in group
-    ]
+    rows = [[value(observation) for observation in sensor.observations] for sensor in group]
+    if any(isinstance(number, float) for row in rows for number in row):  # one for all channels
+        rows = [[np.broadcast_to(number, len(group[0].design.channels)) for number in row] for row in rows]
     return np.array(rows, dtype=float).swapaxes(1, 2)
 
 
