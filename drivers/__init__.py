@@ -19,7 +19,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import UsageError
-from tiltcal.stated_texts import require_text
+from tiltcal.stated_arguments import require_text
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

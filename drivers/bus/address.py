@@ -28,7 +28,7 @@ from urllib.parse import unquote
 from tiltcal.drivers.bus import BUSES
 from tiltcal.errors import UsageError
 from tiltcal.frozen import frozen
-from tiltcal.stated_texts import require_text
+from tiltcal.stated_arguments import require_text
 
 R = TypeVar("R")
 

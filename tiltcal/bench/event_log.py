@@ -153,7 +153,7 @@ class EventLog:
                 raise self._mismatch(self._events[self._next], "the procedure is at its end")
             return self._journal.sha256
         self.require_writer()
-        return self._writer.finish() if self._writer is not None else ""
+        return self._writer.finish(0) if self._writer is not None else ""
 
     def play_transaction(self, letter: str, number: int, out: bytes) -> bytes:
         """Return what a device answered to ``out``, from the journal.

@@ -23,9 +23,7 @@ from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.device import Sensor, in_words
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.stated_booleans import require_boolean
-from tiltcal.stated_numbers import of_python
-from tiltcal.stated_texts import require_path
+from tiltcal.stated_arguments import of_python, require_boolean, require_path
 
 
 def unheard(remark: str) -> None:

@@ -26,8 +26,7 @@ from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.frozen import frozen
-from tiltcal.stated_booleans import require_boolean
-from tiltcal.stated_numbers import require_from_zero, require_whole
+from tiltcal.stated_arguments import require_boolean, require_from_zero, require_whole
 
 _NOT_PREDICTED = (
     "nothing can be predicted before the stage turns: p and q will have a standard uncertainty of 2 s / (A sqrt(n)), "

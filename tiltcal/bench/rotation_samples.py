@@ -112,19 +112,19 @@ class RotationSamples:
         self.unknown: dict[str, str] = {}
         self._pairs, self._channels = tuple(pairs), tuple(channels)
         self._stream = SectorStream(len(channels))
-        self._span_before: SampleSpan | None = None
-        self._turns_before = 0.0
+        self._before: SampleSpan | None = None
+        self._kept = 0.0
         self._begin()
 
     def _begin(self) -> None:
-        self._span, self._angle = SampleSpan(self._channels), AngleTracker()
+        self._now, self._seen = SampleSpan(self._channels), AngleTracker()
         self._online = {pair: Recursive(pair, self._channels) for pair in self._pairs}
-        self._turns_at_start = self._stream.turns
+        self._began = self._stream.turns
 
     @property
     def turns(self) -> float:
         """The whole turns that count."""
-        return self._turns_before + self._stream.turns - self._turns_at_start
+        return self._kept + self._stream.turns - self._began
 
     @property
     def holds(self) -> str:
@@ -134,8 +134,8 @@ class RotationSamples:
     @property
     def idle(self) -> str:
         """The reason why waiting is of no use; empty where samples count since the start or the last interruption."""
-        turned = self._angle.turns
-        if self._stream.turns > self._turns_at_start or STANDSTILL <= turned < 1.0:
+        turned = self._seen.turns
+        if self._stream.turns > self._began or STANDSTILL <= turned < 1.0:
             return ""
         if turned >= 1.0:
             return f"the stage turns, but no sample can be used: {self._stream.why}"
@@ -154,7 +154,7 @@ class RotationSamples:
         if not block.times:
             return []
         theta, readings, times = np.array(block.theta), np.array(block.readings), np.array(block.times, np.int64)
-        self._angle.follow(theta[np.isfinite(theta)])
+        self._seen.follow(theta[np.isfinite(theta)])
         remarks = []
         for item in self._stream.push(theta, readings):
             if isinstance(item, Notice):
@@ -162,7 +162,7 @@ class RotationSamples:
             else:
                 self._update(item)
         used = np.isfinite(theta) & np.isfinite(readings).all(axis=1) & (not self._stream.why)
-        self._span.add(theta[used], readings[used], times[used])
+        self._now.add(theta[used], readings[used], times[used])
         self.left_out += int(np.count_nonzero(~used)) if self._stream.turns else 0
         return remarks
 
@@ -177,12 +177,12 @@ class RotationSamples:
             Samples that are not kept.
         """
         whole, lost = self._whole(), 0
-        if whole is self._span_before:
-            lost = self._span.samples
+        if whole is self._before:
+            lost = self._now.samples
         else:
-            self._turns_before += self._stream.turns - self._turns_at_start
+            self._kept += self._stream.turns - self._began
         self.left_out += lost
-        self._span_before = whole
+        self._before = whole
         self._begin()
         return lost
 
@@ -208,7 +208,7 @@ class RotationSamples:
         proposed = len(online) == len(self._pairs) and all(
             _within(coefficients, uncertainty) for coefficients in online.values()
         )
-        if not proposed and self._span_before is None:
+        if not proposed and self._before is None:
             return False
         try:
             whole = self.whole().demodulator.result()
@@ -234,9 +234,9 @@ class RotationSamples:
         return whole
 
     def _whole(self) -> SampleSpan | None:
-        if self._stream.turns - self._turns_at_start < FEWEST_TURNS:
-            return self._span_before
-        return self._span if self._span_before is None else self._span_before.with_more(self._span)
+        if self._stream.turns - self._began < FEWEST_TURNS:
+            return self._before
+        return self._now if self._before is None else self._before.with_more(self._now)
 
     def _update(self, sector: Sector) -> None:
         for pair, estimator in self._online.items():

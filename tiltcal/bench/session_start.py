@@ -23,7 +23,7 @@ from tiltcal.files.node import require_name
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.frozen import frozen
-from tiltcal.stated_numbers import require_above_zero, require_from_zero, require_whole
+from tiltcal.stated_arguments import require_above_zero, require_from_zero, require_whole
 
 
 @frozen(kw_only=True)

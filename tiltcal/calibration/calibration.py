@@ -31,7 +31,7 @@ from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.frozen import frozen
-from tiltcal.stated_booleans import require_boolean
+from tiltcal.stated_arguments import require_boolean
 
 
 @frozen(eq=False)

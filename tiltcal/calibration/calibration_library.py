@@ -25,8 +25,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
 from tiltcal.files.moments import moment
-from tiltcal.stated_numbers import require_from_zero
-from tiltcal.stated_texts import require_path, require_text
+from tiltcal.stated_arguments import require_from_zero, require_path, require_text
 
 FLEET = 50
 """Most other sensors that are read to estimate how far one wanders."""

@@ -14,7 +14,7 @@ from tiltcal.drivers.device import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.position_record import PositionRecord
 from tiltcal.frozen import frozen
-from tiltcal.stated_numbers import require_from_zero
+from tiltcal.stated_arguments import require_from_zero
 
 
 @frozen

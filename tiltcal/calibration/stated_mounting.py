@@ -10,7 +10,7 @@ from tiltcal.core.model import Mounting
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES, LARGEST_ANGLES, in_degrees
-from tiltcal.stated_numbers import is_number, shown
+from tiltcal.stated_arguments import is_number, shown
 
 
 def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from tiltcal.stated_numbers import require_above_zero, require_from_zero, require_whole
+from tiltcal.stated_arguments import require_above_zero, require_from_zero, require_whole
 
 FILE = click.Path(path_type=Path)
 OPERATORS = click.Choice(["terminal", "json", "sim"])

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from tiltcal.errors import UsageError
-from tiltcal.stated_texts import require_path
+from tiltcal.stated_arguments import require_path
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 """Failures of the output; any other that leaves the caller's block is about something else."""

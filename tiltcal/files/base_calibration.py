@@ -14,7 +14,7 @@ from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.provenance_record import FileRecord
 from tiltcal.frozen import frozen
-from tiltcal.stated_texts import require_path
+from tiltcal.stated_arguments import require_path
 
 
 @frozen

@@ -20,7 +20,7 @@ import yaml
 
 from tiltcal.errors import InputError
 from tiltcal.files.node import DEPTH_LIMIT, Node, Scalar, item_key, member_key, require_printable
-from tiltcal.stated_texts import require_path
+from tiltcal.stated_arguments import require_path
 
 SIZE_LIMIT = 4_000_000
 """Bytes; the largest calibration file seen is a hundredth of it."""

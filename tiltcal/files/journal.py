@@ -321,10 +321,10 @@ class JournalWriter:
         except OSError as error:
             raise self._failed(error) from error
 
-    def finish(self) -> str:
+    def finish(self, dt_ns: int) -> str:
         """Write the end record and return the SHA-256 of everything before it."""
         sha256 = self._digest.hexdigest()
-        self.append(0, END, {"events": self._events, "sha256": sha256})
+        self.append(dt_ns, END, {"events": self._events, "sha256": sha256})
         self.secure()
         return sha256
 

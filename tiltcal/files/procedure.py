@@ -30,7 +30,7 @@ from tiltcal.files.declaration import (
 from tiltcal.files.node import Node
 from tiltcal.frozen import frozen
 from tiltcal.printable import counted
-from tiltcal.stated_numbers import is_number, require_whole, shown
+from tiltcal.stated_arguments import is_number, require_whole, shown
 
 if TYPE_CHECKING:
     from tiltcal.files.rotation import Rotation

@@ -31,7 +31,7 @@ from tiltcal.files.procedure import (
     chosen_angle,
 )
 from tiltcal.frozen import frozen
-from tiltcal.stated_texts import require_path
+from tiltcal.stated_arguments import require_path
 
 if TYPE_CHECKING:
     from tiltcal.files.rotation import Rotation

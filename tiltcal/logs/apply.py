@@ -34,7 +34,7 @@ from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
 from tiltcal.logs.streams import STANDARD, log_sink, sha256_of, with_writeback
-from tiltcal.stated_texts import require_path, require_text_or_none
+from tiltcal.stated_arguments import require_path, require_text_or_none
 
 NO_TIME = (
     "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "

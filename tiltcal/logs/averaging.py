@@ -26,7 +26,7 @@ from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import SensorColumns
 from tiltcal.logs.log import LogBlock, Table
 from tiltcal.logs.text_to_numbers import no_time_yet, texts_of_times
-from tiltcal.stated_numbers import require_whole
+from tiltcal.stated_arguments import require_whole
 
 if TYPE_CHECKING:
     import polars as pl

@@ -130,7 +130,7 @@ def locate_columns(
     if shared:
         name = log.names[located[shared[0]]]
         raise InputError(f"{' and '.join(shared)} are one column, {name!r}: name the column of each", file=log.name)
-    if TIME not in others:
+    if TIME not in (*channels, *others):
         located.pop(TIME, None)
     return located
 

@@ -52,8 +52,7 @@ from tiltcal.logs.static_intervals import (
     require_positions,
 )
 from tiltcal.logs.streams import sha256_of
-from tiltcal.stated_booleans import require_boolean
-from tiltcal.stated_numbers import is_number, require_whole, shown
+from tiltcal.stated_arguments import is_number, require_boolean, require_whole, shown
 
 SHORTEST = 4
 """Rows of a window over which a sensor can be still."""

@@ -21,7 +21,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import describe, seconds_since_1970
 from tiltcal.logs.columns import TIME
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
-from tiltcal.stated_numbers import of_python
+from tiltcal.stated_arguments import of_python
 
 if TYPE_CHECKING:
     import polars as pl

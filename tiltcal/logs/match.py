@@ -19,7 +19,7 @@ from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.pair_matching import Demodulated, demodulate_log
 from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
-from tiltcal.stated_texts import require_text_or_none
+from tiltcal.stated_arguments import require_boolean, require_text_or_none
 
 
 def match(
@@ -135,6 +135,8 @@ def match_log(
         Ctrl-C ended a stream before there was a result.
     """
     require_text_or_none("--phase", phase)
+    require_boolean("--online", online)
+    require_boolean("--loops", loops)
     if loops and not online:
         raise UsageError("--loops needs --online")
     channels = tuple(dict.fromkeys(channel for pair in pairs for channel in pair.channels))

@@ -22,8 +22,7 @@ from tiltcal.logs.log import Progress
 from tiltcal.logs.noise_log import characterise_log
 from tiltcal.logs.noise_summary import NoiseTarget, SensorNoise
 from tiltcal.logs.uniform_sampling import UniformLog
-from tiltcal.stated_numbers import require_above_zero, require_whole
-from tiltcal.stated_texts import require_text_or_none
+from tiltcal.stated_arguments import require_above_zero, require_text_or_none, require_whole
 
 
 def noise(

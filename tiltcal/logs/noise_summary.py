@@ -17,7 +17,7 @@ from tiltcal.core.noise.sample_size import Limit, SampleSize, advise, uncertaint
 from tiltcal.core.noise.scale import NoiseScale
 from tiltcal.core.rounding import bracketed
 from tiltcal.logs.noise_log import NoiseLog
-from tiltcal.stated_numbers import require_above_zero
+from tiltcal.stated_arguments import require_above_zero
 
 _SHOWS = 0.1
 """Share of the lowest deviation above which what rounding leaves is worth a word."""

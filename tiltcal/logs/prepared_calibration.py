@@ -16,9 +16,7 @@ from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME, SensorColumns
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
-from tiltcal.stated_booleans import require_boolean
-from tiltcal.stated_numbers import is_number, require_from_zero, shown
-from tiltcal.stated_texts import require_text_or_none
+from tiltcal.stated_arguments import is_number, require_boolean, require_from_zero, require_text_or_none, shown
 
 if TYPE_CHECKING:
     from tiltcal.calibration.pair_calibration import PairCalibration

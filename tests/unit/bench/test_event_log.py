@@ -24,7 +24,7 @@ def forged(path: Path, change: Callable[[Event], tuple[Any, ...] | None]) -> Pat
         changed = change(event)
         if changed is not None:
             writer.append(event.dt_ns, *changed)
-    writer.finish()
+    writer.finish(0)
     writer.close()
     return path
 
@@ -67,7 +67,7 @@ def test_events_that_are_left_over(tmp_path: Path) -> None:
     writer = JournalWriter.create(path, journal.header)
     for event in [*journal.events, journal.events[-1]]:
         writer.append(event.dt_ns, *same(event))
-    writer.finish()
+    writer.finish(0)
     writer.close()
     with pytest.raises(JournalError, match="at its end"):
         replay(path)

@@ -34,7 +34,7 @@ def captured(path: Path, *, finished: bool = True) -> bytes:
     for event in EVENTS:
         writer.append(*event)
     if finished:
-        writer.finish()
+        writer.finish(3)
     writer.close()
     return path.read_bytes()
 
@@ -107,7 +107,7 @@ def test_resumed_it_is_the_journal_of_a_session_that_was_never_stopped(path: Pat
     writer = JournalWriter.resume(read_journal(path))
     for event in EVENTS[2:]:
         writer.append(*event)
-    writer.finish()
+    writer.finish(3)
     writer.close()
     assert path.read_bytes() == never_stopped
 
@@ -164,7 +164,7 @@ def test_a_disk_that_is_full_leaves_the_journal_whole(path: Path, monkeypatch: p
             writer.append(*EVENTS[1])
     assert path.read_bytes() == before
     writer.append(*EVENTS[2])
-    writer.finish()
+    writer.finish(0)
     writer.close()
     assert [event.kind for event in read_journal(path).events] == ["s", "!"]
 

@@ -41,3 +41,10 @@ def test_readings_whose_squares_overflow_are_no_measurement(phase: str | None) -
     """Their uncertainty was NaN."""
     with pytest.raises(InputError, match=r"column 'a1' has a reading of .*e\+200, which is no measurement"):
         match(disk(1e200), PAIRS, phase=phase)
+
+
+def test_a_stage_angle_in_the_column_of_times() -> None:
+    """It ended in a KeyError; the angle is what the column holds."""
+    readings = disk(1.0)
+    turned = {**readings, "time": readings["theta"]}
+    assert str(match(turned, PAIRS, phase="time")) == str(match(readings, PAIRS, phase="theta"))

@@ -37,7 +37,7 @@ from tiltcal.core.detection import TEMPERATURES
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import InputError, Stopped, UsageError
 from tiltcal.files.procedure import Position, Procedure
-from tiltcal.stated_numbers import of_python
+from tiltcal.stated_arguments import of_python
 
 if TYPE_CHECKING:
     from tiltcal.bench.position_result import PositionResult

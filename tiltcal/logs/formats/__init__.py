@@ -15,7 +15,7 @@ from tiltcal.errors import UsageError
 from tiltcal.frozen import frozen
 from tiltcal.logs.log import LogReader, LogSource, LogWriter, Progress
 from tiltcal.logs.streams import STANDARD, log_source
-from tiltcal.stated_booleans import require_boolean
+from tiltcal.stated_arguments import require_boolean
 
 
 @frozen

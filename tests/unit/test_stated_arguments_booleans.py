@@ -69,6 +69,8 @@ def measure(**options: Any) -> object:
         (fit, "table"),
         (noise, "skip_bad_rows"),
         (match, "skip_bad_rows"),
+        (match, "online"),
+        (match, "loops"),
         (plan, "closing"),
         (measure, "typical_temperature"),
         (measure, "closing"),

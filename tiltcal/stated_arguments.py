@@ -1,9 +1,10 @@
-"""Numbers that a caller states: the library refuses the same ones as the options of the command line."""
+"""Arguments that a caller states: the library refuses the same ones as the options of the command line."""
 
 from __future__ import annotations
 
 from math import inf
 from numbers import Integral, Real
+from os import PathLike
 from typing import Any
 
 from tiltcal.errors import UsageError
@@ -43,3 +44,27 @@ def require_whole(option: str, value: object, least: int, what: str) -> None:
 def shown(value: object) -> str:
     """Return a refused value as it is written on the command line and in a program alike: -1 is -1.0."""
     return f"{value:.15g}" if isinstance(value, Real) else repr(value)
+
+
+def require_boolean(option: str, value: object) -> None:
+    """Refuse a value that is no boolean of Python or numpy, with a UsageError: the text "no" would count as true."""
+    if not isinstance(of_python(value), bool):
+        raise UsageError(f"{option} takes True or False, not {value!r}")
+
+
+def require_text(option: str, value: object) -> None:
+    """Refuse a value that is no text, with a UsageError."""
+    if not isinstance(value, str):
+        raise UsageError(f"{option} takes a text, not {value!r}")
+
+
+def require_text_or_none(option: str, value: object) -> None:
+    """Refuse a value that is no text, with a UsageError; None is not stated."""
+    if value is not None:
+        require_text(option, value)
+
+
+def require_path(what: str, value: object) -> None:
+    """Refuse a value that is no name of a file, with a UsageError; ``what`` says which file, for the message."""
+    if not isinstance(value, str | PathLike):
+        raise UsageError(f"{what} is named by a text or a Path, not {value!r}")
