@@ -122,10 +122,10 @@ def _origins(session: CombinedSession) -> set[str]:
 
 def _combined(sessions: Sequence[CombinedSession]) -> CalibrationRecord:
     target = _target(sessions)
-    found, remarks = _estimate(sessions, target, unlevelled=True)
+    found, remarks = _estimate(sessions, target, unstated_levels=True)
     if _contradictions(found, COVERAGE) and any(session.level_unstated for session in sessions):
         with suppress(EstimateError):  # no other session has measured its offset
-            found, remarks = _estimate(sessions, target, unlevelled=False)
+            found, remarks = _estimate(sessions, target, unstated_levels=False)
     _require_agreement(sessions, found)
     noted = _contradictions(found, COVERAGE)
     remarks += [f"{told}; sessions that agree differ by so much once in 20 combinations" for told in noted]
@@ -133,10 +133,10 @@ def _combined(sessions: Sequence[CombinedSession]) -> CalibrationRecord:
 
 
 def _estimate(
-    sessions: Sequence[CombinedSession], target: Coefficients, *, unlevelled: bool
+    sessions: Sequence[CombinedSession], target: Coefficients, *, unstated_levels: bool
 ) -> tuple[Combination, list[str]]:
     """Return what the sessions together state, and remarks on what was left out; EstimateError without any offset."""
-    stated = [session.statement(target, unlevelled=unlevelled) for session in sessions]
+    stated = [session.statement(target, unstated_levels=unstated_levels) for session in sessions]
     statements = [statement for statement, _ in stated if statement.names]
     remarks = [remark for _, remark in stated if remark]
     names = [name for name in values(target) if any(name in statement.names for statement in statements)]

@@ -109,11 +109,11 @@ class CombinedSession:
         """Whether nothing is stated of how level a session lay that determined no sensitivity."""
         return bool(self.assumes("sensitivity")) and self.record.fit.uncertainty_from == NOISE_ALONE
 
-    def statement(self, target: Coefficients, *, unlevelled: bool = True) -> tuple[Statement, str]:
+    def statement(self, target: Coefficients, *, unstated_levels: bool) -> tuple[Statement, str]:
         """Return what the session states of a sensor with the axes and temperature terms of a target; and a remark.
 
-        The offset is left out where its temperature is not known, and that of a session whose level is not stated where
-        the sessions contradict (not ``unlevelled``).
+        The offset is left out where its temperature is not known, and without ``unstated_levels`` that of a session
+        whose level is not stated.
         """
         known, (measured, assumed) = self.known, self.places
         both = np.flatnonzero(measured | assumed)
@@ -128,7 +128,7 @@ class CombinedSession:
                 given[name] = column
             else:  # the target's offset holds what this axis adds
                 value = value + column * stated[name]
-        why = self._no_offset(target, unlevelled)
+        why = self._no_offset(target, unstated_levels)
         kept = [k for k, name in enumerate(own.names) if not (why and name.startswith("offset."))]
         at = self.temperature if target.thermal is not None else None
         statement = Statement(
@@ -145,9 +145,9 @@ class CombinedSession:
         )
         return statement, why
 
-    def _no_offset(self, target: Coefficients, unlevelled: bool) -> str:
+    def _no_offset(self, target: Coefficients, unstated_levels: bool) -> str:
         """Return why the offset of the session is left out; empty where it is not."""
-        if self.level_unstated and not unlevelled:
+        if self.level_unstated and not unstated_levels:
             return f"{self.label} does not state how level it was (--jig), and its offset contradicts: it is left out"
         if target.thermal is not None and self.temperature is None:
             return f"{self.label} states no temperature: its offset is left out"

@@ -135,9 +135,9 @@ class Interval:
             for name, u in {**first, **last}.items()
         }
         weighted = [end.times(weight) for end, weight in zip(self.ends, (1.0 - share, share), strict=True)]
-        joined = _joined(weighted, bridge, single)
         alignment = (1.0 - share) * before.uncertainty.alignment + share * after.uncertainty.alignment
-        return _at(after, coefficients, _limits(before.limits, after.limits), replace(joined, alignment=alignment))
+        uncertainty = _joined(weighted, bridge, single, alignment)
+        return _at(after, coefficients, _limits(before.limits, after.limits), uncertainty)
 
 
 def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | None = None) -> CalibrationRecord:
@@ -153,8 +153,7 @@ def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | 
     grown = {name: (walk.rate * days, walk.dof) for name, walk in (stability or Stability()).beyond.items()}
     uncertainty = nearest.uncertainty
     if grown:
-        joined = _joined([_End.of(nearest, None)], grown, uncertainty.single_reading)
-        uncertainty = replace(joined, alignment=uncertainty.alignment)
+        uncertainty = _joined([_End.of(nearest, None)], grown, uncertainty.single_reading, uncertainty.alignment)
     return _at(nearest, nearest.coefficients, nearest.limits, uncertainty)
 
 
@@ -204,12 +203,12 @@ def _referring(
 
 
 def _joined(
-    ends: Sequence[_End], walked: Mapping[str, tuple[float, float]], single: Mapping[str, float]
+    ends: Sequence[_End], walked: Mapping[str, tuple[float, float]], single: Mapping[str, float], alignment: float
 ) -> Uncertainty:
     """Return the sum of weighted covariances and of what each coefficient may have wandered (variance, dof)."""
     names = tuple(dict.fromkeys([name for end in ends for name in end.names] + [*walked]))
     if not any(end.names for end in ends):
-        return Uncertainty({}, single)
+        return Uncertainty({}, single, alignment=alignment)
     covariance, alone = np.zeros((len(names), len(names))), np.eye(len(names))
     sources: list[tuple[Array, float]] = []
     for end in ends:
@@ -229,6 +228,7 @@ def _joined(
         single,
         {name: float(k) for name, k in zip(names, factors, strict=True) if k > NORMAL_FACTOR * 1.001},
         Covariance(parameters=names, matrix=tuple(tuple(row) for row in matrix.tolist())),
+        alignment,
     )
 
 

@@ -41,7 +41,7 @@ class MountingEstimate:
     chi_square : float
         Their sum of squares, over the squares of their stated uncertainties.
     stated : bool
-        Whether the covariance stands on the stated jig, or on the residuals.
+        Whether the covariance comes from the stated jig, and not from the residuals.
     """
 
     mounting: Mounting

@@ -26,7 +26,7 @@ from tiltcal.core.model import Array
 from tiltcal.frozen import frozen
 
 DEGENERATE = 1e-10
-"""A column this much shorter, once the others are taken out of it, is left to the slower way that bears it."""
+"""Share of a column's length that is left without the others, below which a singular value decomposition is used."""
 
 ROWS = 4096
 """Equations of shared unknowns that are reduced at a time."""

@@ -101,7 +101,7 @@ class Estimate(DeterminedCoefficients):
     p : float or None
         Probability of such a chi-square or a greater one, if what was stated is true.
     stated : bool
-        True where the covariance stands on stated uncertainties, False where the residuals gave it.
+        Whether the covariance comes from stated uncertainties, and not from the residuals.
     attitudes : tuple of AttitudeError
         One a position, where the jig is stated; empty otherwise.
     estimated_jig : float or None
@@ -284,7 +284,7 @@ def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estima
     stated = equal.unexplained(z) / system.sigma
     chi_square = float(stated @ stated)
     below_noise = 0.0 < chi_square < dof
-    if below_noise:  # the estimate stands on the noise, and on its degrees of freedom
+    if below_noise:  # the uncertainty comes from the noise, and has its degrees of freedom
         budgets = scaled_budgets(near, squares / chi_square, _noise_dof(sensors))
     else:
         budgets = scaled_budgets(near, squares / dof, dof) if dof else stated_budgets(near)

@@ -58,7 +58,7 @@ class HalfLoop:
     def widening(self, powers: Array, covariance: Array) -> Array:
         """Return what it adds to the covariance of a polynomial that lies between the ways.
 
-        A reading is on one way or the other. The square of the half loop counts so often that 1.96 standard
+        A reading is on one way or the other. The square of the half loop is weighted so that 1.96 standard
         uncertainties hold 95 % of the readings on both ways, on the mean over the temperatures.
 
         Parameters
