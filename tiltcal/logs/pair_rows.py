@@ -51,9 +51,11 @@ class PairBlock:
     def complete(self) -> tuple[Array, Array, NDArray[np.int64]]:
         """Angle, readings and number of the rows in which no value is missing."""
         rows = self.first + np.arange(len(self.theta), dtype=np.int64)
-        good = np.isfinite(self.theta) & np.isfinite(self.readings).all(axis=1)
-        if good.all():
+        finite = np.isfinite(self.readings)
+        good = np.isfinite(self.theta)
+        if finite.all() and good.all():
             return self.theta, self.readings, rows
+        good &= finite.all(axis=1)
         return self.theta[good], self.readings[good], rows[good]
 
     def rows(self, where: slice) -> PairBlock:
@@ -103,7 +105,7 @@ class StuckValues:
         same = repeated(readings, self._values)
         channels = np.flatnonzero(same.any(axis=0)).tolist()
         turns = self._turns(block.theta) if channels else np.empty(0)
-        cleaned = readings.copy() if channels else readings
+        cleaned = readings.copy(order="K") if channels else readings
         last = {channel: self._left_out(channel, same[:, channel], turns, cleaned, block.first) for channel in channels}
         ready = min([len(readings), *(run.first for run in last.values() if run.doubtful)])
         # What is held back is judged anew, as it was read.

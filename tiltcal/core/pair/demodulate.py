@@ -42,7 +42,7 @@ _DRIFT_UNIT = 1e6
 """Rows; keeps the drift's column near the size of the others."""
 
 
-def harmonic_columns(angle: Array, harmonics: int) -> Array:
+def harmonic_columns(angle: Array, harmonics: int, out: Array | None = None) -> Array:
     """sin θ, cos θ, sin 2θ, cos 2θ, ... and 1, shape (2 harmonics + 1, n).
 
     Parameters
@@ -51,8 +51,10 @@ def harmonic_columns(angle: Array, harmonics: int) -> Array:
         Turns.
     harmonics : int
         At least 1.
+    out : ndarray, optional
+        Where they are written.
     """
-    columns = np.empty((2 * harmonics + 1, len(angle)))
+    columns = np.empty((2 * harmonics + 1, len(angle))) if out is None else out
     sine, cosine = columns[0], columns[1]
     # One tangent, of θ/2, takes a third of the time of a sine and a cosine.
     tangent = np.tan(pi * (angle - np.floor(angle)))
@@ -100,8 +102,11 @@ class Demodulator:
             # A large offset would take the digits that the noise needs in the sums of squares.
             self._pilot = readings.mean(axis=0)
             self._step, self._places = common_step(readings), len(np.unique(np.round(angle % 1.0 * _PLACES)))
-        columns = harmonic_columns(angle, HARMONICS)
-        table = np.concatenate([columns, row[None, :] / _DRIFT_UNIT, (readings - self._pilot).T])
+        columns = 2 * HARMONICS + 1
+        table = np.empty((columns + 1 + len(self._channels), len(angle)))
+        harmonic_columns(angle, HARMONICS, out=table[:columns])
+        np.divide(row, _DRIFT_UNIT, out=table[columns])
+        np.subtract(readings.T, self._pilot[:, None], out=table[columns + 1 :])
         block = np.floor(angle / self._size).astype(np.int64)
         if np.any(block[1:] < block[:-1]):
             block = np.maximum.accumulate(block)
