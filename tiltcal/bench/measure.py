@@ -111,7 +111,7 @@ def measure(
     Returns
     -------
     Calibration, PairCalibration or list of Calibration
-        Of the sensor, of the pairs of a stage, or of each of several sensors; a type checker cannot know which.
+        Of the sensor, of the pairs of a stage, or of each of several sensors; a type checker cannot infer which.
 
     Raises
     ------

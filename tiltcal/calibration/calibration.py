@@ -303,7 +303,7 @@ def read(path: str | Path) -> Calibration | Any:
     Returns
     -------
     Calibration or PairCalibration
-        By the ``kind`` of the file, which no type checker can know: where it matters, check it with `isinstance`.
+        By the ``kind`` of the file, which no type checker can infer: where it matters, check it with `isinstance`.
 
     Raises
     ------

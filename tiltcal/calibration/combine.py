@@ -127,8 +127,8 @@ def _combined(sessions: Sequence[CombinedSession]) -> CalibrationRecord:
         with suppress(EstimateError):  # no other session has measured its offset
             found, remarks = _estimate(sessions, target, unstated_levels=False)
     _require_agreement(sessions, found)
-    noted = _contradictions(found, COVERAGE)
-    remarks += [f"{told}; sessions that agree differ by so much once in 20 combinations" for told in noted]
+    contradictions = _contradictions(found, COVERAGE)
+    remarks += [f"{line}; sessions that agree differ by so much once in 20 combinations" for line in contradictions]
     return combined_record(sessions, found, remarks)
 
 
@@ -220,12 +220,12 @@ def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
     mounted = [session for session in sessions if session.coefficients.mounting is not None]
     for session in mounted[1:]:
         if session.coefficients.mounting != mounted[0].coefficients.mounting:
-            told = " and ".join(
+            mountings = " and ".join(
                 f"{s.label} has {mounting_in_words(s.coefficients.mounting)}"
                 for s in (mounted[0], session)
                 if s.coefficients.mounting is not None
             )
-            raise UsageError(f"the mountings contradict: {told}; state one with --mounting")
+            raise UsageError(f"the mountings contradict: {mountings}; state one with --mounting")
 
 
 def _assumed(sessions: Sequence[CombinedSession], measured: Sequence[str], target: Coefficients) -> list[Statement]:
@@ -262,8 +262,8 @@ def _assumed(sessions: Sequence[CombinedSession], measured: Sequence[str], targe
 
 def _require_agreement(sessions: Sequence[CombinedSession], found: Combination) -> None:
     """Refuse sessions that differ by far more than their uncertainty, with a UsageError."""
-    told = _contradictions(found, REFUSED)
-    if not told:
+    contradictions = _contradictions(found, REFUSED)
+    if not contradictions:
         return
     alone = [session.label for session in sessions if session.record.fit.uncertainty_from == NOISE_ALONE]
     why = (
@@ -271,7 +271,11 @@ def _require_agreement(sessions: Sequence[CombinedSession], found: Combination) 
         if alone
         else "one of the sessions is wrong, or the sensor has changed between them"
     )
-    lines = ["the calibrations contradict by more than their uncertainty:", *(f"  {each}" for each in told), why]
+    lines = [
+        "the calibrations contradict by more than their uncertainty:",
+        *(f"  {each}" for each in contradictions),
+        why,
+    ]
     raise UsageError("\n".join(lines))
 
 
@@ -280,12 +284,12 @@ def _contradictions(found: Combination, confidence: float) -> list[str]:
     changes = [change for _, change in found.differences]
     expanded = judge(changes, among=found.compared).thresholds
     changed = judge(changes, among=found.compared, confidence=confidence).changed
-    told = []
+    lines = []
     for label, change in found.differences:
         if change.name in changed and change.u:
             size, limit = abs(change.difference), expanded[change.name] * change.u
-            told.append(
+            lines.append(
                 f"{change.name} is {change.after:.6g} in {label} and {change.before:.6g} by the others, apart by "
                 f"{plus_minus(size, limit)} (E_n {size / limit:.1f})"
             )
-    return told
+    return lines

@@ -56,8 +56,8 @@ class CoefficientDistribution:
     def line(self) -> str:
         """The distribution as a line of a table."""
         numbers = list(self.values.values())
-        told = f"  {self.name:<26} {self.median:>12.6g} {self.spread:>12.4g} {numbers[0]:>12.6g} {numbers[-1]:>12.6g}"
-        return f"{told}   {', '.join(self.outliers)}".rstrip()
+        line = f"  {self.name:<26} {self.median:>12.6g} {self.spread:>12.4g} {numbers[0]:>12.6g} {numbers[-1]:>12.6g}"
+        return f"{line}   {', '.join(self.outliers)}".rstrip()
 
     def as_data(self) -> dict[str, Any]:
         """Return the distribution as plain data."""
@@ -161,8 +161,8 @@ class FleetHistory:
             word = "was due" if self.is_due(history) else "due"
             lines.append(f"{history.sensor.model} {history.sensor.serial}: {word} {due:%Y-%m-%d}")
             for place, calibration in enumerate(history.calibrations):
-                told = f"  {history.comparisons[place - 1].in_words}" if place else ""
-                lines.append(f"  {calibration.date:%Y-%m-%d}  {calibration.name}{told}")
+                words = f"  {history.comparisons[place - 1].in_words}" if place else ""
+                lines.append(f"  {calibration.date:%Y-%m-%d}  {calibration.name}{words}")
             for a, b in history.gaps(self.interval):
                 lines.append(f"  gap: {(b.date - a.date).days} days from {a.date:%Y-%m-%d} to {b.date:%Y-%m-%d}")
             lines += [f"  note: {remark}" for remark in history.remarks]

@@ -101,7 +101,7 @@ def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: 
             f"{NO_THERMOMETER}: the residuals show {shown:.2g} °C, which counts" if shown else EXACT_TEMPERATURES
         )
     if found.estimated_noise is not None and found.noise_dof is not None:
-        hidden = ", which hardly tell it from the jig: intervals are wide" if found.noise_dof < FEW else ""
+        hidden = ", which hardly separate it from the jig: intervals are wide" if found.noise_dof < FEW else ""
         notes.append(
             f"{NO_NOISE}: the residuals show noise of {found.estimated_noise:.2g} in them, which counts{hidden}"
         )

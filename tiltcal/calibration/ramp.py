@@ -51,7 +51,8 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     Raises
     ------
     EstimateError
-        The record cannot tell a thermal lag from drift, a channel is stuck, or there is no sensitivity to stand in.
+        The record does not separate a thermal lag from drift, a channel is stuck, or there is no sensitivity to stand
+        in.
     """
     if sensor.ramp is None:
         raise EstimateError(f"{procedure.name} takes a continuous record, and there is none of {sensor.sensor.serial}")
@@ -277,22 +278,22 @@ def _hysteresis(fit: RampFit, channels: Sequence[str]) -> dict[str, Hysteresis]:
 
 
 def _ramp_record(fit: RampFit, channels: Sequence[str]) -> RampFitRecord:
-    def told(values: Array) -> dict[str, float]:
+    def by_channel(values: Array) -> dict[str, float]:
         return {channel: significant(value, 3) for channel, value in zip(channels, values.tolist(), strict=True)}
 
     return RampFitRecord(
         lag=round_to(fit.found_lag, fit.u_lag),
         u_lag=significant(fit.u_lag, 4),
         used=fit.uses_lag,
-        explained_percent=told(100.0 * fit.explained),
+        explained_percent=by_channel(100.0 * fit.explained),
         legs=tuple(
             RampLeg(
                 way=held_out.leg.way,
                 temperature=(round(held_out.leg.low, 2), round(held_out.leg.high, 2)),
                 seconds=round(held_out.leg.seconds, 1),
                 pace=significant(held_out.leg.pace, 3),
-                polynomial=told(held_out.polynomial),
-                lagged=told(held_out.lagged),
+                polynomial=by_channel(held_out.polynomial),
+                lagged=by_channel(held_out.lagged),
             )
             for held_out in fit.held_out
         ),

@@ -28,17 +28,17 @@ def summary(calibration: CalibrationRecord) -> str:
 def mounting_summary(calibration: CalibrationRecord) -> str:
     """Return how a sensor sits in its application, with standard uncertainties where they are known."""
     sensor = calibration.sensor
-    told = [f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)", *mounting_lines(calibration)]
+    lines = [f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)", *mounting_lines(calibration)]
     fit = calibration.fit.mounting
     if fit is not None and fit.residuals_degrees:
         worst = max(fit.residuals_degrees, key=lambda name: fit.residuals_degrees[name])
-        told.append(f"  worst residual  {worst}: {fit.residuals_degrees[worst]:.3g}°")
+        lines.append(f"  worst residual  {worst}: {fit.residuals_degrees[worst]:.3g}°")
         chi_square = "" if fit.chi_square is None else f", chi-square {fit.chi_square:g}"
-        told.append(
+        lines.append(
             f"  degrees of freedom {fit.degrees_of_freedom}, uncertainty from {fit.uncertainty_from}{chi_square}"
         )
-        told += [f"  {objection}" for objection in _objections_to_mounting(fit)]
-    return "\n".join(told)
+        lines += [f"  {objection}" for objection in _objections_to_mounting(fit)]
+    return "\n".join(lines)
 
 
 def mounting_lines(calibration: CalibrationRecord) -> Iterator[str]:
@@ -134,5 +134,5 @@ def _probability(fit: FitRecord) -> float | None:
 
 
 def _pair(value: float, u: float) -> str:
-    number, _, told = plus_minus(value, u).partition(" ")
-    return f"{number:>12} {told}"
+    number, _, uncertainty = plus_minus(value, u).partition(" ")
+    return f"{number:>12} {uncertainty}"

@@ -77,7 +77,7 @@ def noise_of_positions(summaries: Sequence[SampleSummary], step: float) -> float
     -------
     float
         Unit; 0 where none is shown. A reading that flickers between two values scatters by up to half a step however
-        small its noise is: it tells nothing of a position in which the reading stands still.
+        small its noise is: that shows nothing of a position in which the reading stands still.
     """
     scatters = [summary.std**2 * (summary.n - 1) / summary.n for summary in summaries]
     if step and np.median(scatters) <= (FLICKER * step) ** 2 * _EXACT:

@@ -284,7 +284,7 @@ class CompensatedLog:
         columns: Mapping[str, str] | str = "",
         say: Callable[[str], None] = lambda line: None,
     ) -> CompensatedLog:
-        """Find the readings of a log, and whatever else the calibration asks for; ``say`` is told that a time is not.
+        """Find the readings of a log, and whatever else the calibration asks for; ``say`` gets a note if no time is.
 
         Raises
         ------

@@ -129,13 +129,13 @@ def _say_stability(history: SensorHistory, stability: Stability | None, say: Cal
         )
         return
     coefficients = history.calibrations[-1].record.coefficients
-    told = []
+    walks = []
     for channel in coefficients.channels:
         walk = stability.between.get(f"offset.{channel}")
         if walk is not None and channel in coefficients.axes:
-            told.append(f"{channel} {1000.0 * walk.rate**0.5 / abs(coefficients.own_sensitivity(channel)):.2g}")
+            walks.append(f"{channel} {1000.0 * walk.rate**0.5 / abs(coefficients.own_sensitivity(channel)):.2g}")
     source = stability.source if stability.source == "as stated" else f"from {stability.source}"
-    say(f"note: the offset of {serial} wanders by {', '.join(told)} mg/√d, {source}")
+    say(f"note: the offset of {serial} wanders by {', '.join(walks)} mg/√d, {source}")
 
 
 def _prepare_sensor(

@@ -72,8 +72,8 @@ class FrameReader(LogReader):
             if index == time and not np.isfinite(found).any():
                 wrong = self._wrong_time(self._frame.polars(name)[name], index, 0)
         if len(along) > 1:
-            told = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
-            raise InputError(f"the variables have rows of different kinds: {told}", file=self.name)
+            kinds = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
+            raise InputError(f"the variables have rows of different kinds: {kinds}", file=self.name)
         frame = self._frame.polars(self.names[columns[0]]) if frames else None
         block = LogBlock(values, frame=frame, wrong_time=wrong)
         if values and not len(block):

@@ -37,7 +37,7 @@ SOAKS = 3
 """Soaks up to the end of a segment over which the temperature is judged."""
 
 FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
-"""Samples that tell a rise from their scatter, and by how many of its standard deviations."""
+"""The least number of samples that can show a rise, and the standard deviations by which it exceeds their scatter."""
 
 _ROWS = 1 << 10  # of the blocks of an interval whose length is not known
 _RECENT = 1 << 21  # rows of temperatures that are kept

@@ -1,6 +1,6 @@
 """Rows of a log of accelerometer pairs: blocks in order, and the stuck values that are left out of them.
 
-A channel that keeps its value while the stage turns on is stuck, not still: a converter that hangs, or an input that is
+A channel that keeps its value while the stage turns on is stuck, not still: a converter that stops, or an input that is
 held at its rail, repeats a value that counts heavily. No channel that senses the turning keeps one for a quarter of a
 turn, unless its steps are a third of its amplitude. Such values are left out as missing ones are, from the first to the
 last.

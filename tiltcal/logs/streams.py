@@ -103,7 +103,7 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
 
 
 def _leave_memory(replaced: str) -> None:
-    """Let the system forget what it holds in memory of a file that is going to be replaced, where it can be told so.
+    """Free the system's memory of a file that is going to be replaced, where the system has a call for that.
 
     The new file then takes that memory; taking other memory takes a virtual machine that has returned it to its host
     half as long as the whole command.

@@ -169,11 +169,11 @@ def _mounted(fit: MountingFit | None) -> Iterator[str]:
 def _levelled(fit: LevelFit | None, unit: str) -> Iterator[str]:
     if fit is None:
         return
-    told = [
+    changes = [
         f"{channel} by {signed(plus_minus(change, fit.change_uncertainty.get(channel, 0.0)))} {unit}"
         for channel, change in fit.change.items()
     ]
-    yield f"A level position has renewed the offset: it changed in {' and in '.join(told)}; {fit.verdict}."
+    yield f"A level position has renewed the offset: it changed in {' and in '.join(changes)}; {fit.verdict}."
 
 
 def _mean(record: PositionRecord, channel: str) -> str:

@@ -273,5 +273,5 @@ def test_intervals_hold_what_a_noisy_table_hides(noise: float, least: float, jig
         ]
     assert np.mean(held) > least  # of 45
     assert found.fit.uncertainty_from == ("stated jig, residuals for the noise" if jig else "residuals")
-    hardly = any("hardly tell it from the jig" in note for note in found.fit.notes)
+    hardly = any("hardly separate it from the jig" in note for note in found.fit.notes)
     assert hardly is (noise < 1e-3) or jig is None

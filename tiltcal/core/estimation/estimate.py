@@ -113,7 +113,7 @@ class Estimate(DeterminedCoefficients):
     noise_dof : float or None
         Degrees of freedom of that.
     notes : tuple of str
-        What the reader of the numbers should know.
+        What limits the numbers, in words.
     """
 
     positions: tuple[str, ...]

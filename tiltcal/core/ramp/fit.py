@@ -152,7 +152,7 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     Raises
     ------
     EstimateError
-        The legs cannot tell lag from drift; the message has the pace to take.
+        The legs do not separate lag and drift; the message has the pace to take.
     """
     legs = legs_of(record)
     lags, no_lag = _trial_lags(legs), np.zeros(1)
@@ -387,7 +387,7 @@ def _widened(found: list[HalfLoop], powers: Array, covariance: Array) -> Array:
 
 
 def _require_lag_resolved(legs: list[Leg], lag: float, u: float) -> None:
-    """Refuse a lag that the legs cannot tell from drift."""
+    """Refuse a lag that the legs do not separate from drift."""
     shortest = min(leg.seconds for leg in legs)
     widest = max(leg.high - leg.low for leg in legs)
     pace = float(np.mean([leg.pace for leg in legs]))
@@ -395,10 +395,10 @@ def _require_lag_resolved(legs: list[Leg], lag: float, u: float) -> None:
         slower = widest / (2.0 * LEG_LAGS * abs(lag)) * 60.0
         raise EstimateError(
             f"at {pace:.2g} °C/min a leg lasts {shortest:.0f} s, and the lag is about {abs(lag):.0f} s: so short a leg "
-            f"cannot tell it from drift; change the temperature at {slower:.2g} °C/min or slower"
+            f"does not separate it from drift; change the temperature at {slower:.2g} °C/min or slower"
         )
     if not 2.0 * u * pace / 60.0 < LAG_RESOLUTION * widest:
         raise EstimateError(
-            f"at {pace:.2g} °C/min the lag is known to ±{2.0 * u:.2g} s, which does not tell it from drift: the zero "
-            f"wanders, or the noise is too large; take more legs, at {4.0 * pace:.2g} °C/min"
+            f"at {pace:.2g} °C/min the lag is known to ±{2.0 * u:.2g} s, which does not separate it from drift: the "
+            f"zero wanders, or the noise is too large; take more legs, at {4.0 * pace:.2g} °C/min"
         )

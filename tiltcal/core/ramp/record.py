@@ -171,7 +171,7 @@ def legs_of(record: RampRecord) -> list[Leg]:
         )
     if record.step * FEWEST_STEPS > whole:
         raise EstimateError(
-            f"the temperature changes by {whole:.2g} °C in steps of {record.step:.2g} °C, too coarse to tell drift "
+            f"the temperature changes by {whole:.2g} °C in steps of {record.step:.2g} °C, too coarse to separate drift "
             f"from rounding: let it change by at least {FEWEST_STEPS * record.step:.2g} °C, or read a finer thermometer"
         )
     bounds = [*_turns(record.temperature, TURN * whole), len(record.time)]
@@ -210,14 +210,14 @@ def _require_both_ways(legs: list[Leg], whole: float) -> None:
     up, down = ([leg for leg in legs if leg.rising is way] for way in (True, False))
     if not up or not down:
         raise EstimateError(
-            f"the temperature goes only {legs[0].way}, and one way cannot tell a thermal lag from drift: let it come "
-            f"back over the same temperatures, at {pace} or slower"
+            f"the temperature goes only {legs[0].way}, and one way does not separate a thermal lag from drift: let it "
+            f"come back over the same temperatures, at {pace} or slower"
         )
     highest, lowest = (min(max(leg.high for leg in way) for way in (up, down)), max(_lowest(way) for way in (up, down)))
     if highest - lowest < OVERLAP * whole:
         raise EstimateError(
-            f"the ways up and down share {max(highest - lowest, 0.0):.2g} °C of {whole:.2g} °C, too little to tell a "
-            f"thermal lag from drift: let the temperature come all the way back, at {pace} or slower"
+            f"the ways up and down share {max(highest - lowest, 0.0):.2g} °C of {whole:.2g} °C, too little to separate "
+            f"a thermal lag from drift: let the temperature come all the way back, at {pace} or slower"
         )
 
 

@@ -151,8 +151,8 @@ class NetcdfReader(LogReader):
                 )
             along[str(dimensions[0])] = name
         if len(along) > 1:
-            told = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
-            self._refuse(f"the variables have rows of different kinds: {told}")
+            kinds = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
+            self._refuse(f"the variables have rows of different kinds: {kinds}")
         dimension = next(iter(along))
         if not self._data.sizes[dimension]:
             self._refuse(f"the log has no rows: dimension {dimension!r} is empty")

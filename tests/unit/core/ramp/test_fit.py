@@ -276,7 +276,7 @@ def test_too_fast_a_pace_is_refused_with_the_pace_to_take():
 
 
 def test_a_zero_that_wanders_too_far_is_refused():
-    with pytest.raises(EstimateError, match="does not tell it from drift"):
+    with pytest.raises(EstimateError, match="does not separate it from drift"):
         fit_ramp(made(0.25, legs=2, wander=3.0, seed=2), reference=REFERENCE)
 
 
