@@ -3,6 +3,22 @@
 Near the minimum every unknown is a linear function of the equations' errors, so every equation has its share of every
 variance. The effect of the attitudes' errors on the coefficients is in it: the attitudes are unknowns of the same
 system.
+
+Each equation is divided by its standard uncertainty, so that its error has the variance 1. ``found[j, b, r]`` is the
+change of coefficient j by the error of equation r in set b of a block: a channel, or a sensor with a thermometer of its
+own. The readings come first, then what is known of each local unknown. The variance of j is the sum of the squares.
+``left[b, r, y]`` is what remains of the derivative by the shared unknown y, once the local unknowns follow it.
+
+**By hand.** One channel of known offset in one position reads ``S sin(t + a)`` with the uncertainty u, of which
+quantisation gives q; S is known to v before, and the jig to s. What it reads differs from S sin t with the variance V,
+and S changes by G for a unit of it::
+
+    V = u² + (v sin t)² + (s S cos t)²,   G = v² sin t / V
+    noise = G² (u² - q²),   adc = G² q²,   assumed = (1 - G sin t)² v²,   jig = (G s S cos t)²
+
+The four add up to v² (1 - G sin t). A noise that was estimated with m degrees of freedom has the estimated part
+``noise / sqrt(m)``: as a part of one degree of freedom it gives Welch and Satterthwaite's formula the same as noise
+with m.
 """
 
 from __future__ import annotations
@@ -144,6 +160,7 @@ def _variances(near: LinearSolution) -> tuple[dict[str, Array], Array]:
     for block, equations, factor in zip(system.blocks, near.equations.blocks, near.elimination.factors, strict=True):
         sets, rows, _ = factor.basis.shape
         left = shared_table(equations, near.shared)[..., : near.shared] - factor.basis @ factor.follows
+        # By way of the shared unknowns; below, within its own set (``of_own``: local unknown by equation).
         found = -spread @ (left.reshape(sets * rows, near.shared) @ near.directions).T
         found = found.reshape(count, sets, rows)
         own = factor.unknowns[0] < count

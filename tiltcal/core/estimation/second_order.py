@@ -10,6 +10,27 @@ with G the linear estimator, C the covariance, H the model's second derivatives 
 and attitude), and r what the first order leaves of the readings. The angles are independent and have the variance s²,
 so that the mean of each product is s² times the sum of the factors' products over the angles.
 
+Arrays have the indices ``s`` of a sensor in its block, ``c`` of its channel, ``n`` of its reading, ``i`` of an axis of
+the sensitivity, ``k`` of the two angles of the reading's setting, and ``a`` of the angle that errs::
+
+    curvature[s, c, n]       -H by either angle of the setting twice; by both it is 0
+    mixed[s, c, n, i, k]     H by sensitivity i and angle k
+    own[setting, k, a]       D of angle k of a setting
+    follows[coefficient, a]  D of a coefficient
+    left[s, c, n, a]         W r
+
+**By hand.** One channel of known offset in one position reads ``S (sin t (1 - (a1² + a2²)/2) + cos t a1)`` with the
+noise u, and S is known to v before. What it reads differs from S sin t with the variance V, and nothing shows a2::
+
+    V = u² + (v sin t)² + (s S cos t)²
+    follows = v² S sin t cos t / V,   own = (s S cos t)² / V,   left = S cos t / V          of a1, and 0 of a2
+    curvature = S sin t,   mixed = cos t
+    off      = curvature (own² - 2) / 2 - mixed follows own         what the readings bend; 2 for the true a1 and a2
+    by_angle = left (mixed follows - curvature own),   pull = left mixed own                H(Da)ᵀ W r, of a1 and of S
+    second   = v² / V [sin t off + (u² + (s S cos t)²) pull - s² S sin t cos t by_angle]    times s²
+
+The factors in the last line are v² sin t / V, the estimator, and the covariances of S with itself and with a1.
+
 Source: M. J. Box, *Bias in nonlinear estimation*, J. R. Statist. Soc. B 33 (1971) 171, for errors in the settings.
 """
 
@@ -54,7 +75,10 @@ def second_order_bias(near: LinearSolution, z: Array) -> Array:
         left = left.reshape(*block.u.shape, near.angles) / block.u[..., None]
         moved = (own.reshape(-1, near.angles) @ followed).reshape(*columns.shape[:2], len(own), 2, -1)
         moved = np.stack([value[:, at] for value, at in zip(moved, settings, strict=True)])
+        # What each reading bends: mixed follows own, summed over axes i, angles k, and the errors a (in ``moved``).
         off = 0.5 * curvature * squares[settings][:, None] - np.einsum("scnik,scnki->scn", mixed, moved)
+        # H(Da)ᵀ W r: W r times D of each angle k, summed over the errors a; then by angle k of each reading,
+        # and by sensitivity i of each channel, which takes all its readings n and angles k.
         by_own = np.einsum("scna,snka->scnk", left, own[settings])
         by_angle = np.einsum("scnik,scni->scnk", mixed, left @ followed) - curvature[..., None] * by_own
         pull = np.zeros(system.coefficients)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from math import cos, degrees, radians, sin, sqrt
 
@@ -16,7 +17,10 @@ from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured,
 
 from tiltcal.core.coverage_factor import coverage_factor, welch_satterthwaite
 from tiltcal.core.derived_quantities import cross_axis, derived, misalignment
-from tiltcal.core.estimation.design import Design, Observation
+from tiltcal.core.estimation.covariance import stated_budgets
+from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
+from tiltcal.core.estimation.elimination import linearised
+from tiltcal.core.estimation.equation_assembly import system_of
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.pooling import pooled
@@ -82,6 +86,28 @@ class TestBudgetByHand:
         assert found.uncertainty()["sensitivity.x.x"] == pytest.approx(
             sqrt((self.NOISE**2 + self.STEP**2) / 2 + square**2), rel=1e-6
         )
+
+    def test_one_position_and_a_sensitivity_that_is_known_before(self) -> None:
+        """The formulas of the module: the reading and what is known share the change by their variances."""
+        t, known, jig = radians(30.0), 20.0, radians(self.JIG) * self.S * cos(radians(30.0))
+        priors = {"offset.x": Prior(1024.0), "sensitivity.x.x": Prior(self.S, known)}
+        design = Design(("x",), ("x",), jig=self.JIG, priors=priors)
+        reading = replace(self.pair(30.0)[0], dof=np.array([9.0]))
+        system = system_of([SensorObservations(design, [reading])])
+        budget = stated_budgets(linearised(system, system.start()))[0]
+        by_reading = known**2 * sin(t) / (self.NOISE**2 + self.STEP**2 + (known * sin(t)) ** 2 + jig**2)
+        by_hand = {
+            "noise": (by_reading * self.NOISE) ** 2,
+            "adc": (by_reading * self.STEP) ** 2,
+            "assumed": ((1.0 - by_reading * sin(t)) * known) ** 2,
+            "jig": (by_reading * jig) ** 2,
+        }
+        assert {source: part[1] for source, part in budget.variance.items()} == pytest.approx(by_hand, rel=1e-6)
+        total = known**2 * (1.0 - by_reading * sin(t))
+        assert sum(by_hand.values()) == pytest.approx(total, rel=1e-9)
+        assert budget.covariance[1, 1] == pytest.approx(total, rel=1e-9)
+        # Noise alone was estimated, of 9 degrees of freedom (Welch and Satterthwaite, GUM, eq. G.2b).
+        assert budget.dof[1] == pytest.approx(9.0 * (total / by_hand["noise"]) ** 2, rel=1e-6)
 
     def test_residuals_of_one_channel_are_the_textbooks(self) -> None:
         """Angles alone, not stated: a set angle errs by cos a, and numpy weighs by it; Student's t with n - 2."""
