@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tiltcal.bench.channel_map import map_channels
+from tiltcal.calibration.free_positions import require_no_jig
 from tiltcal.calibration.prediction import (
     PredictedMounting,
     PredictedUncertainty,
@@ -15,7 +16,6 @@ from tiltcal.calibration.prediction import (
     predict_mounting,
     require_in_range,
 )
-from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address

@@ -11,8 +11,8 @@ from shlex import quote
 from tiltcal.bench.device_setup import known_bench, single
 from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import SessionPlan, plan_session
+from tiltcal.calibration.free_positions import require_no_jig
 from tiltcal.calibration.prediction import predict
-from tiltcal.calibration.unit_gravity import require_no_jig
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.atomic import check_writable
 from tiltcal.files.base_calibration import bases_of

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from tiltcal.calibration.channel_checks import ACCELERATION, require_own_readings
+from tiltcal.calibration.free_positions import directed, require_no_jig, with_verdict
 from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
@@ -24,7 +25,6 @@ from tiltcal.calibration.temperature import (
     with_order,
     with_typical_temperature,
 )
-from tiltcal.calibration.unit_gravity import directed, require_no_jig, with_verdict
 from tiltcal.core.rounding import round_to
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord

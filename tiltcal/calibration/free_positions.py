@@ -1,4 +1,4 @@
-"""Calibration in positions that were not set: gravity is 1 g in each, and nothing else is known of them."""
+"""Calibration in free positions: the attitude of none is set, and gravity is 1 g in each."""
 
 from __future__ import annotations
 
