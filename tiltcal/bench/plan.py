@@ -14,8 +14,8 @@ from tiltcal.calibration.prediction import (
     PredictedUncertainty,
     predict,
     predict_mounting,
-    require_in_range,
 )
+from tiltcal.calibration.suitability import require_suitable
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
@@ -134,7 +134,7 @@ def plan(
     if steps.rotation is not None:
         channels = map_channels(steps.rotation, [("", model)])
         return PlannedRotation(channels.pairs, steps.rotation.turns, channels.left_out)
-    require_in_range(steps, model, based=own is not None)
+    require_suitable(steps, model, based=own is not None)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
     known = partial(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import tiltcal
 from tiltcal.bench.device_setup import DeviceSetup, all_virtual, devices_of, with_thermometer
-from tiltcal.calibration.prediction import require_in_range
+from tiltcal.calibration.suitability import require_suitable
 from tiltcal.drivers.bus.clock import VIRTUAL_START
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.base_calibration import BaseFile
@@ -309,7 +309,7 @@ def plan_session(
         plan.channel_map(procedure.rotation)
     else:
         for device in plan.sensors:
-            require_in_range(procedure, device.model, device.orientation, based=device.serial in plan.bases)
+            require_suitable(procedure, device.model, device.orientation, based=device.serial in plan.bases)
     if typical:
         _require_population(plan)
     return plan if plan.virtual else replace(plan, started=_to_the_millisecond(datetime.now(UTC)))

@@ -13,14 +13,13 @@ import numpy as np
 from tiltcal.calibration.joint_fit import design_of
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.measurement import BenchUncertainty
+from tiltcal.calibration.suitability import require_tilt
 from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, Prediction, predict_uncertainty
-from tiltcal.core.model import AXES
 from tiltcal.core.mounting_rotation import angle_uncertainty, solve_mounting
 from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Model
-from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
@@ -276,41 +275,3 @@ def _planned(procedure: Procedure, orientation: Orientation, reference: float) -
         )
         for position, (before, setting) in zip(procedure.positions, pairwise(settings), strict=True)
     ]
-
-
-def require_tilt(procedure: Procedure, model: Model) -> None:
-    """Refuse a device whose readings are no components of gravity, with a UsageError."""
-    if not model.senses_tilt:
-        others = [channel for channel in model.channels if channel not in AXES]
-        raise UsageError(
-            f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
-            "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
-        )
-
-
-def require_in_range(
-    procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT, *, based: bool = False
-) -> None:
-    """Refuse a device that reads no tilt, positions beyond its rails, and an unknown sensitivity, with a UsageError.
-
-    Parameters
-    ----------
-    based : bool
-        A base calibration states the sensitivity.
-    """
-    require_tilt(procedure, model)
-    if not (model.scaled or based or procedure.determines.axes or procedure.determines.completes):
-        raise UsageError(
-            f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
-            "address (sensitivity=..., unit per g), or name the sensor's calibration (--base)"
-        )
-    for position in procedure.positions:
-        gravity = orientation.seen(position.gravity)
-        for channel in model.channels:
-            expected = model.offset + model.sensitivity * gravity["xyz".index(channel)]
-            if not model.rails[0] < expected < model.rails[1]:
-                hint = "; a smaller --tilt brings it in range" if procedure.angle is not None else ""
-                raise UsageError(
-                    f"position {position.name} is outside the range of {model.name}: {channel} would read about "
-                    f"{expected:.5g} {model.unit}, between {model.rails[0]:g} and {model.rails[1]:g} it can{hint}"
-                )

@@ -17,7 +17,7 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.free_positions import directions, require_no_jig
 from tiltcal.calibration.joint_fit import no_sensitivity
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
-from tiltcal.calibration.prediction import require_tilt
+from tiltcal.calibration.suitability import require_tilt
 from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import significant
